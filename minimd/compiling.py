@@ -1,0 +1,111 @@
+"""How minimd compiles: two decorators, one safe cache folder, one line for the user who waits.
+
+Numba's own cache does not notice that a function of *another* file has changed, and fails when neither the installation
+nor the home folder can be written. Compiled kernels therefore live in a folder named after a hash of all sources of
+minimd: edited sources never meet yesterday's machine code, and any writable place will do.
+"""
+
+import functools
+import hashlib
+import os
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+import numba
+from numba.core import event
+
+WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
+
+
+@functools.cache
+def cache_folder() -> Path:
+    """The first writable of $NUMBA_CACHE_DIR, the user's cache folder, the temporary folder; one subfolder per source state."""
+    name = f"minimd-{_source_hash()}"
+    for base in _cache_bases():
+        folder = base / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return folder
+        except OSError:
+            continue
+    return Path(tempfile.mkdtemp(prefix=name))
+
+
+def kernel(function):
+    """Compile a function that Python calls with arrays and numbers: lazily, once per machine."""
+    previous = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(cache_folder())
+    try:
+        return numba.njit(cache=True, error_model="numpy")(function)
+    finally:
+        numba.config.CACHE_DIR = previous
+
+
+def scalar(function):
+    """Compile a function of a few numbers that only kernels call; the compiler inlines it."""
+    return numba.njit(error_model="numpy")(function)
+
+
+@functools.cache
+def without_cache(dispatcher):
+    """The same kernel compiled anew in each process: for laws that the user defines, which no cache can recognise."""
+    return numba.njit(error_model="numpy")(dispatcher.py_func)
+
+
+class announce_compilation(event.Listener):  # noqa: N801 - used as a context manager
+    """While active, tell on standard error when compiling takes more than a second."""
+
+    def __init__(self) -> None:
+        self._told = False
+        self._depth = 0
+        self._timer: threading.Timer | None = None
+
+    def __enter__(self) -> "announce_compilation":
+        event.register("numba:compile", self)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        event.unregister("numba:compile", self)
+        self._stop_timer()
+
+    def on_start(self, _event: event.Event) -> None:
+        self._depth += 1
+        if self._depth == 1 and not self._told:
+            self._timer = threading.Timer(WAIT_BEFORE_TELLING, self._tell)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def on_end(self, _event: event.Event) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self._stop_timer()
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _tell(self) -> None:
+        self._told = True
+        print("minimd: compiling kernels (once) ...", file=sys.stderr, flush=True)
+
+
+def _source_hash() -> str:
+    digest = hashlib.sha256(numba.__version__.encode())
+    package = Path(__file__).parent
+    for source in sorted(package.rglob("*.py")):
+        digest.update(str(source.relative_to(package)).encode())
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_bases() -> list[Path]:
+    bases = []
+    if os.environ.get("NUMBA_CACHE_DIR"):
+        bases.append(Path(os.environ["NUMBA_CACHE_DIR"]))
+    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    bases.append(Path(user) / "minimd")
+    bases.append(Path(tempfile.gettempdir()) / f"minimd-{os.getuid() if hasattr(os, 'getuid') else 'user'}")
+    return bases

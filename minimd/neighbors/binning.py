@@ -1,0 +1,86 @@
+"""Atoms into bins: a grid along the lattice vectors, and the atoms in the order of their bins."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.cell import Cell
+from minimd.compiling import kernel
+
+ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
+ROUNDING = 1.0 + 1e-9  # bins are this much wider than the reach, so that rounding never asks for one bin more
+
+
+class Grid(NamedTuple):
+    """counts : (3,) int, bins along each lattice vector.  reach : (3,) int, bins to search on each side.
+
+    origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions.
+    """
+
+    counts: NDArray[np.int64]
+    reach: NDArray[np.int64]
+    origin: NDArray[np.float64]
+    extent: NDArray[np.float64]
+
+
+class Sorted(NamedTuple):
+    """Atoms in the order of their bins.
+
+    order : (N,) int, the user's index of each.  offsets : (N, 3) [length], lattice vectors that bring each into the cell.
+    bin_start : (bins + 1,) int, first atom of each bin.
+    """
+
+    order: NDArray[np.int64]
+    offsets: NDArray[np.float64]
+    bin_start: NDArray[np.int64]
+
+
+def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
+    """A grid whose bins are about half the reach wide, wider where there would be many more bins than atoms."""
+    fractional = positions @ cell.inverse
+    origin = np.where(cell.pbc, 0.0, fractional.min(axis=0))
+    extent = np.where(cell.pbc, 1.0, np.maximum(fractional.max(axis=0) - origin, np.finfo(float).tiny))
+    widths = cell.heights * extent
+    counts = np.maximum(1.0, np.floor(2.0 * widths / (reach * ROUNDING)))
+    while counts.prod() > max(64.0, len(positions) / ATOMS_PER_BIN) and counts.max() > 1.0:
+        counts = np.where(counts == counts.max(), np.ceil(0.5 * counts), counts)
+    needed = np.ceil(np.minimum(reach * counts / widths, 1e9))
+    needed = np.where(cell.pbc, needed, np.minimum(needed, counts - 1.0))
+    return Grid(counts.astype(np.int64), needed.astype(np.int64), origin, extent)
+
+
+def sort_into_bins(positions: NDArray[np.float64], cell: Cell, grid: Grid) -> Sorted:
+    """The atoms in the order of their bins, the last lattice direction running fastest."""
+    n_atoms = len(positions)
+    sorted_ = Sorted(np.empty(n_atoms, dtype=np.int64), np.empty((n_atoms, 3)), np.zeros(int(grid.counts.prod()) + 1, dtype=np.int64))
+    _fill_bins(positions, cell.lattice, cell.inverse, cell.pbc, grid.counts, grid.origin, grid.extent, *sorted_)
+    return sorted_
+
+
+@kernel
+def _fill_bins(positions, lattice, inverse, pbc, counts, origin, extent, order, offsets, bin_start):
+    """Counting sort; order, offsets and bin_start as in Sorted, overwritten."""
+    n_atoms = positions.shape[0]
+    bins = np.empty(n_atoms, dtype=np.int64)
+    cells = np.zeros((n_atoms, 3))
+    for i in range(n_atoms):
+        index = 0
+        for d in range(3):
+            s = positions[i, 0] * inverse[0, d] + positions[i, 1] * inverse[1, d] + positions[i, 2] * inverse[2, d]
+            if pbc[d]:
+                cells[i, d] = -np.floor(s)
+                s += cells[i, d]
+            along = int((s - origin[d]) / extent[d] * counts[d])
+            index = index * counts[d] + max(0, min(counts[d] - 1, along))
+        bins[i] = index
+        bin_start[index + 1] += 1
+    for b in range(bin_start.size - 1):
+        bin_start[b + 1] += bin_start[b]
+    place = bin_start[:-1].copy()
+    for i in range(n_atoms):
+        k = place[bins[i]]
+        place[bins[i]] += 1
+        order[k] = i
+        for c in range(3):
+            offsets[k, c] = cells[i, 0] * lattice[0, c] + cells[i, 1] * lattice[1, c] + cells[i, 2] * lattice[2, c]

@@ -1,0 +1,96 @@
+"""All pairs of atoms and images within a distance, each once, in a time linear in the number of atoms."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.cell import Cell, minimum_image
+from minimd.compiling import kernel
+from minimd.neighbors.binning import Grid
+
+
+def forward_bins(grid: Grid) -> NDArray[np.int64]:
+    """Offsets (dx, dy, dz) of one half of the bins within reach, (0, 0, 0) left out: (K, 3) int.
+
+    Of each offset and its opposite one is kept, so that every pair is met once.
+    """
+    axes = [np.arange(-r, r + 1) for r in grid.reach]
+    offsets = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.ascontiguousarray(offsets[len(offsets) // 2 + 1 :])
+
+
+def image_table(cell: Cell, grid: Grid) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """How many cells a search can cross in each direction, (3,) int, and the translations of all images, (T, 3) [length].
+
+    Image (a, b, c) stands in row ((a + n_x)(2 n_y + 1) + b + n_y)(2 n_z + 1) + c + n_z. No rows if nothing is periodic.
+    """
+    crossed = np.where(cell.pbc, -(-grid.reach // grid.counts), 0)
+    if not cell.is_periodic:
+        return crossed, np.zeros((0, 3))
+    axes = [np.arange(-n, n + 1) for n in crossed]
+    images = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return crossed, images @ np.where(cell.pbc[:, None], cell.lattice, 0.0)
+
+
+@kernel
+def find_pairs(
+    positions, order, bin_start, counts, forward, crossed, translations, pbc, lattice, inverse, safe_distance2, reach2, excluded_start, excluded, start, second, image
+):
+    """Write all pairs within the reach and return how many there are, which may be more than there is room for.
+
+    positions : (N, 3), in the order of the bins and inside the cell [length].  order : (N,) the user's index of each.
+    bin_start, counts, forward, crossed, translations : see Sorted, Grid, forward_bins, image_table.
+    pbc, lattice, inverse, safe_distance2 : of the Cell.  reach2 : squared reach [length²].
+    excluded_start, excluded : partners of user atom a are excluded[excluded_start[a] : excluded_start[a + 1]]; the nearest
+        image of such a pair is left out.
+    start, second, image : outputs, see potentials.pair_loop.Pairs; first and second count in the order of the bins.
+    """
+    n_pairs = 0
+    room = second.size
+    shifted = translations.shape[0] > 0
+    rows_y, rows_z = 2 * crossed[1] + 1, 2 * crossed[2] + 1
+    home = (crossed[0] * rows_y + crossed[1]) * rows_z + crossed[2]
+    has_excluded = excluded.size > 0
+    for bin_x in range(counts[0]):
+        for bin_y in range(counts[1]):
+            for bin_z in range(counts[2]):
+                b = (bin_x * counts[1] + bin_y) * counts[2] + bin_z
+                for i in range(bin_start[b], bin_start[b + 1]):
+                    start[i] = n_pairs
+                    x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
+                    for k in range(-1, forward.shape[0]):
+                        first_atom, last_atom, row = i + 1, bin_start[b + 1], home
+                        tx = ty = tz = 0.0
+                        if k >= 0:
+                            to_x, to_y, to_z = bin_x + forward[k, 0], bin_y + forward[k, 1], bin_z + forward[k, 2]
+                            cell_x, cell_y, cell_z = to_x // counts[0], to_y // counts[1], to_z // counts[2]
+                            if (cell_x != 0 and not pbc[0]) or (cell_y != 0 and not pbc[1]) or (cell_z != 0 and not pbc[2]):
+                                continue
+                            to_x, to_y, to_z = to_x - cell_x * counts[0], to_y - cell_y * counts[1], to_z - cell_z * counts[2]
+                            neighbour = (to_x * counts[1] + to_y) * counts[2] + to_z
+                            first_atom, last_atom = bin_start[neighbour], bin_start[neighbour + 1]
+                            row = ((cell_x + crossed[0]) * rows_y + cell_y + crossed[1]) * rows_z + cell_z + crossed[2]
+                            if shifted:
+                                tx, ty, tz = translations[row, 0], translations[row, 1], translations[row, 2]
+                        for j in range(first_atom, last_atom):
+                            dx, dy, dz = positions[j, 0] - x + tx, positions[j, 1] - y + ty, positions[j, 2] - z + tz
+                            if dx * dx + dy * dy + dz * dz < reach2:
+                                if has_excluded and _is_partner(order[i], order[j], excluded_start, excluded):
+                                    a, b_, c = minimum_image(dx - tx, dy - ty, dz - tz, lattice, inverse, pbc, safe_distance2)
+                                    nearest = ((int(a) + crossed[0]) * rows_y + int(b_) + crossed[1]) * rows_z + int(c) + crossed[2]
+                                    if nearest == row:
+                                        continue
+                                if n_pairs < room:
+                                    second[n_pairs] = j
+                                    if shifted:
+                                        image[n_pairs] = row
+                                n_pairs += 1
+    start[positions.shape[0]] = n_pairs
+    return n_pairs
+
+
+@kernel
+def _is_partner(a, b, excluded_start, excluded):
+    for k in range(excluded_start[a], excluded_start[a + 1]):
+        if excluded[k] == b:
+            return True
+    return False

@@ -1,0 +1,6 @@
+"""Laws u(r), their truncation and mixing, bonded terms, and the loops that apply them."""
+
+from minimd.potentials.bonded import BondPotential, HarmonicAngle, HarmonicBond
+from minimd.potentials.pair import LennardJones, PairPotential
+
+__all__ = ["BondPotential", "HarmonicAngle", "HarmonicBond", "LennardJones", "PairPotential"]

@@ -1,0 +1,64 @@
+"""How a scalar law u(r) meets the loops: by type, so that the compiled loop is found again by the next process.
+
+A law is one function `law(r2, *parameters)` that returns u [energy] and f = −u′(r)/r [energy/length²]. It is named by a
+marker, a NamedTuple class whose attribute `formula` is that function. A truncation is a marker that holds another one. A
+marker carries no numbers: they follow in one flat tuple, first those of the truncation, then those of the law.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from numba.core import types
+from numba.core.dispatcher import Dispatcher
+from numba.extending import overload
+
+from minimd.compiling import scalar
+
+
+class UserLaw(NamedTuple):
+    """Marker of a law that the user brings: function(r2, *parameters)."""
+
+    function: Any
+
+
+def user_law(function: Callable) -> UserLaw:
+    """A marker for a plain or compiled function of r² and parameters that returns u and −u′(r)/r.
+
+    Raises
+    ------
+    TypeError : if it is not a function.
+    """
+    if isinstance(function, Dispatcher):
+        return UserLaw(function)
+    if not callable(function):
+        raise TypeError(f"a law must be a function law(r2, *parameters) that returns u and -u'(r)/r; it is {function!r}")
+    return UserLaw(scalar(function))
+
+
+def is_user_law(law: tuple) -> bool:
+    """True if the marker, or the one inside it, was made by user_law."""
+    return isinstance(law, UserLaw) or any(is_user_law(inner) for inner in law)
+
+
+def evaluate_law(law, r2, parameters):
+    """u(r) and −u′(r)/r of the law named by a marker, at r² = r2, for one pair.
+
+    law : marker.  r2 : [length²].  parameters : tuple of numbers, those of the truncation first.
+    """
+    if isinstance(law, UserLaw):
+        return law.function.py_func(r2, *parameters)
+    formula = type(law).formula.py_func
+    return formula(r2, law[0], parameters) if law else formula(r2, *parameters)
+
+
+@overload(evaluate_law)
+def _evaluate_law(law, r2, parameters):
+    if not isinstance(law, types.BaseNamedTuple):
+        return None
+    marker = law.instance_class
+    if marker is UserLaw:
+        return lambda law, r2, parameters: law.function(r2, *parameters)
+    formula = marker.formula
+    if len(law) == 1:
+        return lambda law, r2, parameters: formula(r2, law[0], parameters)
+    return lambda law, r2, parameters: formula(r2, *parameters)

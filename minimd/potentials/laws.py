@@ -1,0 +1,67 @@
+"""The laws u(r), each written once, as a function of r² and its parameters."""
+
+from typing import Any, NamedTuple
+
+from minimd.compiling import scalar
+from minimd.potentials.law import evaluate_law
+
+
+@scalar
+def lennard_jones(r2, epsilon, sigma):
+    """Lennard-Jones 12-6 law.
+
+        u(r)     = 4ε [(σ/r)¹² − (σ/r)⁶]
+        −u′(r)/r = 24ε/r² [2(σ/r)¹² − (σ/r)⁶]
+
+    r2 : squared distance, > 0 [length²].  epsilon : depth of the well, at r = 2^(1/6) σ [energy].
+    sigma : distance where u = 0 [length].  Returns u [energy], −u′/r [energy/length²].
+    J. E. Lennard-Jones, Proc. Phys. Soc. 43, 461 (1931).
+    """
+    reciprocal = 1.0 / r2
+    s2 = sigma * sigma * reciprocal
+    s6 = s2 * s2 * s2
+    return 4.0 * epsilon * s6 * (s6 - 1.0), 24.0 * epsilon * s6 * (2.0 * s6 - 1.0) * reciprocal
+
+
+@scalar
+def harmonic(r2, k, length):
+    """Harmonic bond.
+
+        u(r)     = ½ k (r − r₀)²
+        −u′(r)/r = −k (r − r₀)/r
+
+    r2 : squared distance, > 0 [length²].  k : stiffness [energy/length²].  length : r₀, distance of the minimum [length].
+    Returns u [energy], −u′/r [energy/length²].
+    """
+    r = r2**0.5
+    stretch = r - length
+    return 0.5 * k * stretch * stretch, -k * stretch / r
+
+
+@scalar
+def scaled(r2, law, parameters):
+    """A law times a constant factor, the first of its parameters [dimensionless]: for pairs a few bonds apart.
+
+    parameters : (factor, *parameters of law).
+    """
+    u, f = evaluate_law(law, r2, parameters[1:])
+    return parameters[0] * u, parameters[0] * f
+
+
+class LennardJonesLaw(NamedTuple):
+    """Marker of lennard_jones; parameters (epsilon, sigma)."""
+
+    formula = lennard_jones
+
+
+class HarmonicLaw(NamedTuple):
+    """Marker of harmonic; parameters (k, length)."""
+
+    formula = harmonic
+
+
+class Scaled(NamedTuple):
+    """Marker of scaled around another marker."""
+
+    law: Any
+    formula = scaled

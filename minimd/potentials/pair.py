@@ -1,0 +1,262 @@
+"""Pair potentials: a law, its parameters for each pair of species, a cutoff and a truncation."""
+
+from collections.abc import Callable, Mapping, Sequence
+from math import inf, isfinite, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.potentials.law import evaluate_law, user_law
+from minimd.potentials.laws import LennardJonesLaw
+from minimd.potentials.mixing import MIXING, Parameters
+from minimd.potentials.truncation import TRUNCATIONS
+
+SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
+NODES, WEIGHTS = 0.5 * (np.polynomial.legendre.leggauss(64)[0] + 1.0), 0.5 * np.polynomial.legendre.leggauss(64)[1]
+
+Label = str | int
+ByLabel = Mapping[Label, Parameters]
+ByPairOfLabels = Mapping[tuple[Label, Label], Parameters]
+
+
+class PairPotential:
+    """A law u(r) between all pairs of atoms closer than a cutoff.
+
+    Parameters
+    ----------
+    law : function law(r2, *parameters) of the squared distance [length²] that returns u [energy] and −u′(r)/r
+        [energy/length²]; plain Python of numbers, or already compiled by numba.njit.
+    parameters : tuple of numbers for all atoms alike, or a mapping from species to such tuples.
+    cutoff : r_c [length], or a mapping from pairs of species to it; None for none, in scenes without periodicity only.
+    truncation : "shifted" (default), "truncated", "force-shifted", "switched" or "charmm": see minimd.potentials.truncation.
+    mixing : name of a rule or a function of two parameter tuples, for pairs of species not in pairs.
+    pairs : mapping from pairs of species, in either order, to their parameters.
+    switch_start : r_on [length] of the two switches; 0.8 r_c if not given.
+    bonded_scale : factors for pairs one, two and three bonds apart; 0 excludes, 1 (default) changes nothing. In a cell
+        smaller than the cutoff they hold for the nearest image of the pair only.
+    tail_correction : add the energy and virial of the pairs that the truncation leaves out, at uniform density
+        (g = 1). For "truncated", "switched" and "charmm".
+
+    Raises
+    ------
+    ValueError : for a cutoff that is not positive, an unknown truncation or mixing rule, factors or parameters that are
+        not finite, a switch that does not start inside the cutoff. TypeError : for a law that is not a function.
+    """
+
+    def __init__(
+        self,
+        law: Callable | tuple,
+        parameters: Parameters | ByLabel = (),
+        cutoff: float | Mapping[tuple[Label, Label], float] | None = None,
+        truncation: str = "shifted",
+        *,
+        mixing: str | Callable[[Parameters, Parameters], Parameters] | None = None,
+        pairs: ByPairOfLabels | None = None,
+        switch_start: float | None = None,
+        bonded_scale: Sequence[float] = (1.0, 1.0, 1.0),
+        tail_correction: bool = False,
+    ) -> None:
+        self.plain_law = law if isinstance(law, tuple) else user_law(law)
+        self.parameters = _checked_parameters(parameters)
+        self._cutoffs = _symmetric(cutoff) if isinstance(cutoff, Mapping) else cutoff
+        self.cutoff = _checked_cutoff(cutoff)
+        self.truncation = _choice("truncation", truncation, TRUNCATIONS)
+        self.law = TRUNCATIONS[truncation].around(self.plain_law)
+        self.mixing = mixing if callable(mixing) or mixing is None else MIXING[_choice("mixing", mixing, MIXING)]
+        self.pairs = _symmetric(pairs or {})
+        self.switch_start = self._checked_switch_start(switch_start)
+        self.bonded_scale = _checked_scale(bonded_scale)
+        self.tail_correction = tail_correction
+        if tail_correction and truncation in ("shifted", "force-shifted"):
+            raise ValueError(f"tail_correction needs truncation 'truncated', 'switched' or 'charmm'; truncation = {truncation!r} has no tail")
+
+    def table(self, species_names: Sequence[Label]) -> NDArray[np.float64]:
+        """Numbers of the truncated law for each pair of species: (S, S, 1 + P), the squared cutoff first.
+
+        S is 1 if all atoms are alike to this potential.
+
+        Raises
+        ------
+        ValueError : if a species has no parameters, or an unlike pair neither its own nor a mixing rule.
+        """
+        names = tuple(species_names) if self.depends_on_species else (None,)
+        return np.array([[self._numbers(a, b) for b in names] for a in names], dtype=np.float64)
+
+    @property
+    def depends_on_species(self) -> bool:
+        """False if one tuple of parameters and one cutoff serve all pairs."""
+        return isinstance(self.parameters, dict) or isinstance(self._cutoffs, dict)
+
+    def tail(self, counts: NDArray[np.int64], species_names: Sequence[Label], volume: float) -> tuple[float, float]:
+        """Energy and trace of the virial of what the truncation left out, for g(r) = 1 [energy].
+
+            U = 2π/V Σ_ab N_a N_b ∫ (u − u_truncated) r² dr,   tr W = 2π/V Σ_ab N_a N_b ∫ (f − f_truncated) r⁴ dr
+
+        counts : (S,) atoms of each species.  M. P. Allen, D. J. Tildesley (2017), eq. 2.144.
+        """
+        names = tuple(species_names) if self.depends_on_species else (None,)
+        numbers = counts if self.depends_on_species else np.array([counts.sum()])
+        energy = virial = 0.0
+        for a, n_a in zip(names, numbers, strict=True):
+            for b, n_b in zip(names, numbers, strict=True):
+                u, w = self._tail_integrals(a, b)
+                energy += 2.0 * pi * n_a * n_b / volume * u
+                virial += 2.0 * pi * n_a * n_b / volume * w
+        return float(energy), float(virial)
+
+    def _numbers(self, a: Label | None, b: Label | None) -> tuple[float, ...]:
+        cutoff, parameters = self._cutoff_of(a, b), self._parameters_of(a, b)
+        start = self.switch_start if self.switch_start is not None else SWITCH_FROM * cutoff
+        extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, start)
+        return (cutoff * cutoff, *extra, *parameters)
+
+    def _cutoff_of(self, a: Label | None, b: Label | None) -> float:
+        if not isinstance(self._cutoffs, dict):
+            return self.cutoff
+        if (a, b) not in self._cutoffs:
+            raise ValueError(f"cutoff has no entry for the pair of species {a!r}, {b!r}; it has {_listed(self._cutoffs)}")
+        return self._cutoffs[a, b]
+
+    def _parameters_of(self, a: Label | None, b: Label | None) -> Parameters:
+        if not isinstance(self.parameters, dict):
+            return self.parameters
+        for name in (a, b):
+            if name not in self.parameters and (a, b) not in self.pairs:
+                raise ValueError(f"{type(self).__name__} has no parameters for species {name!r}; it has {_listed(self.parameters)}")
+        if (a, b) in self.pairs:
+            return self.pairs[a, b]
+        if a == b:
+            return self.parameters[a]
+        if self.mixing is None:
+            raise ValueError(f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; give them in pairs, or a mixing rule")
+        return self.mixing(self.parameters[a], self.parameters[b])
+
+    def _tail_integrals(self, a: Label | None, b: Label | None) -> tuple[float, float]:
+        """∫ (u − u_truncated) r² dr and ∫ (f − f_truncated) r⁴ dr: beyond the cutoff with x = r_c/r, and where it is switched."""
+        cutoff2, *numbers = self._numbers(a, b)
+        cutoff, parameters = cutoff2**0.5, self._parameters_of(a, b)
+        energy = virial = 0.0
+        for x, weight in zip(NODES, WEIGHTS, strict=True):
+            r = cutoff / x
+            u, f = evaluate_law(self.plain_law, r * r, parameters)
+            energy += weight * u * cutoff**3 / x**4
+            virial += weight * f * r * r * cutoff**3 / x**4
+        if self.truncation == "truncated":
+            return energy, virial
+        start = self.switch_start if self.switch_start is not None else SWITCH_FROM * cutoff
+        for x, weight in zip(NODES, WEIGHTS, strict=True):
+            r = start + x * (cutoff - start)
+            u, f = evaluate_law(self.plain_law, r * r, parameters)
+            u_cut, f_cut = evaluate_law(self.law, r * r, tuple(numbers))
+            energy += weight * (cutoff - start) * (u - u_cut) * r**2
+            virial += weight * (cutoff - start) * (f - f_cut) * r**4
+        return energy, virial
+
+    def _checked_switch_start(self, start: float | None) -> float | None:
+        if self.cutoff == inf and self.truncation not in ("truncated", "shifted"):
+            raise ValueError(f"cutoff must be given for truncation {self.truncation!r}; it is None")
+        smallest = min(self._cutoffs.values()) if isinstance(self._cutoffs, dict) else self.cutoff
+        if start is not None and not 0.0 < start < smallest:
+            raise ValueError(f"switch_start must lie between 0 and the cutoff {smallest}; switch_start = {start}")
+        return start
+
+
+class LennardJones(PairPotential):
+    """Lennard-Jones 12-6 potential u(r) = 4ε [(σ/r)¹² − (σ/r)⁶].
+
+    Parameters
+    ----------
+    epsilon : ε, depth of the well [energy]; or a mapping from species to (ε, σ), and no sigma.
+    sigma : σ, distance where u = 0 [length].
+    cutoff, truncation, pairs, switch_start, bonded_scale, tail_correction : as for PairPotential.
+    mixing : "lorentz-berthelot" (default), "geometric", or a function of two (ε, σ), for unlike pairs not in pairs.
+
+    Raises
+    ------
+    ValueError : if ε is negative or σ not positive, and as PairPotential does.
+    """
+
+    def __init__(
+        self,
+        epsilon: float | Mapping[Label, tuple[float, float]],
+        sigma: float | None = None,
+        cutoff: float | Mapping[tuple[Label, Label], float] | None = None,
+        truncation: str = "shifted",
+        *,
+        mixing: str | Callable[[Parameters, Parameters], Parameters] | None = "lorentz-berthelot",
+        pairs: ByPairOfLabels | None = None,
+        switch_start: float | None = None,
+        bonded_scale: Sequence[float] = (1.0, 1.0, 1.0),
+        tail_correction: bool = False,
+    ) -> None:
+        if isinstance(epsilon, Mapping) == (sigma is not None):
+            raise ValueError("give LennardJones either epsilon and sigma, or one mapping from species to (epsilon, sigma)")
+        by_species = epsilon if isinstance(epsilon, Mapping) else {"all atoms": (epsilon, sigma)}
+        _check_lennard_jones({**by_species, **(pairs or {})})
+        super().__init__(
+            LennardJonesLaw(),
+            epsilon if isinstance(epsilon, Mapping) else (epsilon, sigma),
+            cutoff,
+            truncation,
+            mixing=mixing,
+            pairs=pairs,
+            switch_start=switch_start,
+            bonded_scale=bonded_scale,
+            tail_correction=tail_correction,
+        )
+
+
+def _check_lennard_jones(parameters: Mapping) -> None:
+    for name, numbers in parameters.items():
+        if len(tuple(numbers)) != 2:
+            raise ValueError(f"Lennard-Jones parameters are (epsilon, sigma); those of {name!r} are {numbers!r}")
+        epsilon, sigma = numbers
+        if not (isfinite(epsilon) and epsilon >= 0.0):
+            raise ValueError(f"epsilon must be finite and not negative; epsilon of {name!r} = {epsilon}")
+        if not (isfinite(sigma) and sigma > 0.0):
+            raise ValueError(f"sigma must be finite and positive; sigma of {name!r} = {sigma}")
+
+
+def _checked_parameters(parameters: Parameters | ByLabel) -> Parameters | dict[Label, Parameters]:
+    if isinstance(parameters, Mapping):
+        return {label: _checked_tuple(numbers) for label, numbers in parameters.items()}
+    return _checked_tuple(parameters)
+
+
+def _checked_tuple(numbers: Parameters) -> Parameters:
+    values = tuple(float(number) for number in numbers)
+    if not all(isfinite(value) for value in values):
+        raise ValueError(f"parameters must be finite; they are {values}")
+    return values
+
+
+def _checked_cutoff(cutoff: float | Mapping[tuple[Label, Label], float] | None) -> float:
+    """The largest cutoff; infinite for None."""
+    if cutoff is None:
+        return inf
+    values = list(cutoff.values()) if isinstance(cutoff, Mapping) else [cutoff]
+    for value in values:
+        if not (isfinite(value) and value > 0.0):
+            raise ValueError(f"cutoff must be positive and finite; cutoff = {value}; leave it out for none")
+    return float(max(values))
+
+
+def _checked_scale(bonded_scale: Sequence[float]) -> tuple[float, ...]:
+    factors = tuple(float(factor) for factor in bonded_scale)
+    if len(factors) != 3 or not all(isfinite(factor) for factor in factors):
+        raise ValueError(f"bonded_scale must be three finite factors, for pairs one, two and three bonds apart; it is {bonded_scale!r}")
+    return factors
+
+
+def _choice(name: str, value: str, allowed: Mapping) -> str:
+    if value not in allowed:
+        raise ValueError(f"{name} must be one of {_listed(allowed)}; {name} = {value!r}")
+    return value
+
+
+def _symmetric(by_pair: Mapping) -> dict:
+    return {key: value for (a, b), value in by_pair.items() for key in ((a, b), (b, a))}
+
+
+def _listed(mapping: Mapping) -> str:
+    return ", ".join(repr(key) for key in mapping)

@@ -1,0 +1,64 @@
+"""Where the parameters of a pair come from: one tuple for all, a table by species, or a row for each pair."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.core import types
+from numba.extending import overload
+from numpy.typing import NDArray
+
+
+
+class SameForAll(NamedTuple):
+    """One tuple of numbers for every pair."""
+
+    numbers: Any
+
+
+class BySpecies(NamedTuple):
+    """columns : tuple of (S, S) arrays, one for each parameter.  species : (N,) int."""
+
+    columns: Any
+    species: Any
+
+
+class ByPair(NamedTuple):
+    """columns : tuple of (P,) arrays, one for each parameter."""
+
+    columns: Any
+
+
+def parameters_of_pair(source, p, i, j):
+    """The parameters of pair p between atoms i and j: a tuple of numbers, the squared cutoff first."""
+    if isinstance(source, SameForAll):
+        return source.numbers
+    if isinstance(source, BySpecies):
+        return tuple(column[source.species[i], source.species[j]] for column in source.columns)
+    return tuple(column[p] for column in source.columns)
+
+
+@overload(parameters_of_pair)
+def _parameters_of_pair(source, p, i, j):
+    kind = source.instance_class
+    if kind is SameForAll:
+        return lambda source, p, i, j: source.numbers
+    if kind is BySpecies:
+        return lambda source, p, i, j: _row(source.columns, (source.species[i], source.species[j]))
+    return lambda source, p, i, j: _row(source.columns, p)
+
+
+def _row(columns, index):
+    """(columns[0][index], columns[1][index], …), unrolled by the compiler."""
+    raise NotImplementedError
+
+
+@overload(_row)
+def _row_overload(columns, index):
+    if isinstance(columns, types.BaseTuple) and len(columns) == 1:
+        return lambda columns, index: (columns[0][index],)
+    return lambda columns, index: (columns[0][index],) + _row(columns[1:], index)
+
+
+def from_table(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """The columns (last axis) of a parameter table as contiguous arrays."""
+    return tuple(np.ascontiguousarray(table[..., k]) for k in range(table.shape[-1]))

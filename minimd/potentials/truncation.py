@@ -1,0 +1,133 @@
+"""Truncations: functions of a law, so that each law is written without a cutoff.
+
+Beyond the cutoff r_c every truncated law is zero; the loop sees to that. Inside, the truncation says how u gets there:
+
+    truncated       u(r)                                          jumps at r_c
+    shifted         u(r) − u(r_c)                                 u continuous, force jumps
+    force-shifted   u(r) − u(r_c) − (r − r_c) u′(r_c)             u and force continuous (NIST: linear force shift)
+    switched        u(r) S(x), x = (r − r_on)/(r_c − r_on)        u, force and its slope continuous (C²)
+    charmm          u(r) C(r²) between r_on and r_c               u and force continuous; ASE's smooth=True
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from minimd.compiling import scalar
+from minimd.potentials.law import evaluate_law
+
+
+@scalar
+def shifted(r2, law, parameters):
+    """u(r) − u(r_c); the force is that of the law.  parameters : (u(r_c), *parameters of law)."""
+    u, f = evaluate_law(law, r2, parameters[1:])
+    return u - parameters[0], f
+
+
+@scalar
+def force_shifted(r2, law, parameters):
+    """u(r) − u(r_c) − (r − r_c) u′(r_c).  parameters : (u(r_c), u′(r_c), r_c, *parameters of law).
+
+    M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 5.6-5.8.
+    """
+    u, f = evaluate_law(law, r2, parameters[3:])
+    r = r2**0.5
+    return u - parameters[0] - (r - parameters[2]) * parameters[1], f + parameters[1] / r
+
+
+@scalar
+def switched(r2, law, parameters):
+    """u(r) S(x) with S = 1 − 10x³ + 15x⁴ − 6x⁵ and x = (r − r_on)/(r_c − r_on), clipped to [0, 1]; S, S′, S″ continuous.
+
+    parameters : (r_on, r_c, *parameters of law).  D. van der Spoel, P. J. van Maaren, J. Chem. Theory Comput. 2, 1 (2006).
+    """
+    u, f = evaluate_law(law, r2, parameters[2:])
+    r = r2**0.5
+    width = parameters[1] - parameters[0]
+    x = max(0.0, min(1.0, (r - parameters[0]) / width))
+    s = 1.0 + x * x * x * (x * (15.0 - 6.0 * x) - 10.0)
+    slope = -30.0 * x * x * (1.0 - x) * (1.0 - x) / width
+    return s * u, s * f - slope * u / r
+
+
+@scalar
+def charmm(r2, law, parameters):
+    """u(r) C with C = (r_c² − r²)² (r_c² + 2r² − 3r_on²)/(r_c² − r_on²)³ beyond r_on, 1 before; u and force continuous.
+
+    parameters : (r_on², r_c², *parameters of law).  B. R. Brooks et al., J. Comput. Chem. 4, 187 (1983).
+    """
+    u, f = evaluate_law(law, r2, parameters[2:])
+    on2, off2 = parameters[0], parameters[1]
+    y = max(on2, min(off2, r2))
+    scale = 1.0 / (off2 - on2) ** 3
+    c = (off2 - y) * (off2 - y) * (off2 + 2.0 * y - 3.0 * on2) * scale
+    slope = 6.0 * (off2 - y) * (on2 - y) * scale  # dC/d(r²)
+    return c * u, c * f - 2.0 * slope * u
+
+
+class Shifted(NamedTuple):
+    """Marker of shifted around a law."""
+
+    law: Any
+    formula = shifted
+
+
+class ForceShifted(NamedTuple):
+    """Marker of force_shifted around a law."""
+
+    law: Any
+    formula = force_shifted
+
+
+class Switched(NamedTuple):
+    """Marker of switched around a law."""
+
+    law: Any
+    formula = switched
+
+
+class CharmmSwitched(NamedTuple):
+    """Marker of charmm around a law."""
+
+    law: Any
+    formula = charmm
+
+
+def _no_numbers(law: tuple, parameters: tuple, cutoff: float, switch_start: float) -> tuple:
+    return ()
+
+
+def _value_at_cutoff(law: tuple, parameters: tuple, cutoff: float, switch_start: float) -> tuple:
+    return (evaluate_law(law, cutoff * cutoff, parameters)[0],)
+
+
+def _value_and_slope_at_cutoff(law: tuple, parameters: tuple, cutoff: float, switch_start: float) -> tuple:
+    u, f = evaluate_law(law, cutoff * cutoff, parameters)
+    return (u, -f * cutoff, cutoff)
+
+
+def _switching_range(law: tuple, parameters: tuple, cutoff: float, switch_start: float) -> tuple:
+    return (switch_start, cutoff)
+
+
+def _squared_switching_range(law: tuple, parameters: tuple, cutoff: float, switch_start: float) -> tuple:
+    return (switch_start * switch_start, cutoff * cutoff)
+
+
+class Truncation(NamedTuple):
+    """One row of the table: the marker to put around a law (None: nothing), and the numbers its formula needs."""
+
+    marker: Callable | None
+    numbers: Callable[[tuple, tuple, float, float], tuple]
+
+    def around(self, law: tuple) -> tuple:
+        """The marker of the truncated law."""
+        return self.marker(law) if self.marker else law
+
+
+TRUNCATIONS = {
+    "truncated": Truncation(None, _no_numbers),
+    "shifted": Truncation(Shifted, _value_at_cutoff),
+    "force-shifted": Truncation(ForceShifted, _value_and_slope_at_cutoff),
+    "switched": Truncation(Switched, _switching_range),
+    "charmm": Truncation(CharmmSwitched, _squared_switching_range),
+}

@@ -1,0 +1,76 @@
+"""Unit systems. The core computes in any consistent units; every conversion of minimd stands in this file.
+
+ASE's units: length Å, energy eV, mass u, hence time Å √(u/eV). Constants as in ase.units (CODATA 2014), so that a number
+that crosses to ASE and back is the same number; a test compares the two.
+"""
+
+from dataclasses import dataclass
+
+BOLTZMANN_EV_PER_K = 8.617330337217213e-05
+FEMTOSECOND = 0.09822694788464063  # Å √(u/eV)
+PICOSECOND = 1000.0 * FEMTOSECOND
+KJ_PER_MOL_PER_EV = 96.48533288249877
+GRAM_PER_CM3 = 0.602214085774  # u/Å³
+BAR = 6.241509125883258e-07  # eV/Å³
+
+
+@dataclass(frozen=True)
+class UnitSystem:
+    """A consistent set of units, and what its numbers must be multiplied with to be Å, ps and kJ/mol.
+
+    Attributes
+    ----------
+    name : "ASE" or "LJ".
+    k_B : Boltzmann constant [energy/temperature].
+    to_angstrom, to_picosecond, to_kj_per_mol : factors for files that know only these units. Reduced numbers are written
+        unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), the convention of most tools.
+    length, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files, plots and reports.
+    """
+
+    name: str
+    k_B: float  # noqa: N815 - the symbol of the constant
+    to_angstrom: float
+    to_picosecond: float
+    to_kj_per_mol: float
+    length: str
+    time: str
+    energy: str
+    temperature: str
+    pressure: str
+    momentum: str
+    angular_momentum: str
+
+
+ASE = UnitSystem(
+    name="ASE",
+    k_B=BOLTZMANN_EV_PER_K,
+    to_angstrom=1.0,
+    to_picosecond=1.0 / PICOSECOND,
+    to_kj_per_mol=KJ_PER_MOL_PER_EV,
+    length="Å",
+    time="Å √(u/eV)",
+    energy="eV",
+    temperature="K",
+    pressure="eV/Å³",
+    momentum="√(u eV)",
+    angular_momentum="Å √(u eV)",
+)
+
+LJ = UnitSystem(
+    name="LJ",
+    k_B=1.0,
+    to_angstrom=1.0,
+    to_picosecond=1.0,
+    to_kj_per_mol=1.0,
+    length="σ",
+    time="τ",
+    energy="ε",
+    temperature="ε/k_B",
+    pressure="ε/σ³",
+    momentum="√(m ε)",
+    angular_momentum="σ √(m ε)",
+)
+
+fs = FEMTOSECOND
+ps = PICOSECOND
+SYSTEMS = {"ASE": ASE, "LJ": LJ}

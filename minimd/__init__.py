@@ -1,9 +1,38 @@
-"""minimd: a molecular-dynamics mini-engine."""
+"""minimd: a molecular-dynamics mini-engine. Fast, exact, and small enough to read in an afternoon."""
 
-from minimd import units
+from minimd import integrators, units
 from minimd.cell import Cell
 from minimd.errors import ConstraintError, NonFiniteError
-from minimd.forces import Evaluation, evaluate
+from minimd.forces import Evaluation, Forces, evaluate
+from minimd.integrators import Leapfrog, PositionVerlet, VelocityVerlet
 from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
+from minimd.record import Record
+from minimd.report import Report
+from minimd.simulation import Simulation
 from minimd.system import System
+
+__version__ = "0.1.0"
+__all__ = [
+    "BondPotential",
+    "Cell",
+    "ConstraintError",
+    "Evaluation",
+    "Forces",
+    "HarmonicAngle",
+    "HarmonicBond",
+    "Leapfrog",
+    "LennardJones",
+    "NonFiniteError",
+    "PairPotential",
+    "PositionVerlet",
+    "Record",
+    "Report",
+    "Simulation",
+    "System",
+    "VelocityVerlet",
+    "evaluate",
+    "integrators",
+    "neighbor_list",
+    "units",
+]

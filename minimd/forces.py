@@ -218,6 +218,12 @@ class Forces:
         return self._virials + tail / len(self.system)
 
     @property
+    def longest_stride(self) -> float:
+        """The largest finite cutoff [length]: an atom that moves farther in one step has passed its neighbours unseen."""
+        cutoffs = [p.cutoff for p in self.potentials if isinstance(p, PairPotential) and np.isfinite(p.cutoff)]
+        return max(cutoffs, default=np.inf)
+
+    @property
     def n_builds(self) -> int:
         """How often a pair list was built."""
         return sum(term.list.n_builds for term in self.terms if isinstance(term, ListedPairs))

@@ -33,7 +33,23 @@ def image_table(cell: Cell, grid: Grid) -> tuple[NDArray[np.int64], NDArray[np.f
 
 @kernel
 def find_pairs(
-    positions, order, bin_start, counts, forward, crossed, translations, pbc, lattice, inverse, safe_distance2, reach2, excluded_start, excluded, start, second, image
+    positions,
+    order,
+    bin_start,
+    counts,
+    forward,
+    crossed,
+    translations,
+    pbc,
+    lattice,
+    inverse,
+    safe_distance2,
+    reach2,
+    excluded_start,
+    excluded,
+    start,
+    second,
+    image,
 ):
     """Write all pairs within the reach and return how many there are, which may be more than there is room for.
 

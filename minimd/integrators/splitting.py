@@ -1,0 +1,137 @@
+"""Splitting methods: the flows of the two halves of H = T(p) + V(q), composed from a row of coefficients.
+
+    kick   φ[V]:  v(t+cΔt) = v(t) + cΔt F(r)/m       positions stand still
+    drift  φ[T]:  r(t+cΔt) = r(t) + cΔt v            velocities stand still
+
+Each half is solved exactly, so every composition is symplectic and conserves total momentum; it is reversible if the row
+reads the same from both ends. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
+"""
+
+from collections.abc import Callable
+from math import isfinite
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+from numpy.typing import NDArray
+
+from minimd.compiling import kernel
+
+
+class State(Protocol):
+    """What a splitting moves: (N, 3) arrays, (N,) inverse masses, and whether forces still belong to positions."""
+
+    positions: NDArray[Any]
+    velocities: NDArray[Any]
+    forces: NDArray[Any]
+    inverse_masses: NDArray[Any]
+    forces_are_current: bool
+    stop_requested: bool
+
+
+ComputeForces = Callable[[State, bool], None]  # fills state.forces; True if somebody will look at the energy
+
+
+class Kick(NamedTuple):
+    """φ[V] over coefficient · Δt."""
+
+    coefficient: float
+
+
+class Drift(NamedTuple):
+    """φ[T] over coefficient · Δt."""
+
+    coefficient: float
+
+
+Stage = Kick | Drift
+
+
+@kernel
+def kick(velocities, forces, inverse_masses, duration):
+    """velocities += duration · forces / m.  (N, 3) [length/time], (N, 3) [energy/length], (N,) [1/mass], [time]."""
+    for i in range(velocities.shape[0]):
+        scale = duration * inverse_masses[i]
+        velocities[i, 0] += scale * forces[i, 0]
+        velocities[i, 1] += scale * forces[i, 1]
+        velocities[i, 2] += scale * forces[i, 2]
+
+
+@kernel
+def drift(positions, velocities, duration):
+    """positions += duration · velocities.  (N, 3) [length], (N, 3) [length/time], [time]."""
+    for i in range(positions.shape[0]):
+        positions[i, 0] += duration * velocities[i, 0]
+        positions[i, 1] += duration * velocities[i, 1]
+        positions[i, 2] += duration * velocities[i, 2]
+
+
+class Splitting:
+    """A splitting method, given by its row of stages.
+
+    A row that begins and ends with the same letter is run with the two merged between steps: where nobody looks, velocity
+    Verlet makes one kick and one drift per step, as leapfrog does. Forces are computed when a kick needs them and
+    positions have moved since.
+
+    Parameters
+    ----------
+    timestep : Δt [time], finite and not zero; a negative one runs time backwards.
+
+    Attributes of each method
+    -------------------------
+    name, stages, order, source : key in METHODS; kicks and drifts of one step; order of the error in Δt; literature.
+    opening, closing : stages before the first and after the last of a run of steps, for velocities at half steps.
+
+    Raises
+    ------
+    ValueError : if the time step is zero or not finite.
+    """
+
+    name: ClassVar[str]
+    stages: ClassVar[tuple[Stage, ...]]
+    order: ClassVar[int]
+    source: ClassVar[str]
+    opening: ClassVar[tuple[Stage, ...]] = ()
+    closing: ClassVar[tuple[Stage, ...]] = ()
+
+    def __init__(self, timestep: float) -> None:
+        if not (isfinite(timestep) and timestep != 0.0):
+            raise ValueError(f"timestep must be finite and not zero; timestep = {timestep}")
+        self.timestep = float(timestep)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(timestep={self.timestep:g})"
+
+    def advance(self, state: State, compute_forces: ComputeForces, n_steps: int) -> int:
+        """Make n_steps steps, fewer if state.stop_requested becomes true; return how many. n_steps ≥ 1.
+
+        The forces of the last step are computed with the flag that somebody looks.
+        """
+        opening, body, between, closing = self._merged()
+        self._apply(opening, state, compute_forces, False)
+        for step in range(1, n_steps + 1):
+            last = step == n_steps or state.stop_requested
+            self._apply(body, state, compute_forces, last)
+            if last:
+                break
+            self._apply(between, state, compute_forces, False)
+        self._apply(closing, state, compute_forces, True)
+        return step
+
+    def _merged(self) -> tuple[tuple[Stage, ...], ...]:
+        """The row as stages before, in, between and after the steps, with equal neighbours made one."""
+        first, last = self.stages[0], self.stages[-1]
+        if len(self.stages) == 1 or type(first) is not type(last):
+            return self.opening, self.stages, (), self.closing
+        merged = type(first)(first.coefficient + last.coefficient)
+        return (first,), self.stages[1:-1], (merged,), (last,)
+
+    def _apply(self, stages: tuple[Stage, ...], state: State, compute_forces: ComputeForces, look: bool) -> None:
+        for stage in stages:
+            duration = stage.coefficient * self.timestep
+            if isinstance(stage, Drift):
+                drift(state.positions, state.velocities, duration)
+                state.forces_are_current = False
+                continue
+            if not state.forces_are_current:
+                compute_forces(state, look)
+                state.forces_are_current = True
+            kick(state.velocities, state.forces, state.inverse_masses, duration)

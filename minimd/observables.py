@@ -1,0 +1,52 @@
+"""What can be measured on a state: energies, temperature, pressure, linear and angular momentum."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def kinetic_energy(velocities: Array, masses: Array) -> float:
+    """K = Σ ½ m v² [energy].  velocities : (N, 3).  masses : (N,)."""
+    return 0.5 * float(np.einsum("i,ij,ij->", masses, velocities, velocities))
+
+
+def degrees_of_freedom(n_atoms: int, n_constraints: int = 0) -> int:
+    """3N − 3 − n_constraints: the three of the total momentum are constants; a single atom keeps its three.
+
+    Raises
+    ------
+    ValueError : if none is left.
+    """
+    n_dof = (3 * n_atoms - 3 if n_atoms > 1 else 3) - n_constraints
+    if n_dof <= 0:
+        raise ValueError(f"no degree of freedom is left for {n_atoms} atoms with {n_constraints} constraints")
+    return n_dof
+
+
+def temperature(velocities: Array, masses: Array, k_B: float = 1.0, n_constraints: int = 0) -> float:  # noqa: N803
+    """Kinetic temperature T = 2K / (n_dof k_B), see degrees_of_freedom."""
+    return 2.0 * kinetic_energy(velocities, masses) / (degrees_of_freedom(len(masses), n_constraints) * k_B)
+
+
+def pressure(kinetic: float, virial: Array, volume: float) -> float:
+    """P = (2K + tr W) / 3V [energy/length³], with W = Σ f r_ij ⊗ r_ij, (3, 3).
+
+    M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 2.60-2.61.
+    """
+    return (2.0 * kinetic + float(np.trace(virial))) / (3.0 * volume)
+
+
+def momentum(velocities: Array, masses: Array) -> Array:
+    """P = Σ m v [mass length/time], (3,)."""
+    return masses @ velocities
+
+
+def absolute_momentum(velocities: Array, masses: Array) -> float:
+    """Σ |m v| [mass length/time]: the scale against which a change of the total momentum is seen."""
+    return float(masses @ np.sqrt(np.einsum("ij,ij->i", velocities, velocities)))
+
+
+def angular_momentum(positions: Array, velocities: Array, masses: Array) -> Array:
+    """L = Σ m r × v about the origin [mass length²/time], (3,); a constant only where nothing is periodic."""
+    return masses @ np.cross(positions, velocities)

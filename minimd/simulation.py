@@ -1,0 +1,276 @@
+"""Simulation: a system, its forces and a method; runs steps and lets observers look between them."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd import observables
+from minimd.errors import NonFiniteError
+from minimd.forces import Forces, Potential
+from minimd.integrators.splitting import Splitting
+from minimd.interrupt import stop_on_interrupt
+from minimd.neighbors.closest import closest_pair
+from minimd.potentials.pair_loop import FORCES, TOTALS
+from minimd.progress import Progress
+from minimd.record import Frame, Record
+from minimd.report import Report, conservation_report
+from minimd.system import System
+from minimd.trajectory import Writer, open_trajectories
+from minimd.velocities import maxwell_boltzmann, rescaled
+
+if TYPE_CHECKING:
+    import ase
+
+STEPS_BETWEEN_CHECKS = 100  # at most; a failure is then replayed to find its step
+Observer = Callable[["Simulation"], None]
+
+
+class Simulation:
+    """Molecular dynamics of one system.
+
+    Parameters
+    ----------
+    system : System, or ase.Atoms. The simulation works on a copy; sim.system is always the current state.
+    potentials : one potential or several.
+    method : a splitting with its time step, such as VelocityVerlet(0.005).
+    skin : of the pair lists [length]; chosen if not given.
+
+    Attributes
+    ----------
+    system : System, the state.  step : int, steps made so far.  time : [time].  record : Record of the last run.
+
+    Raises
+    ------
+    TypeError, ValueError : for arguments of another kind, and as Forces does.
+    """
+
+    def __init__(
+        self, system: "System | ase.Atoms", potentials: Potential | Sequence[Potential], method: Splitting, *, skin: float | None = None
+    ) -> None:
+        if not isinstance(method, Splitting):
+            raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {method!r}")
+        self.system = system.copy() if isinstance(system, System) else System.from_ase(system)
+        self.method = method
+        self.step = 0
+        self.time = 0.0
+        self.record: Record | None = None
+        self.run_seconds = 0.0
+        self.run_steps = 0
+        self.inverse_masses = 1.0 / self.system.masses
+        self.forces_are_current = False
+        self.stop_requested = False
+        self._forces = Forces(self.system, potentials, skin)
+
+    # The four arrays and two flags below are the State that an integrator moves.
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """(N, 3) [length], never wrapped."""
+        return self.system.positions
+
+    @property
+    def velocities(self) -> NDArray[np.float64]:
+        """(N, 3) [length/time]."""
+        return self.system.velocities
+
+    @property
+    def forces(self) -> NDArray[np.float64]:
+        """(N, 3) [energy/length], of the last evaluation."""
+        return self._forces.forces
+
+    def set_temperature(self, temperature: float, seed: int | None = None) -> None:
+        """Draw Maxwell-Boltzmann velocities: total momentum zero, kinetic temperature exactly this one."""
+        self.velocities[:] = maxwell_boltzmann(self.system.masses, temperature, self.system.units.k_B, seed)
+
+    def rescale_temperature(self, temperature: float) -> None:
+        """Multiply all velocities so that the kinetic temperature is exactly this one."""
+        self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B)
+
+    def equilibrate(self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None) -> None:
+        """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again."""
+        self._check_counts(n_steps, every)
+        with Progress(n_steps, "equilibrating", progress) as bar, stop_on_interrupt(self):
+            for done in range(every, n_steps + every, every):
+                self._advance(min(every, n_steps - done + every))
+                self.rescale_temperature(temperature)
+                bar.advance_to(min(done, n_steps))
+        self.step, self.time = 0, 0.0
+
+    def run(
+        self,
+        n_steps: int,
+        *,
+        every: int = 100,
+        trajectory: str | Path | Sequence[str | Path] = (),
+        store_forces: bool = False,
+        overwrite: bool = False,
+        observers: Sequence[Observer] = (),
+        progress: bool | None = None,
+    ) -> Record:
+        """Make n_steps steps and observe the first state and every few steps after it.
+
+        Parameters
+        ----------
+        every : steps between observations, for record, trajectory and observers alike.
+        trajectory : a file or several, of the format that the suffix names: see minimd.trajectory.
+        store_forces : write forces into formats that can hold them.
+        overwrite : replace files that exist.
+        observers : functions called with this simulation at each observation.
+        progress : show a progress bar; if not given, on a terminal only.
+
+        Raises
+        ------
+        NonFiniteError : if the run blows up. The message names step, atoms and pair; sim.system holds the last good state.
+        KeyboardInterrupt : after Ctrl-C, with the state of the last whole step, all files valid.
+        FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
+        """
+        self._check_counts(n_steps, every)
+        self._check_start()
+        self.record = Record(self.system.units, len(self.system))
+        start, end = self.step, self.step + n_steps
+        with (
+            open_trajectories(trajectory, self, store_forces=store_forces, overwrite=overwrite) as writers,
+            Progress(n_steps, "running", progress) as bar,
+            stop_on_interrupt(self),
+        ):
+            self._observe(writers, observers)
+            while self.step < end:
+                next_look = self.step + every - (self.step - start) % every
+                self._advance(min(STEPS_BETWEEN_CHECKS, next_look - self.step, end - self.step))
+                bar.advance_to(self.step - start)
+                if self.step == next_look:
+                    self._observe(writers, observers)
+        return self.record
+
+    def report(self) -> Report:
+        """How well the last run conserved what it should, and how fast it was.
+
+        Raises
+        ------
+        ValueError : if nothing has run yet.
+        """
+        if self.record is None:
+            raise ValueError("there is nothing to report yet; call run first")
+        return conservation_report(self.record, angular=not self.system.cell.is_periodic).with_run(
+            steps_per_second=self.run_steps / self.run_seconds if self.run_seconds else None,
+            list_builds=self._forces.n_builds,
+            n_evaluations=self._forces.n_evaluations,
+            skipped=self._forces.skipped(),
+        )
+
+    def frame(self) -> Frame:
+        """The state as it is now, with its observables; forces are evaluated if need be."""
+        self._look()
+        system, forces = self.system, self._forces
+        potential, kinetic = forces.potential_energy, observables.kinetic_energy(system.velocities, system.masses)
+        values = {
+            "potential_energy": potential,
+            "kinetic_energy": kinetic,
+            "total_energy": potential + kinetic,
+            "temperature": observables.temperature(system.velocities, system.masses, system.units.k_B),
+            "momentum": observables.momentum(system.velocities, system.masses),
+            "angular_momentum": observables.angular_momentum(system.positions, system.velocities, system.masses),
+            "absolute_momentum": observables.absolute_momentum(system.velocities, system.masses),
+        }
+        if system.volume is not None:
+            values["pressure"] = observables.pressure(kinetic, forces.virial, system.volume)
+        return Frame(self.step, self.time, self.positions, self.velocities, self.forces, values)
+
+    def _observe(self, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
+        frame = self.frame()
+        assert self.record is not None
+        self.record.append(frame)
+        for writer in writers:
+            writer.write(frame)
+        for observer in observers:
+            observer(self)
+
+    def _look(self) -> None:
+        """Make sure that forces, energy and virial are those of the present positions."""
+        if not (self.forces_are_current and self._forces.has_energy):
+            self._compute_forces(self, True)
+            self.forces_are_current = True
+
+    def _compute_forces(self, _state: "Simulation", look: bool) -> None:
+        self._forces.compute(TOTALS if look else FORCES)
+
+    def _advance(self, n_steps: int) -> None:
+        """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why."""
+        before = self.positions.copy(), self.velocities.copy()
+        started = perf_counter()
+        done = self._attempt(n_steps)
+        self.run_seconds += perf_counter() - started
+        if done is None:
+            self._replay(before, n_steps)
+        self._count(done)
+        if self.stop_requested:
+            raise KeyboardInterrupt(f"stopped after step {self.step}")
+
+    def _attempt(self, n_steps: int) -> int | None:
+        """Steps made, or None if the state after them is no longer a possible one."""
+        try:
+            done = self.method.advance(self, self._compute_forces, n_steps)
+        except NonFiniteError:
+            return None
+        return done if self._fault() is None else None
+
+    def _replay(self, before: tuple[NDArray, NDArray], n_steps: int) -> NoReturn:
+        """Repeat a failed run of steps one by one, up to the last good state; raise NonFiniteError about the next."""
+        self._restore(before)
+        for _ in range(n_steps):
+            good = self.positions.copy(), self.velocities.copy()
+            if self._attempt(1) is None:
+                fault = self._fault() or "the forces are not finite"
+                self._restore(good)
+                raise NonFiniteError(self._autopsy(fault, self.step + 1))
+            self._count(1)
+        raise NonFiniteError(self._autopsy("a run of steps failed that succeeded one by one", self.step))
+
+    def _restore(self, state: tuple[NDArray, NDArray]) -> None:
+        self.positions[:], self.velocities[:] = state
+        self.forces_are_current = False
+
+    def _count(self, done: int) -> None:
+        self.step += done
+        self.run_steps += done
+        self.time += done * self.method.timestep
+
+    def _fault(self) -> str | None:
+        """What is impossible about the present state, in words; None if it is a possible one."""
+        for name in ("positions", "velocities"):
+            bad = np.flatnonzero(~np.isfinite(getattr(self, name)).all(axis=1))
+            if bad.size:
+                return f"{name} of {bad.size} atoms are not finite (atom {bad[0]}{' ...' if bad.size > 1 else ''})"
+        stride = np.sqrt(np.einsum("ij,ij->i", self.velocities, self.velocities).max()) * abs(self.method.timestep)
+        if stride > self._forces.longest_stride:
+            atom = int(np.argmax(np.einsum("ij,ij->i", self.velocities, self.velocities)))
+            return f"atom {atom} moves {stride:.3g} in one step, past every neighbour (cutoff {self._forces.longest_stride:g})"
+        return None
+
+    def _check_start(self) -> None:
+        """Raise NonFiniteError before the first step if it would already throw atoms across the scene."""
+        self._look()
+        push = np.sqrt(np.einsum("ij,ij->i", self.forces, self.forces)) * self.inverse_masses * self.method.timestep**2
+        if not np.isfinite(push).all() or not np.isfinite(self._forces.potential_energy):
+            raise NonFiniteError(self._autopsy("forces or energies are not finite", self.step))
+        fault = self._fault()
+        if push.max() > self._forces.longest_stride:
+            fault = f"the force on atom {int(np.argmax(push))} would move it by {push.max():.3g} in one step"
+        if fault:
+            raise NonFiniteError(self._autopsy(fault, self.step))
+
+    def _autopsy(self, fault: str, step: int) -> str:
+        return (
+            f"{fault}, at step {step}; the closest pair before it is {closest_pair(self.system)}: overlapping atoms, "
+            f"or timestep {self.method.timestep:g} too large. The system holds the last good state, that of step {self.step}"
+        )
+
+    @staticmethod
+    def _check_counts(n_steps: int, every: int) -> None:
+        for name, value in (("n_steps", n_steps), ("every", every)):
+            if not isinstance(value, (int, np.integer)) or value < (1 if name == "every" else 0):
+                raise ValueError(f"{name} must be a whole number, at least {1 if name == 'every' else 0}; {name} = {value!r}")

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from math import inf, isfinite, pi
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from minimd.potentials.law import evaluate_law, user_law
 from minimd.potentials.laws import LennardJonesLaw
@@ -86,6 +86,13 @@ class PairPotential:
     def depends_on_species(self) -> bool:
         """False if one tuple of parameters and one cutoff serve all pairs."""
         return isinstance(self.parameters, dict) or isinstance(self._cutoffs, dict)
+
+    def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
+        """u [energy] of two atoms of given species at distances r [length], truncation included; an array of r's shape."""
+        cutoff2, *numbers = self._numbers(first, second)
+        distances = np.asarray(r, dtype=np.float64)
+        inside = [evaluate_law(self.law, x * x, tuple(numbers))[0] if x * x < cutoff2 else 0.0 for x in distances.ravel().tolist()]
+        return np.array(inside).reshape(distances.shape)
 
     def tail(self, counts: NDArray[np.int64], species_names: Sequence[Label], volume: float) -> tuple[float, float]:
         """Energy and trace of the virial of what the truncation left out, for g(r) = 1 [energy].

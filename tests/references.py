@@ -1,0 +1,90 @@
+"""Slow obvious twins of the fast code, and loaders of reference data."""
+
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+
+import minimd as md
+
+DATA = Path(__file__).parent / "data"
+
+
+def load(name):
+    return json.loads((DATA / name).read_text())
+
+
+def brute_force_pairs(positions, cell, pbc, cutoff):
+    """All (i, j, S) with |r_j − r_i + S · cell| < cutoff, both directions, by trying every image that could matter."""
+    pbc = np.asarray(pbc, dtype=bool)
+    reciprocal = np.linalg.pinv(np.asarray(cell)[pbc]) if pbc.any() else np.zeros((3, 0))
+    vectors = positions[None, :, :] - positions[:, None, :]
+    bounds = np.zeros((2, 3), dtype=int)
+    along = vectors.reshape(-1, 3) @ reciprocal
+    reach = cutoff * np.linalg.norm(reciprocal, axis=0)
+    bounds[0, pbc] = np.floor(-along.max(axis=0) - reach) if pbc.any() else 0
+    bounds[1, pbc] = np.ceil(-along.min(axis=0) + reach) if pbc.any() else 0
+    found = set()
+    for shift in itertools.product(*(range(low, high + 1) for low, high in bounds.T)):
+        distances = np.linalg.norm(vectors + np.array(shift) @ cell, axis=-1)
+        for i, j in np.argwhere(distances < cutoff):
+            if i != j or shift != (0, 0, 0):
+                found.add((int(i), int(j), *shift))
+    return found
+
+
+def brute_force_energy(system, pair_energy, cutoff):
+    """½ Σ u(r) over all pairs and images within the cutoff."""
+    cell = system.cell
+    pairs = brute_force_pairs(system.positions, cell.vectors, cell.pbc, cutoff)
+    distances = [np.linalg.norm(system.positions[j] - system.positions[i] + np.array(s) @ cell.vectors) for i, j, *s in pairs]
+    return 0.5 * sum(pair_energy(r) for r in distances)
+
+
+def numerical_forces(system, potentials, h=1e-5):
+    """−∂U/∂r by central differences."""
+    forces = np.zeros_like(system.positions)
+    for i, c in np.ndindex(*system.positions.shape):
+        here = system.positions[i, c]
+        energies = []
+        for step in (-h, h):
+            system.positions[i, c] = here + step
+            energies.append(md.evaluate(system, potentials).potential_energy)
+        system.positions[i, c] = here
+        forces[i, c] = (energies[0] - energies[1]) / (2.0 * h)
+    return forces
+
+
+def liquid(n_cells=4, density=0.8442, temperature=1.44, seed=1, jitter=0.05):
+    """A disordered fcc lattice in reduced units with thermal velocities."""
+    a = (4.0 / density) ** (1.0 / 3.0)
+    corners = np.array(list(itertools.product(range(n_cells), repeat=3)), dtype=float)
+    basis = np.array([[0, 0, 0], [0.5, 0.5, 0], [0.5, 0, 0.5], [0, 0.5, 0.5]])
+    positions = a * (corners[:, None, :] + basis).reshape(-1, 3)
+    rng = np.random.default_rng(seed)
+    system = md.System(positions + jitter * rng.standard_normal(positions.shape), cell=a * n_cells)
+    simulation = md.Simulation(system, md.HarmonicBond(1.0, 1.0), md.VelocityVerlet(0.001))
+    simulation.set_temperature(temperature, seed)
+    return simulation.system
+
+
+def melt():
+    """The 4000-atom melt with LAMMPS' own starting velocities."""
+    start = np.load(DATA / "lammps_lj" / "melt4000_start.npz")
+    return md.System(start["x"], velocities=start["v"], cell=start["box"])
+
+
+def fourmol(masses=None):
+    """The 29-atom system: LAMMPS' types as species, bonds from the table; (System, table)."""
+    table = load("lammps_fourmol/system.json")
+    by_type = np.array(table["masses_by_type"])[np.array(table["type"]) - 1]
+    system = md.System(
+        table["x"],
+        velocities=table["v"],
+        masses=by_type if masses is None else masses,
+        cell=np.array(table["box_hi"]) - np.array(table["box_lo"]),
+        species=table["type"],
+        bonds=np.array(table["bonds"])[:, 1:] - 1,
+    )
+    return system, table

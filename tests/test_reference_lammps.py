@@ -1,0 +1,131 @@
+"""LAMMPS' reference numbers: a small molecule system with everything in it, and the 4000-atom melt."""
+
+import numpy as np
+import pytest
+from references import fourmol, load, melt
+
+import minimd as md
+
+STRESS_ORDER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # xx yy zz xy xz yz
+RELATIVE = 1e-12
+FTM2V = 1.0 / 48.88821291**2  # acceleration [Å/fs²] of 1 kcal/mol/Å on 1 g/mol
+SCALE = (0.10, 0.25, 0.50)
+
+
+def coefficients(lines):
+    own, unlike = {}, {}
+    for line in lines:
+        a, b, *numbers = line.split()
+        target = own if a == b else unlike
+        target[int(a) if a == b else (int(a), int(b))] = tuple(float(x) for x in numbers)
+    return own, unlike
+
+
+def per_term(lines, kinds):
+    table = {int(line.split()[0]): [float(x) for x in line.split()[1:]] for line in lines}
+    return np.array([table[kind] for kind in kinds]).T
+
+
+def harmonic_bonds(table, lines):
+    k, length = per_term(lines, np.array(table["bonds"])[:, 0])
+    return md.HarmonicBond(2.0 * k, length)
+
+
+def harmonic_angles(table, lines):
+    angles = np.array(table["angles"])
+    k, angle = per_term(lines, angles[:, 0])
+    return md.HarmonicAngle(2.0 * k, np.radians(angle), angles[:, 1:] - 1)
+
+
+def agree(system, potential, reference, energy):
+    result, forces = md.evaluate(system, potential), np.array(reference["init_forces"])
+    assert result.potential_energy == pytest.approx(energy, rel=RELATIVE)
+    assert np.abs(result.forces - forces).max() < RELATIVE * np.abs(forces).max()
+    stress = np.array(reference["init_stress"])
+    assert np.abs(result.virial[STRESS_ORDER] - stress).max() < RELATIVE * np.abs(stress).max()
+    assert result.energies.sum() == pytest.approx(energy, rel=RELATIVE)
+
+
+def test_lennard_jones_with_scaled_bonded_pairs():
+    reference = load("lammps_fourmol/mol-pair-lj_cut.json")
+    system, _ = fourmol()
+    own, unlike = coefficients(reference["pair_coeff"])
+    for truncation, energy in (("shifted", reference["init_vdwl"]), ("truncated", reference["extra"]["unshifted_init_vdwl"])):
+        potential = md.LennardJones(own, cutoff=8.0, truncation=truncation, pairs=unlike, bonded_scale=SCALE)
+        tolerance = RELATIVE if truncation == "shifted" else 1e-14 * 1e3
+        assert md.evaluate(system, potential).potential_energy == pytest.approx(energy, rel=tolerance)
+    agree(system, md.LennardJones(own, cutoff=8.0, pairs=unlike, bonded_scale=SCALE), reference, reference["init_vdwl"])
+
+
+def morse(r2, depth, alpha, r0):
+    r = np.sqrt(r2)
+    x = np.exp(-alpha * (r - r0))
+    return depth * (x * x - 2.0 * x), 2.0 * depth * alpha * (x * x - x) / r
+
+
+def lennard_jones_96(r2, epsilon, sigma):
+    s3 = (sigma * sigma / r2) ** 1.5
+    return 4.0 * epsilon * s3 * s3 * (s3 - 1.0), epsilon * s3 * s3 * (36.0 * s3 - 24.0) / r2
+
+
+def bond_morse(r2, depth, alpha, r0):
+    r = np.sqrt(r2)
+    x = np.exp(-alpha * (r - r0))
+    return depth * (1.0 - x) ** 2, -2.0 * depth * alpha * (1.0 - x) * x / r
+
+
+def test_laws_that_a_user_brings_are_as_exact():
+    system, table = fourmol()
+    reference = load("lammps_fourmol/mol-pair-morse.json")
+    own, unlike = coefficients(reference["pair_coeff"])
+    potential = md.PairPotential(morse, own, 8.0, "truncated", pairs=unlike, bonded_scale=SCALE)
+    agree(system, potential, reference, reference["init_vdwl"])
+    reference = load("lammps_fourmol/mol-pair-lj96_cut.json")
+    own, unlike = coefficients(reference["pair_coeff"])
+    mixed = md.PairPotential(lennard_jones_96, own, 8.0, "truncated", pairs=unlike, mixing="lorentz-berthelot", bonded_scale=SCALE)
+    agree(system, mixed, reference, reference["init_vdwl"])
+    reference = load("lammps_fourmol/bond-morse.json")
+    parameters = per_term(reference["bond_coeff"], np.array(table["bonds"])[:, 0])
+    agree(system, md.BondPotential(bond_morse, tuple(parameters)), reference, reference["init_energy"])
+
+
+def test_harmonic_bonds_and_angles():
+    system, table = fourmol()
+    reference = load("lammps_fourmol/bond-harmonic.json")
+    agree(system, harmonic_bonds(table, reference["bond_coeff"]), reference, reference["init_energy"])
+    reference = load("lammps_fourmol/angle-harmonic.json")
+    agree(system, harmonic_angles(table, reference["angle_coeff"]), reference, reference["init_energy"])
+
+
+@pytest.mark.parametrize("method", [md.VelocityVerlet, md.Leapfrog])
+def test_eight_steps_of_the_solute(method):
+    """Forces of everything, motion of molecules 1 and 2: the others are made immovable by enormous masses."""
+    reference = load("lammps_fourmol/fix-timestep-nve.json")
+    system, table = fourmol()
+    solute = np.isin(table["mol"], (1, 2))
+    system = fourmol(masses=np.where(solute, system.masses, 1e30))[0]
+    system.masses[solute] /= FTM2V
+    moving_velocities = system.velocities.copy()
+    system.velocities[~solute] = 0.0
+    coefficients_lj, unlike = coefficients(load("lammps_fourmol/mol-pair-lj_cut.json")["pair_coeff"])
+    potentials = [
+        md.LennardJones(coefficients_lj, cutoff=8.0, truncation="truncated", pairs=unlike, mixing="geometric", bonded_scale=SCALE),
+        harmonic_bonds(table, load("lammps_fourmol/bond-harmonic.json")["bond_coeff"]),
+        harmonic_angles(table, load("lammps_fourmol/angle-harmonic.json")["angle_coeff"]),
+    ]
+    simulation = md.Simulation(system, potentials, method(0.25))
+    simulation.run(8, every=8)
+    assert np.abs(simulation.positions - reference["run_pos"]).max() < 1e-13
+    velocities = np.where(solute[:, None], simulation.velocities, moving_velocities)
+    assert np.abs(velocities - reference["run_vel"]).max() < 1e-13
+
+
+def test_melt_follows_the_exact_list():
+    reference = load("lammps_lj/melt4000.json")
+    simulation = md.Simulation(melt(), md.LennardJones(1.0, 1.0, 2.5, "truncated"), md.VelocityVerlet(0.005))
+    record = simulation.run(150, every=50)
+    for k, (step, *row) in enumerate(reference["exact_list"]):
+        n = record.n_atoms
+        measured = (record.temperature[k], record.potential_energy[k] / n, record.total_energy[k] / n, record.pressure[k])
+        assert record.step[k] == step
+        assert measured == pytest.approx(row, rel=1e-7 if step == 0 else 5e-7)

@@ -1,0 +1,49 @@
+"""NIST's Lennard-Jones reference configurations, to the last digit that is known of them."""
+
+import numpy as np
+import pytest
+from references import load
+
+import minimd as md
+
+CASES = [(f"nist_lj/config{c}.json", k) for c in (1, 4) for k in range(3)]
+SCHEMES = {"truncated_plus_LRC": "truncated", "linear_force_shift": "force-shifted"}
+RELATIVE = 1e-12  # rounding of 3e5 terms
+
+
+@pytest.mark.parametrize(("name", "k"), CASES)
+def test_energy_virial_and_tail_are_nists(name, k):
+    data = load(name)
+    row = data["rows"][k]
+    system = md.System(data["x"], cell=data["box"])
+    truncation = SCHEMES[row["scheme"]]
+    plain = md.evaluate(system, md.LennardJones(1.0, 1.0, row["rc"], truncation))
+    assert plain.potential_energy == pytest.approx(row["Upair_recomputed"], rel=RELATIVE)
+    assert np.trace(plain.virial) == pytest.approx(row["Wpair_recomputed"], rel=RELATIVE)
+    if truncation == "truncated":
+        with_tail = md.evaluate(system, md.LennardJones(1.0, 1.0, row["rc"], truncation, tail_correction=True))
+        assert with_tail.potential_energy - plain.potential_energy == pytest.approx(row["ULRC_recomputed"], rel=RELATIVE)
+
+
+def test_tail_pressure_is_the_closed_form():
+    density, cutoff, n = 0.8, 3.0, 500
+    system = md.System(np.random.default_rng(1).uniform(0, 8, (n, 3)), cell=(n / density) ** (1 / 3))
+    tails = [md.evaluate(system, md.LennardJones(1.0, 1.0, cutoff, "truncated", tail_correction=on)).virial for on in (True, False)]
+    correction = np.trace(tails[0] - tails[1]) / (3.0 * system.volume)
+    expected = 16.0 / 3.0 * np.pi * density**2 * (2.0 / 3.0 * cutoff**-9 - cutoff**-3)
+    scale = abs(np.trace(tails[1])) / (3.0 * system.volume)
+    assert abs(correction - expected) < 1e-14 * scale  # rounding of the difference
+
+
+@pytest.mark.parametrize("truncation", ["switched", "charmm"])
+def test_tail_makes_a_switched_fluid_that_of_the_full_law(truncation):
+    """At uniform density the energy with the tail must not depend on the cutoff: compare two cutoffs on a perfect gas of pairs."""
+    counts, volume = np.array([1000]), 2000.0
+    tails = []
+    for cutoff in (3.0, 3.5):
+        potential = md.LennardJones(1.0, 1.0, cutoff, truncation, switch_start=2.5, tail_correction=True)
+        r = np.linspace(2.5, cutoff, 200_001)
+        inside = potential.pair_energy(r) * r**2
+        body = 2 * np.pi * counts[0] ** 2 / volume * np.trapezoid(inside, r)
+        tails.append(body + potential.tail(counts, ("X",), volume)[0])
+    assert tails[0] == pytest.approx(tails[1], rel=1e-9)  # truncation of the trapezoidal rule

@@ -4,14 +4,16 @@ ASE's units: length Å, energy eV, mass u, hence time Å √(u/eV). Constants as
 that crosses to ASE and back is the same number; a test compares the two.
 """
 
+import math
 from dataclasses import dataclass
 
 BOLTZMANN_EV_PER_K = 8.617330337217213e-05
 FEMTOSECOND = 0.09822694788464063  # Å √(u/eV)
 PICOSECOND = 1000.0 * FEMTOSECOND
 KJ_PER_MOL_PER_EV = 96.48533288249877
-GRAM_PER_CM3 = 0.602214085774  # u/Å³
+GRAM_PER_CM3 = 0.6022140858549161  # u/Å³
 BAR = 6.241509125883258e-07  # eV/Å³
+DEGREE = math.pi / 180.0  # rad
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,43 @@
+"""A melt of bead-spring chains: is the total energy conserved, and does every spring hold k_B T/2?
+
+Reduced units. Bonded beads feel the spring alone: pairs one bond apart are excluded from the Lennard-Jones repulsion.
+"""
+
+import numpy as np
+
+import minimd as md
+
+n_chains, n_beads = 36, 20
+density, temperature = 0.5, 1.0
+stiffness, length = 400.0, 1.0  # ε/σ², σ
+n_equilibration, n_steps = 2000, 4000
+
+# Each chain starts as a straight rod; rods stand in a square array.
+edge = (n_chains * n_beads / density / n_beads) ** 0.5  # σ, across the rods
+side = int(np.sqrt(n_chains))
+feet = (np.indices((side, side)).reshape(2, -1).T + 0.5) * edge / side
+positions = np.array([[x, y, z * length] for x, y in feet for z in range(n_beads)])
+bonds = [(i, i + 1) for i in range(n_chains * n_beads) if (i + 1) % n_beads]
+system = md.System(positions, cell=[edge, edge, n_beads * length], bonds=bonds)
+
+repulsion = md.LennardJones(1.0, 1.0, cutoff=2 ** (1 / 6), truncation="shifted", bonded_scale=(0, 1, 1))
+springs = md.HarmonicBond(stiffness, length)
+simulation = md.Simulation(system, [repulsion, springs], md.VelocityVerlet(0.002))
+simulation.set_temperature(temperature, seed=3)
+simulation.equilibrate(n_equilibration, temperature)
+
+stretches = []
+
+
+def measure_stretch(run):
+    i, j = run.system.bonds.T
+    stretches.append(np.linalg.norm(run.positions[j] - run.positions[i], axis=1) - length)
+
+
+record = simulation.run(n_steps, every=10, observers=[measure_stretch])
+spring_energy = 0.5 * stiffness * np.mean(np.square(stretches))
+now = record.temperature.mean()
+energy = record.total_energy
+print(f"total energy   {energy[0]:.3f} to {energy[-1]:.3f} ε; fluctuates by {energy.std() / len(system):.1e} ε per bead   (expected: below 1e-3)")
+print(f"spring energy  {spring_energy:.3f} ε per bond   (equipartition: about k_B T/2 = {0.5 * now:.3f})")
+print(simulation.report())

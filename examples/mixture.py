@@ -1,0 +1,44 @@
+"""Liquid argon and krypton, one to one: does a mixing rule make unlike neighbours sit at the mean distance?
+
+Lorentz-Berthelot: σ₁₂ = (σ₁ + σ₂)/2, ε₁₂ = √(ε₁ ε₂). Neighbours in a dense liquid stand a little inside the minimum of their
+pair potential, 2^(1/6) σ₁₂, because the others press them together.
+"""
+
+import numpy as np
+from ase.build import bulk
+
+import minimd as md
+from minimd.units import ASE, fs
+
+temperature = 130.0  # K
+parameters = {"Ar": (120.0 * ASE.k_B, 3.40), "Kr": (164.0 * ASE.k_B, 3.65)}  # ε [eV], σ [Å]
+n_equilibration, n_steps = 1500, 1500
+
+atoms = bulk("Ar", "fcc", 6.05, cubic=True).repeat(5)
+symbols = np.array(["Ar", "Kr"] * (len(atoms) // 2))
+np.random.default_rng(5).shuffle(symbols)
+atoms.symbols[:] = symbols
+atoms.set_masses("defaults")
+
+law = md.LennardJones(parameters, cutoff=9.0, mixing="lorentz-berthelot", truncation="force-shifted")
+simulation = md.Simulation(atoms, law, md.VelocityVerlet(5.0 * fs))
+simulation.set_temperature(temperature, seed=2)
+simulation.equilibrate(n_equilibration, temperature)
+
+edges = np.arange(2.5, 7.0, 0.1)
+counts = {("Ar", "Ar"): 0, ("Ar", "Kr"): 0, ("Kr", "Kr"): 0}
+
+
+def count_neighbours(run):
+    i, j, d = md.neighbor_list("ijd", run.system, edges[-1])
+    for (a, b), found in counts.items():
+        counts[a, b] = found + np.histogram(d[(symbols[i] == a) & (symbols[j] == b)], edges)[0]
+
+
+simulation.run(n_steps, every=50, observers=[count_neighbours])
+radii = 0.5 * (edges[1:] + edges[:-1])
+for (a, b), found in counts.items():
+    peak = radii[np.argmax(found / radii**2)]
+    minimum = 2 ** (1 / 6) * (parameters[a][1] + parameters[b][1]) / 2
+    print(f"{a}-{b}: neighbours at {peak:.2f} Å   (minimum of the pair potential: {minimum:.2f} Å)")
+print(simulation.report())

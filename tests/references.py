@@ -17,20 +17,20 @@ def load(name):
 
 def brute_force_pairs(positions, cell, pbc, cutoff):
     """All (i, j, S) with |r_j − r_i + S · cell| < cutoff, both directions, by trying every image that could matter."""
-    pbc = np.asarray(pbc, dtype=bool)
-    reciprocal = np.linalg.pinv(np.asarray(cell)[pbc]) if pbc.any() else np.zeros((3, 0))
-    vectors = positions[None, :, :] - positions[:, None, :]
-    bounds = np.zeros((2, 3), dtype=int)
-    along = vectors.reshape(-1, 3) @ reciprocal
-    reach = cutoff * np.linalg.norm(reciprocal, axis=0)
-    bounds[0, pbc] = np.floor(-along.max(axis=0) - reach) if pbc.any() else 0
-    bounds[1, pbc] = np.ceil(-along.min(axis=0) + reach) if pbc.any() else 0
+    pbc, cell = np.asarray(pbc, dtype=bool), np.asarray(cell, dtype=float)
+    reciprocal = np.zeros((3, 3))
+    if pbc.any():
+        reciprocal[:, pbc] = np.linalg.pinv(cell[pbc])
+    home = np.floor(positions @ reciprocal).astype(int)
+    wrapped = positions - home @ cell
+    vectors = wrapped[None, :, :] - wrapped[:, None, :]
+    reach = np.where(pbc, np.ceil(cutoff * np.linalg.norm(reciprocal, axis=0)) + 1, 0).astype(int)
     found = set()
-    for shift in itertools.product(*(range(low, high + 1) for low, high in bounds.T)):
+    for shift in itertools.product(*(range(-r, r + 1) for r in reach)):
         distances = np.linalg.norm(vectors + np.array(shift) @ cell, axis=-1)
         for i, j in np.argwhere(distances < cutoff):
             if i != j or shift != (0, 0, 0):
-                found.add((int(i), int(j), *shift))
+                found.add((int(i), int(j), *(int(s) for s in shift - home[j] + home[i])))
     return found
 
 

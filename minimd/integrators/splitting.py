@@ -106,14 +106,12 @@ class Splitting:
         The forces of the last step are computed with the flag that somebody looks.
         """
         opening, body, between, closing = self._merged()
-        self._apply(opening, state, compute_forces, False)
+        self._apply(opening, state, compute_forces)
         for step in range(1, n_steps + 1):
-            last = step == n_steps or state.stop_requested
-            self._apply(body, state, compute_forces, last)
-            if last:
+            if step == n_steps or state.stop_requested:
+                self._apply(body + closing, state, compute_forces, look_at_last=True)
                 break
-            self._apply(between, state, compute_forces, False)
-        self._apply(closing, state, compute_forces, True)
+            self._apply(body + between, state, compute_forces)
         return step
 
     def _merged(self) -> tuple[tuple[Stage, ...], ...]:
@@ -124,14 +122,14 @@ class Splitting:
         merged = type(first)(first.coefficient + last.coefficient)
         return (first,), self.stages[1:-1], (merged,), (last,)
 
-    def _apply(self, stages: tuple[Stage, ...], state: State, compute_forces: ComputeForces, look: bool) -> None:
-        for stage in stages:
+    def _apply(self, stages: tuple[Stage, ...], state: State, compute_forces: ComputeForces, look_at_last: bool = False) -> None:
+        for k, stage in enumerate(stages, start=1):
             duration = stage.coefficient * self.timestep
             if isinstance(stage, Drift):
                 drift(state.positions, state.velocities, duration)
                 state.forces_are_current = False
                 continue
             if not state.forces_are_current:
-                compute_forces(state, look)
+                compute_forces(state, look_at_last and k == len(stages))
                 state.forces_are_current = True
             kick(state.velocities, state.forces, state.inverse_masses, duration)

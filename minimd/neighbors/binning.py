@@ -9,6 +9,7 @@ from minimd.cell import Cell
 from minimd.compiling import kernel
 
 ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
+FLATTEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick
 ROUNDING = 1.0 + 1e-9  # bins are this much wider than the reach, so that rounding never asks for one bin more
 
 
@@ -45,7 +46,7 @@ def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
     counts = np.maximum(1.0, np.floor(2.0 * widths / (reach * ROUNDING)))
     while counts.prod() > max(64.0, len(positions) / ATOMS_PER_BIN) and counts.max() > 1.0:
         counts = np.where(counts == counts.max(), np.ceil(0.5 * counts), counts)
-    needed = np.ceil(np.minimum(reach * counts / widths, 1e9))
+    needed = np.ceil(reach * counts / np.maximum(widths, FLATTEST * reach * counts))
     needed = np.where(cell.pbc, needed, np.minimum(needed, counts - 1.0))
     return Grid(counts.astype(np.int64), needed.astype(np.int64), origin, extent)
 

@@ -1,0 +1,224 @@
+"""Laws of forces that every potential obeys. POTENTIALS is where a new one is registered."""
+
+import itertools
+
+import numba
+import numpy as np
+import pytest
+from references import brute_force_energy, numerical_forces
+
+import minimd as md
+from minimd.potentials.truncation import TRUNCATIONS
+
+CUTOFF = 2.3
+
+
+def yukawa(r2, strength, kappa):
+    r = np.sqrt(r2)
+    u = strength * np.exp(-kappa * r) / r
+    return u, u * (kappa * r + 1.0) / r2
+
+
+@numba.njit
+def soft_core(r2, height):
+    return height * np.exp(-r2), 2.0 * height * np.exp(-r2)
+
+
+TWO_KINDS = {"A": (1.0, 1.0), "B": (0.5, 0.88)}
+POTENTIALS = {
+    **{f"lennard-jones {t}": md.LennardJones(1.0, 1.0, CUTOFF, t) for t in TRUNCATIONS},
+    "lennard-jones mixture": md.LennardJones(TWO_KINDS, cutoff=CUTOFF),
+    "kob-andersen": md.LennardJones(TWO_KINDS, cutoff={("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}, pairs={("A", "B"): (1.5, 0.8)}),
+    "scaled neighbours": md.LennardJones(TWO_KINDS, cutoff=CUTOFF, truncation="switched", bonded_scale=(0.0, 0.3, 0.7)),
+    "yukawa": md.PairPotential(yukawa, (2.0, 1.1), CUTOFF, "force-shifted"),
+    "soft core": md.PairPotential(soft_core, (3.0,), CUTOFF),
+    "harmonic bonds": md.HarmonicBond(np.linspace(50, 90, 9), 1.1),
+    "harmonic angles": md.HarmonicAngle(20.0, 2.0, [[k, k + 1, k + 2] for k in range(8)]),
+    "several": [md.LennardJones(1.0, 1.0, CUTOFF), md.PairPotential(yukawa, (1.0, 2.0), 1.9), md.HarmonicBond(30.0, 1.0)],
+}
+SCENES = {
+    "cube": {"cell": 4.7},
+    "triclinic": {"cell": [[4.6, 0, 0], [1.5, 4.4, 0], [-1.0, 0.7, 5.0]]},
+    "left-handed": {"cell": [[0, 4.6, 0], [4.7, 0, 0], [0, 0, 4.8]]},
+    "slab": {"cell": [4.7, 4.9, 9.0], "pbc": (True, True, False)},
+    "small": {"cell": 3.6},
+    "open": {"cell": None},
+}
+
+
+def chain(cell, pbc=None, seed=4):
+    """Ten atoms along a bent chain, 1 apart, of two species."""
+    rng = np.random.default_rng(seed)
+    k = np.arange(10)
+    positions = np.column_stack([np.cos(k * 0.9), np.sin(k * 0.9), 0.36 * k]) * 1.15 + 0.05 * rng.normal(size=(10, 3))
+    return md.System(positions, cell=cell, pbc=pbc, species=np.where(k % 3, "A", "B"), bonds=np.column_stack([k[:-1], k[1:]]))
+
+
+@pytest.fixture(params=SCENES)
+def system(request):
+    return chain(**SCENES[request.param])
+
+
+@pytest.fixture(params=POTENTIALS)
+def potential(request):
+    return POTENTIALS[request.param]
+
+
+def test_force_is_minus_the_gradient(system, potential):
+    forces = md.evaluate(system, potential).forces
+    assert forces == pytest.approx(numerical_forces(system, potential), rel=1e-6, abs=2e-6)  # truncation h², rounding u/h
+
+
+def test_forces_sum_to_zero(system, potential):
+    forces = md.evaluate(system, potential).forces
+    assert np.abs(forces.sum(axis=0)).max() < 1e-13 * np.abs(forces).sum()  # rounding
+
+
+def test_virial_is_the_strain_derivative_of_the_energy(system, potential):
+    """W = −∂U/∂(strain) at zero strain, for every component."""
+    virial, h = md.evaluate(system, potential).virial, 1e-6
+    for a, b in itertools.product(range(3), repeat=2):
+        energies = []
+        for sign in (-1, 1):
+            strain = np.eye(3)
+            strain[a, b] += sign * h
+            cell = md.Cell.of(system.cell.vectors @ strain, system.cell.pbc)
+            moved = md.System(system.positions @ strain, cell=cell, species=system.species, bonds=system.bonds)
+            energies.append(md.evaluate(moved, potential).potential_energy)
+        assert virial[a, b] == pytest.approx((energies[0] - energies[1]) / (2 * h), rel=1e-5, abs=1e-5)
+
+
+def test_energy_is_that_of_the_atoms(system, potential):
+    result = md.evaluate(system, potential)
+    assert result.energies.sum() == pytest.approx(result.potential_energy, rel=1e-13, abs=1e-13)
+
+
+def test_nothing_depends_on_place_direction_or_order(system, potential):
+    rng = np.random.default_rng(0)
+    result = md.evaluate(system, potential)
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    cells_away = rng.integers(-2, 3, (len(system), 3)) * system.cell.pbc
+    positions = (system.positions + cells_away @ system.cell.vectors + rng.normal(size=3)) @ rotation
+    cell = md.Cell.of(system.cell.vectors @ rotation, system.cell.pbc)
+    moved = md.evaluate(md.System(positions, cell=cell, species=system.species, bonds=system.bonds), potential)
+    assert moved.potential_energy == pytest.approx(result.potential_energy, rel=1e-11, abs=1e-11)
+    assert moved.forces == pytest.approx(result.forces @ rotation, rel=1e-10, abs=1e-10)
+    assert moved.virial == pytest.approx(rotation.T @ result.virial @ rotation, rel=1e-10, abs=1e-10)
+    assert moved.energies == pytest.approx(result.energies, rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize("name", ["lennard-jones shifted", "lennard-jones mixture", "kob-andersen", "yukawa"])
+def test_relabeled_atoms_feel_the_same(name):
+    system, order = chain(4.7), np.random.default_rng(1).permutation(10)
+    relabeled = md.System(system.positions[order], cell=4.7, species=system.species[order])
+    forces = md.evaluate(md.System(system.positions, cell=4.7, species=system.species), POTENTIALS[name]).forces
+    assert md.evaluate(relabeled, POTENTIALS[name]).forces == pytest.approx(forces[order], rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("scene", ["cube", "triclinic", "left-handed"])
+def test_replicated_cell_has_replicated_energy(scene):
+    one = chain(**SCENES[scene])
+    one = md.System(one.positions, cell=one.cell, species=one.species)
+    shifts = np.array(list(itertools.product(range(2), range(3), range(1)))) @ one.cell.vectors
+    many = md.System((one.positions + shifts[:, None, :]).reshape(-1, 3), cell=one.cell.vectors * [[2], [3], [1]], species=np.tile(one.species, 6))
+    potential = POTENTIALS["lennard-jones mixture"]
+    a, b = md.evaluate(one, potential), md.evaluate(many, potential)
+    assert b.potential_energy == pytest.approx(6 * a.potential_energy, rel=1e-12)
+    assert b.forces == pytest.approx(np.tile(a.forces, (6, 1)), rel=1e-11, abs=1e-11)
+    assert b.virial == pytest.approx(6 * a.virial, rel=1e-12, abs=1e-11)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_pair_energy_equals_the_textbook_sum(scene):
+    system = chain(**SCENES[scene])
+    shift = 4.0 * (CUTOFF**-12 - CUTOFF**-6)
+    expected = brute_force_energy(system, lambda r: 4.0 * (r**-12 - r**-6) - shift, CUTOFF)
+    assert md.evaluate(system, md.LennardJones(1.0, 1.0, CUTOFF)).potential_energy == pytest.approx(expected, rel=1e-12)
+
+
+def test_lennard_jones_has_its_minimum_and_zero_where_it_says():
+    r_minimum = 2.0 ** (1.0 / 6.0) * 3.4
+    at_minimum = md.evaluate(md.System([[0, 0, 0], [r_minimum, 0, 0]]), md.LennardJones(0.0104, 3.4, truncation="truncated"))
+    assert at_minimum.potential_energy == pytest.approx(-0.0104, rel=1e-15)
+    assert np.abs(at_minimum.forces).max() < 1e-16
+    at_zero = md.evaluate(md.System([[0, 0, 0], [3.4, 0, 0]]), md.LennardJones(0.0104, 3.4, truncation="truncated"))
+    assert abs(at_zero.potential_energy) < 1e-17
+
+
+def slopes(potential, r, h=1e-4):
+    """u, u′ and u″ just around r by one-sided points."""
+    u = [float(potential.pair_energy(r + k * h)) for k in (-2, -1, 0, 1, 2)]
+    return u[2], (u[3] - u[1]) / (2 * h), (u[3] - 2 * u[2] + u[1]) / h**2
+
+
+@pytest.mark.parametrize(("truncation", "smoothness"), [("truncated", 0), ("shifted", 1), ("force-shifted", 2), ("charmm", 2), ("switched", 3)])
+def test_truncation_is_as_smooth_as_it_promises_and_no_smoother(truncation, smoothness):
+    """Continuous derivatives at the cutoff: none, u, u and u′, (u, u′ and u″) for smoothness 0 to 3."""
+    potential = md.LennardJones(1.0, 1.0, 2.5, truncation, switch_start=2.0)
+    jumps = [abs(a - b) for a, b in zip(slopes(potential, 2.5 - 1e-3), slopes(potential, 2.5 + 1e-3), strict=True)]
+    full = [0.0163, 0.0390, 0.113]  # |u|, |u′|, |u″| of the law at 2.5
+    for derivative, jump in enumerate(jumps):
+        if derivative < smoothness:
+            assert jump < 0.1 * full[derivative]
+        elif derivative == smoothness:
+            assert jump > 0.3 * full[derivative]
+
+
+def test_switches_leave_the_law_alone_before_they_start():
+    r = np.linspace(0.9, 1.99, 40)
+    law = md.LennardJones(1.0, 1.0, 2.5, "truncated").pair_energy(r)
+    for truncation in ("switched", "charmm"):
+        assert md.LennardJones(1.0, 1.0, 2.5, truncation, switch_start=2.0).pair_energy(r) == pytest.approx(law, rel=1e-14)
+
+
+def test_mixing_rules():
+    for mixing, expected in (("lorentz-berthelot", (2.0, 1.5)), ("geometric", (2.0, 2.0**0.5)), (lambda a, b: (a[0], b[1]), (1.0, 2.0))):
+        mixed = md.LennardJones({"A": (1.0, 1.0), "B": (4.0, 2.0)}, cutoff=5.0, truncation="truncated", mixing=mixing)
+        epsilon, sigma = expected
+        assert float(mixed.pair_energy(1.8, "A", "B")) == pytest.approx(4 * epsilon * ((sigma / 1.8) ** 12 - (sigma / 1.8) ** 6), rel=1e-14)
+    explicit = md.LennardJones({"A": (1.0, 1.0), "B": (4.0, 2.0)}, cutoff=5.0, truncation="truncated", pairs={("B", "A"): (3.0, 1.0)})
+    assert float(explicit.pair_energy(1.0 * 2 ** (1 / 6), "A", "B")) == pytest.approx(-3.0)
+
+
+def test_bonded_scale_acts_on_the_bond_graph():
+    bent = md.System([[0, 0, 0], [1.1, 0, 0], [1.5, 1.0, 0], [1.4, 1.4, 1.1], [0.4, 1.6, 1.6]], bonds=[[0, 1], [1, 2], [2, 3], [3, 4]])
+    free = md.System(bent.positions)
+    scale = (0.1, 0.2, 0.4, 1.0)
+    expected = 0.0
+    for i, j in itertools.combinations(range(5), 2):
+        pair = md.System(free.positions[[i, j]])
+        expected += scale[j - i - 1] * md.evaluate(pair, md.LennardJones(1.0, 1.0)).potential_energy
+    assert md.evaluate(bent, md.LennardJones(1.0, 1.0, bonded_scale=scale[:3])).potential_energy == pytest.approx(expected, rel=1e-13)
+    assert md.evaluate(bent, md.LennardJones(1.0, 1.0)).potential_energy == pytest.approx(md.evaluate(free, md.LennardJones(1.0, 1.0)).potential_energy)
+
+
+def test_excluded_pairs_may_sit_on_each_other():
+    system = md.System([[0, 0, 0], [1e-9, 0, 0], [1.5, 0, 0]], bonds=[[0, 1]])
+    assert np.isfinite(md.evaluate(system, md.LennardJones(1.0, 1.0, bonded_scale=(0, 1, 1))).forces).all()
+
+
+def test_straight_angle_pulls_nowhere():
+    straight = md.System([[0, 0, 0], [1, 0, 0], [2.2, 0, 0]])
+    assert np.abs(md.evaluate(straight, md.HarmonicAngle(10.0, np.pi, [[0, 1, 2]])).forces).max() < 1e-6
+    assert np.isfinite(md.evaluate(straight, md.HarmonicAngle(10.0, 2.0, [[0, 1, 2]])).forces).all()
+
+
+def test_two_atoms_on_one_spot_are_an_error_that_names_them():
+    system = md.System([[0, 0, 0], [1, 1, 1], [2, 0, 0], [1, 1, 1]], cell=5.0)
+    with pytest.raises(md.NonFiniteError, match="atoms 1 and 3, 0 apart"):
+        md.evaluate(system, md.LennardJones(1.0, 1.0, 2.0))
+
+
+def test_laws_run_as_plain_python_too():
+    from minimd.potentials.pair_loop import TOTALS, add_pair_forces, fixed_pairs
+    from minimd.potentials.parameters import SameForAll
+
+    system = chain(None)
+    pairs, _ = fixed_pairs(np.argwhere(np.triu(np.ones((10, 10)), k=1)), 10, periodic=False)
+    for potential in (md.LennardJones(1.0, 1.0, CUTOFF, "switched"), md.PairPotential(yukawa, (1.0, 2.0), CUTOFF)):
+        numbers = SameForAll(tuple(potential.table(("A", "B"))[0, 0].tolist()))
+        forces, energies, virials = np.zeros((10, 3)), np.zeros(10), np.zeros((10, 6))
+        add_pair_forces.py_func(system.positions, pairs, potential.law, numbers, TOTALS, forces, energies, virials)
+        result = md.evaluate(system, potential)
+        assert forces == pytest.approx(result.forces, rel=1e-13, abs=1e-14)
+        assert energies.sum() == pytest.approx(result.potential_energy, rel=1e-13)

@@ -182,6 +182,8 @@ class Simulation:
 
     def _observe(self, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
         frame = self.frame()
+        if not np.isfinite(frame.observables["total_energy"]):
+            raise NonFiniteError(self._autopsy("the potential energy is not finite", self.step))
         assert self.record is not None
         self.record.append(frame)
         for writer in writers:

@@ -50,6 +50,13 @@ class Record:
         self.units, self.n_atoms = units, n_atoms
         self._series: dict[str, list[Any]] = {"step": [], "time": []}
 
+    @classmethod
+    def of(cls, units: UnitSystem, n_atoms: int, series: dict[str, NDArray[Any]]) -> "Record":
+        """A record of series that exist already, such as those of a file; step and time must be among them."""
+        record = cls(units, n_atoms)
+        record._series.update({name: list(values) for name, values in series.items()})
+        return record
+
     def append(self, frame: Frame) -> None:
         """Keep the observables of a frame."""
         self._series["step"].append(frame.step)

@@ -1,0 +1,101 @@
+"""Checking a run from its file alone: what MDAnalysis recomputes from the velocities, and what should have been conserved."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.h5md import H5MDContents, read_file
+from minimd.mdanalysis import VERSION, Motion, motion
+from minimd.record import Record
+from minimd.report import Report, conservation_report
+
+SINGLE = 6e-8  # 2⁻²⁴, rounding of a velocity to float32, and so at most this part of Σ|mv|
+KINETIC = 1e-6  # K is quadratic in velocities: twice that rounding, and room for the sum
+EXACT = 0.0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One question to the file.  figure : the worst of all frames.  tolerance : its limit.  meaning : what the figure is."""
+
+    name: str
+    figure: float
+    tolerance: float
+    meaning: str
+
+    @property
+    def passed(self) -> bool:
+        """True if the figure is within the tolerance; NaN is not."""
+        return self.figure <= self.tolerance
+
+    def __str__(self) -> str:
+        return f"{self.name:<14} {self.meaning}: {self.figure:.2g}, tolerance {self.tolerance:.2g}: {'ok' if self.passed else 'FAILED'}"
+
+
+@dataclass(frozen=True)
+class FileCheck:
+    """The outcome of check_file. str() is the text for people; passed is True if nothing failed."""
+
+    heading: str
+    comparisons: list[Comparison]
+    report: Report
+
+    @property
+    def passed(self) -> bool:
+        """True if all comparisons agree, and energy and momentum are conserved."""
+        return all(one.passed for one in self.comparisons) and self.report.energy_is_conserved and self.report.momentum_is_conserved
+
+    def __str__(self) -> str:
+        return "\n".join([self.heading, *map(str, self.comparisons), str(self.report), f"check          {'passed' if self.passed else 'FAILED'}"])
+
+
+def check_file(path: str | Path) -> FileCheck:
+    """Read a minimd file through MDAnalysis, recompute what can be recomputed, and judge what should be constant.
+
+    Stored observables are float64 and uncast; velocities come in float32, which the tolerances allow for.
+
+    Raises
+    ------
+    FileNotFoundError, OSError, ValueError : as minimd.h5md.read_file.
+    """
+    contents, moved = read_file(path), motion(path)
+    record = _record(contents, moved)
+    return FileCheck(
+        heading=_heading(Path(path), contents),
+        comparisons=comparisons(moved),
+        report=conservation_report(record, angular=not contents.system.cell.is_periodic),
+    )
+
+
+def comparisons(moved: Motion) -> list[Comparison]:
+    """Recomputed against stored."""
+    stored, absolute = moved.stored, moved.absolute_momentum
+    parts = stored["potential_energy"] + stored["kinetic_energy"]
+    kinetic = _largest(moved.kinetic_energy - stored["kinetic_energy"], stored["kinetic_energy"])
+    not_forward = int(np.count_nonzero(np.diff(moved.step) <= 0))
+    return [
+        Comparison("kinetic energy", kinetic, KINETIC, "recomputed − stored, of itself"),
+        Comparison("momentum", _largest(moved.momentum - stored["momentum"], absolute), SINGLE, "recomputed − stored, of Σ|mv|"),
+        Comparison("Σ|mv|", _largest(absolute - stored["absolute_momentum"], absolute), SINGLE, "recomputed − stored, of itself"),
+        Comparison("total energy", _largest(parts - stored["total_energy"], stored["total_energy"]), EXACT, "potential + kinetic − total, of itself"),
+        Comparison("steps", not_forward, EXACT, "frames that do not come later than the one before"),
+    ]
+
+
+def _largest(differences: NDArray[np.float64], scales: NDArray[np.float64]) -> float:
+    """Largest |difference| / |scale| of all frames; a difference of zero needs no scale, any other of a zero scale is infinite."""
+    sizes, scales = np.abs(differences) if differences.ndim == 1 else np.linalg.norm(differences, axis=1), np.abs(scales)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.where(sizes == 0.0, 0.0, sizes / scales).max())
+
+
+def _record(contents: H5MDContents, moved: Motion) -> Record:
+    return Record.of(contents.system.units, len(contents.system), {"step": moved.step, "time": moved.time, **moved.stored})
+
+
+def _heading(path: Path, contents: H5MDContents) -> str:
+    first, last = contents.record.step[0], contents.record.step[-1]
+    frames = f"{contents.n_frames} frames, steps {first} to {last}, {contents.method}, {contents.system.units.name} units"
+    return f"file           {path}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"

@@ -24,7 +24,7 @@ class Forces:
     ----------
     system : the System whose positions and cell each call reads.
     potentials : one potential or several.
-    skin : of the pair lists [length]; 0.14 of the cutoff if not given.
+    skin : of the pair lists [length]; 0.12 of the cutoff if not given.
 
     Attributes
     ----------

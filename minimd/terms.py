@@ -18,7 +18,7 @@ from minimd.system import System, checked_pairs
 from minimd.topology import pairs_by_bonds_apart
 
 ALL_PAIRS_UP_TO = 100  # atoms: below, an open scene is faster without a list that has to be rebuilt
-SKIN = 0.14  # default skin in units of the cutoff
+SKIN = 0.12  # default skin in units of the cutoff
 
 Potential = Any  # PairPotential, BondPotential, HarmonicAngle, or an object with bind(system) that returns a Term
 

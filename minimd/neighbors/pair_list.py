@@ -37,7 +37,7 @@ class PairList:
         self._excluded_start, self._excluded = partners(excluded, n_atoms)
         self._cell: Cell | None = None
         self._built_at = np.empty((0, 3))
-        self._room = 0
+        self._second, self._image = (np.empty(0, dtype=np.uint32) for _ in range(2))
 
     @property
     def has_excluded(self) -> bool:
@@ -78,14 +78,11 @@ class PairList:
         start = np.empty(len(positions) + 1, dtype=np.int64)
         geometry = (bin_start, grid.counts, forward_bins(grid), crossed, translations, cell.pbc, cell.lattice, cell.inverse)
         limits = (cell.safe_distance2, reach**2, self._excluded_start, self._excluded)
-        while True:
-            second = np.empty(self._room, dtype=np.int32)
-            image = np.empty(self._room if len(translations) else 0, dtype=np.int32)
-            n_pairs = find_pairs(local, self.order, *geometry, *limits, start, second, image)
-            if n_pairs <= self._room:
-                break
-            self._room = int(SPARE * n_pairs) + 16
-        self.pairs = Pairs(start, second[:n_pairs], image[:n_pairs], translations)
+        n_pairs = find_pairs(local, self.order, *geometry, *limits, start, self._second, self._image)
+        if n_pairs > len(self._second):
+            self._second, self._image = (np.empty(int(SPARE * n_pairs), dtype=np.uint32) for _ in range(2))
+            find_pairs(local, self.order, *geometry, *limits, start, self._second, self._image)
+        self.pairs = Pairs(start, self._second[:n_pairs], self._image[:n_pairs], translations)
 
     def _list_all_pairs(self, positions: NDArray[np.float64]) -> None:
         """Every pair once, in the user's order: the list without a cutoff, never built again."""
@@ -99,7 +96,7 @@ class PairList:
             first, second = first[kept], second[kept]
         start = np.zeros(n + 1, dtype=np.int64)
         np.cumsum(np.bincount(first, minlength=n), out=start[1:])
-        self.pairs = Pairs(start, second.astype(np.int32), np.empty(0, dtype=np.int32), np.zeros((0, 3)))
+        self.pairs = Pairs(start, second.astype(np.uint32), np.empty(0, dtype=np.uint32), np.zeros((0, 3)))
 
 
 @kernel

@@ -64,35 +64,30 @@ def find_pairs(
     room = second.size
     shifted = translations.shape[0] > 0
     rows_y, rows_z = 2 * crossed[1] + 1, 2 * crossed[2] + 1
-    home = (crossed[0] * rows_y + crossed[1]) * rows_z + crossed[2]
     has_excluded = excluded.size > 0
+    ranges = np.empty((forward.shape[0] + 1, 3), dtype=np.int64)
     for bin_x in range(counts[0]):
         for bin_y in range(counts[1]):
             for bin_z in range(counts[2]):
-                b = (bin_x * counts[1] + bin_y) * counts[2] + bin_z
-                for i in range(bin_start[b], bin_start[b + 1]):
+                own = (bin_x * counts[1] + bin_y) * counts[2] + bin_z
+                if bin_start[own] == bin_start[own + 1]:
+                    continue
+                n_ranges = _atoms_in_reach(bin_x, bin_y, bin_z, bin_start, counts, forward, crossed, pbc, ranges)
+                for i in range(bin_start[own], bin_start[own + 1]):
                     start[i] = n_pairs
                     x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
-                    for k in range(-1, forward.shape[0]):
-                        first_atom, last_atom, row = i + 1, bin_start[b + 1], home
+                    for k in range(n_ranges):
+                        first_atom = i + 1 if k == 0 else ranges[k, 0]
+                        row = ranges[k, 2]
                         tx = ty = tz = 0.0
-                        if k >= 0:
-                            to_x, to_y, to_z = bin_x + forward[k, 0], bin_y + forward[k, 1], bin_z + forward[k, 2]
-                            cell_x, cell_y, cell_z = to_x // counts[0], to_y // counts[1], to_z // counts[2]
-                            if (cell_x != 0 and not pbc[0]) or (cell_y != 0 and not pbc[1]) or (cell_z != 0 and not pbc[2]):
-                                continue
-                            to_x, to_y, to_z = to_x - cell_x * counts[0], to_y - cell_y * counts[1], to_z - cell_z * counts[2]
-                            neighbour = (to_x * counts[1] + to_y) * counts[2] + to_z
-                            first_atom, last_atom = bin_start[neighbour], bin_start[neighbour + 1]
-                            row = ((cell_x + crossed[0]) * rows_y + cell_y + crossed[1]) * rows_z + cell_z + crossed[2]
-                            if shifted:
-                                tx, ty, tz = translations[row, 0], translations[row, 1], translations[row, 2]
-                        for j in range(first_atom, last_atom):
+                        if shifted:
+                            tx, ty, tz = translations[row, 0], translations[row, 1], translations[row, 2]
+                        for j in range(first_atom, ranges[k, 1]):
                             dx, dy, dz = positions[j, 0] - x + tx, positions[j, 1] - y + ty, positions[j, 2] - z + tz
                             if dx * dx + dy * dy + dz * dz < reach2:
                                 if has_excluded and _is_partner(order[i], order[j], excluded_start, excluded):
-                                    a, b_, c = minimum_image(dx - tx, dy - ty, dz - tz, lattice, inverse, pbc, safe_distance2)
-                                    nearest = ((int(a) + crossed[0]) * rows_y + int(b_) + crossed[1]) * rows_z + int(c) + crossed[2]
+                                    a, b, c = minimum_image(dx - tx, dy - ty, dz - tz, lattice, inverse, pbc, safe_distance2)
+                                    nearest = ((int(a) + crossed[0]) * rows_y + int(b) + crossed[1]) * rows_z + int(c) + crossed[2]
                                     if nearest == row:
                                         continue
                                 if n_pairs < room:
@@ -102,6 +97,33 @@ def find_pairs(
                                 n_pairs += 1
     start[positions.shape[0]] = n_pairs
     return n_pairs
+
+
+@kernel
+def _atoms_in_reach(bin_x, bin_y, bin_z, bin_start, counts, forward, crossed, pbc, ranges):
+    """Ranges of atoms in the bins ahead of one bin, as rows (first, last, image) of ranges; returns how many.
+
+    The first row is the bin itself and what follows it without a gap. Neighbouring bins of one image are one range.
+    """
+    rows_y, rows_z = 2 * crossed[1] + 1, 2 * crossed[2] + 1
+    own = (bin_x * counts[1] + bin_y) * counts[2] + bin_z
+    ranges[0, 0], ranges[0, 1] = bin_start[own], bin_start[own + 1]
+    ranges[0, 2] = (crossed[0] * rows_y + crossed[1]) * rows_z + crossed[2]
+    n = 0
+    for k in range(forward.shape[0]):
+        to_x, to_y, to_z = bin_x + forward[k, 0], bin_y + forward[k, 1], bin_z + forward[k, 2]
+        cell_x, cell_y, cell_z = to_x // counts[0], to_y // counts[1], to_z // counts[2]
+        if (cell_x != 0 and not pbc[0]) or (cell_y != 0 and not pbc[1]) or (cell_z != 0 and not pbc[2]):
+            continue
+        to_x, to_y, to_z = to_x - cell_x * counts[0], to_y - cell_y * counts[1], to_z - cell_z * counts[2]
+        neighbour = (to_x * counts[1] + to_y) * counts[2] + to_z
+        row = ((cell_x + crossed[0]) * rows_y + cell_y + crossed[1]) * rows_z + cell_z + crossed[2]
+        if bin_start[neighbour] == ranges[n, 1] and row == ranges[n, 2]:
+            ranges[n, 1] = bin_start[neighbour + 1]
+        else:
+            n += 1
+            ranges[n, 0], ranges[n, 1], ranges[n, 2] = bin_start[neighbour], bin_start[neighbour + 1], row
+    return n + 1
 
 
 @kernel

@@ -106,7 +106,7 @@ def fixed_pairs(pairs: NDArray[np.int64], n_atoms: int, periodic: bool) -> tuple
     np.cumsum(np.bincount(pairs[:, 0], minlength=n_atoms), out=start[1:])
     return Pairs(
         start=start,
-        second=pairs[order, 1].astype(np.int32),
-        image=np.arange(len(pairs) if periodic else 0, dtype=np.int32),
+        second=pairs[order, 1].astype(np.uint32),
+        image=np.arange(len(pairs) if periodic else 0, dtype=np.uint32),
         translations=np.zeros((len(pairs) if periodic else 0, 3)),
     ), order

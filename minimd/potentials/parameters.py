@@ -8,7 +8,6 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 
-
 class SameForAll(NamedTuple):
     """One tuple of numbers for every pair."""
 

@@ -11,7 +11,7 @@ from minimd.units import ASE, fs, ps
 
 temperature = 94.4  # K
 epsilon, sigma = 120.0 * ASE.k_B, 3.4  # eV, Å
-lattice_constant = 5.780  # Å: four atoms of 39.95 u at 1.374 g/cm³
+lattice_constant = 5.780  # Å: four atoms of 39.948 u at 1.374 g/cm³
 n_equilibration, n_steps, every = 3000, 6000, 50
 timestep = 10.0 * fs
 

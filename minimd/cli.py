@@ -65,8 +65,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from minimd.scene import load_scene
-    from minimd.scene_run import run_scene
+    from minimd.scene import load_scene, run_scene
 
     scene = load_scene(arguments.scene)
     files = scene.trajectories() if arguments.out is None else [arguments.out]
@@ -83,8 +82,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _resume(arguments: argparse.Namespace) -> int:
-    from minimd.scene import load_scene
-    from minimd.scene_run import resume_run
+    from minimd.scene import load_scene, resume_run
 
     scene = None if arguments.scene is None else load_scene(arguments.scene)
     with _silence(arguments.quiet), _kept([arguments.file]):

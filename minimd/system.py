@@ -104,12 +104,16 @@ class System:
         return atoms_from_system(self)
 
 
+def _numbers(name: str, values: ArrayLike, expected: str) -> NDArray[np.float64]:
+    try:
+        return np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be {expected}: {error}") from None
+
+
 def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArray[np.float64]:
     """A fresh contiguous (N, 3) float64 array, or a sentence about what is wrong with it."""
-    try:
-        array = np.array(values, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be an (N, 3) array of numbers: {error}") from None
+    array = _numbers(name, values, "an (N, 3) array of numbers")
     if array.ndim != 2 or array.shape[1] != 3 or array.shape[0] == 0:
         raise ValueError(f"{name} must be an (N, 3) array with N > 0; its shape is {array.shape}")
     if n_atoms is not None and len(array) != n_atoms:
@@ -125,7 +129,7 @@ def _masses(masses: ArrayLike | None, n_atoms: int, units: UnitSystem) -> NDArra
         if units is not unit_systems.LJ:
             raise ValueError(f"masses must be given in {units.name} units; only reduced units have a default, 1")
         return np.ones(n_atoms)
-    array = np.array(masses, dtype=np.float64)
+    array = _numbers("masses", masses, "one number, or one for each atom")
     if array.ndim == 0:
         array = np.full(n_atoms, float(array))
     if array.shape != (n_atoms,):
@@ -142,6 +146,8 @@ def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, N
     labels = np.asarray(species)
     if labels.shape != (n_atoms,):
         raise ValueError(f"species must be {n_atoms} labels, one for each atom; their shape is {labels.shape}")
+    if labels.dtype == object and not all(isinstance(label, str) for label in labels):
+        raise ValueError(f"species must be all strings or all whole numbers; they are {labels[:3].tolist()} ...")
     names, index = np.unique(labels, return_inverse=True)
     return tuple(names.tolist()), index.astype(np.int64)
 
@@ -159,7 +165,10 @@ def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int) -> NDArray[np.int64
     ------
     ValueError : if the shape is another, an atom is missing, paired with itself, or a pair comes twice.
     """
-    array = np.array(pairs)
+    try:
+        array = np.array(pairs)
+    except ValueError as error:
+        raise ValueError(f"{name} must be a (B, 2) array of atom indices: {error}") from None
     if array.size == 0:
         return np.zeros((0, 2), dtype=np.int64)
     if array.ndim != 2 or array.shape[1] != 2 or not np.issubdtype(array.dtype, np.integer):

@@ -9,7 +9,7 @@ import numpy as np
 from minimd import units
 from minimd.h5md import H5MDWriter, annotate, read_file
 from minimd.potentials import PairPotential
-from minimd.scene import Scene, parse_scene
+from minimd.scene.document import Scene, parse_scene
 from minimd.simulation import Simulation
 from minimd.trajectory import checked_output
 
@@ -98,17 +98,14 @@ def _store_scene(files: Sequence[Path], scene: Scene) -> None:
 
 
 def check_outputs(trajectories: Sequence[Path], picture: Path | None, overwrite: bool) -> None:
-    """Refuse what cannot be written, leaving nothing behind.
+    """Refuse what cannot be written.
 
     Raises
     ------
     ValueError, OSError : as trajectory.checked_output.
     """
     for file in trajectories:
-        new = not file.exists()
         checked_output(file, overwrite)
-        if new:
-            file.unlink()
     if picture is not None and picture.exists() and not overwrite:
         raise FileExistsError(f"output {str(picture)!r} exists; choose another name, or say overwrite")
     if picture is not None and not picture.absolute().parent.is_dir():

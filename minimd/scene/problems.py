@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from minimd.scene_models import Reading, Section, Unknown
+from minimd.scene.sections import Reading, Section, Unknown
 
 PLAIN = {  # pydantic's words: ours
     "Input should be": "must be",
@@ -33,6 +33,8 @@ def problems(document: dict, reading: Reading, error: ValidationError | None) ->
         place, name, sentence = _about_value(details, document, reading)
         if (place.rpartition(".")[0], name) not in meant and not (details["type"] == "value_error" and place in paths.values() and reading.unknown):
             wrong.setdefault(place, []).append(sentence)
+    if "units" in wrong:  # then all other keys look wrong too
+        return [_joined(wrong["units"])]
     deepest = [place for place in wrong if not any(other.startswith(place + "[") for other in wrong)]
     return sentences + [_joined(wrong[place]) for place in deepest]
 
@@ -69,7 +71,7 @@ def _about_unknown(unknown: Unknown, path: str, reading: Reading) -> str:
 def _about_value(details: Any, document: dict, reading: Reading) -> tuple[str, str | None, str]:
     """Path of a wrong value, the field where it is missing, and the sentence about it."""
     place, value, section = _written(details["loc"], document, reading)
-    name = details["loc"][-1]
+    name = details["loc"][-1] if details["loc"] else None
     if details["type"] == "missing":
         keys = list(section.keys_of(name, reading.units)) if section else [name]
         path = ".".join(filter(None, (place, keys[0])))

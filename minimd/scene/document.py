@@ -1,4 +1,4 @@
-"""Scene files: a simulation described in TOML, with units in its keys; examples/argon.toml shows one."""
+"""A scene file, read and checked, and the simulation that it describes."""
 
 import tomllib
 from collections.abc import Iterator
@@ -13,8 +13,8 @@ from minimd import units
 from minimd.cell import Cell
 from minimd.integrators import METHODS, Splitting
 from minimd.lattice import constant_from_density, crystal
-from minimd.scene_models import Reading, SceneSections
-from minimd.scene_problems import problems
+from minimd.scene.problems import problems
+from minimd.scene.sections import Reading, SceneSections
 from minimd.simulation import Simulation
 from minimd.system import System
 
@@ -147,12 +147,12 @@ def parse_scene(text: str, path: Path) -> Scene:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{path}: this is no TOML: {error}") from None
-    reading, sections, error = Reading("LJ" if document.get("units") == "LJ" else "ASE"), None, None
+    reading = Reading("LJ" if document.get("units") == "LJ" else "ASE")
     try:
         sections = SceneSections.model_validate(document, context=reading)
-    except ValidationError as caught:
-        error = caught
-    found = problems(document, reading, error)
+        found = problems(document, reading, None)
+    except ValidationError as error:
+        found = problems(document, reading, error)
     if found:
         raise ValueError("\n".join(f"{path}: {sentence}" for sentence in found))
     return Scene(path, text, sections)
@@ -176,7 +176,7 @@ def _atomic_mass(element: str) -> float:
     from minimd.ase import Atoms
 
     try:
-        return float(Atoms(element).get_masses()[0])
+        return float(Atoms([element]).get_masses()[0])
     except KeyError:
         raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {element!r}") from None
 

@@ -1,0 +1,240 @@
+"""The command line: what it says, where, with which exit code, and what it leaves behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import minimd as md
+from minimd import cli, doctor
+from minimd.h5md import read_file
+from minimd.scene import load_scene
+
+SCENE = """
+title = "A small melt"
+units = "LJ"
+[structure]
+lattice = "fcc"
+repeat = [4, 4, 4]
+density = 0.8442
+[[potential]]
+type = "lennard-jones"
+epsilon = 1.0
+sigma = 1.0
+cutoff = 2.5
+truncation = "force-shifted"
+[dynamics]
+timestep = 0.004
+temperature = 1.44
+steps = 40
+[output]
+every = 10
+"""
+REPOSITORY = Path(__file__).parent.parent
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty current folder with the scene in it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "melt.toml").write_text(SCENE)
+    return tmp_path
+
+
+def command(*arguments, **keywords):
+    """The command in a process of its own."""
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    return subprocess.Popen([sys.executable, "-m", "minimd.cli", *arguments], env=environment, text=True, **keywords)
+
+
+def answer(*arguments, **keywords):
+    process = command(*arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    out, err = process.communicate(timeout=120)
+    return process.returncode, out, err
+
+
+def test_version_is_told_quickly_and_without_loading_anything():
+    code = (
+        "import sys; from minimd.cli import main\ntry: main(['--version'])\n"
+        "except SystemExit as end: assert end.code == 0\n"
+        "heavy = {'ase', 'MDAnalysis', 'matplotlib', 'h5py', 'pydantic', 'tqdm'} & set(sys.modules); assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": str(REPOSITORY)})
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"minimd {md.__version__}\n", "")
+
+
+def test_without_a_command_there_is_help(capsys):
+    assert cli.main([]) == 0
+    told = capsys.readouterr().out
+    assert all(f"\n    {name} " in told for name in ("run", "resume", "check", "plot", "doctor"))
+
+
+def test_run_tells_what_it_does_and_what_to_do_next(folder, capsys):
+    assert cli.main(["run", "melt.toml"]) == 0
+    out, err = capsys.readouterr()
+    for words in ("A small melt", "256 atoms", "force-shifted", "40 steps = 0.16 τ", "verdict", "written        melt.h5md", "minimd check melt.h5md"):
+        assert words in out
+    assert err.count("running: step") == 4  # no terminal, so lines: one at each of the four observations
+
+
+def test_quiet_run_says_nothing(folder):
+    code, out, err = answer("run", "melt.toml", "--quiet")
+    assert (code, out, err) == (0, "", "")
+    assert read_file("melt.h5md").n_frames == 5
+
+
+def test_steps_and_out_replace_those_of_the_scene(folder):
+    assert cli.main(["run", "melt.toml", "--steps", "20", "--out", "other.h5md", "--quiet"]) == 0
+    assert read_file("other.h5md").record.step.tolist() == [0, 10, 20]
+    assert not Path("melt.h5md").exists()
+
+
+@pytest.mark.parametrize("steps", ["-1", "2.5", "many"])
+def test_steps_must_be_a_number_of_steps(folder, capsys, steps):
+    with pytest.raises(SystemExit) as end:
+        cli.main(["run", "melt.toml", "--steps", steps])
+    assert end.value.code == 2
+    assert f"at least 0; it is '{steps}'" in capsys.readouterr().err
+
+
+def test_existing_output_is_refused_before_anything_is_computed(folder, capsys, monkeypatch):
+    Path("melt.h5md").write_text("precious")
+    monkeypatch.setattr(md.Simulation, "__init__", lambda *_, **__: pytest.fail("it began to compute"))
+    assert cli.main(["run", "melt.toml"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "'melt.h5md' exists" in err
+    assert "overwrite" in err
+    assert Path("melt.h5md").read_text() == "precious"
+
+
+def test_existing_picture_is_refused_too(folder, capsys):
+    Path("melt.toml").write_text(SCENE + 'plot = "melt.png"\n')
+    Path("melt.png").write_text("precious")
+    assert cli.main(["run", "melt.toml"]) == 2
+    assert "'melt.png' exists" in capsys.readouterr().err
+    assert not Path("melt.h5md").exists()
+
+
+def test_overwrite_replaces(folder):
+    Path("melt.h5md").write_text("worthless")
+    assert cli.main(["run", "melt.toml", "--overwrite", "--quiet"]) == 0
+    assert read_file("melt.h5md").n_frames == 5
+
+
+def test_run_draws_the_picture_that_the_scene_asks_for(folder):
+    Path("melt.toml").write_text(SCENE + "plot = true\n")
+    assert cli.main(["run", "melt.toml", "--quiet"]) == 0
+    assert Path("melt.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_resumed_run_is_the_uninterrupted_one(folder):
+    assert cli.main(["run", "melt.toml", "--quiet", "--steps", "60", "--out", "whole.h5md"]) == 0
+    assert cli.main(["run", "melt.toml", "--quiet", "--steps", "30", "--out", "parts.h5md"]) == 0
+    assert cli.main(["resume", "parts.h5md", "--quiet", "--steps", "30"]) == 0
+    whole, parts = read_file("whole.h5md"), read_file("parts.h5md")
+    assert parts.step == whole.step == 60
+    assert parts.record.step.tolist() == whole.record.step.tolist()
+    assert parts.time == pytest.approx(0.24)
+    assert parts.record.total_energy == pytest.approx(whole.record.total_energy, rel=1e-13)  # rounding: other list, other sums
+    assert np.abs(parts.system.positions - whole.system.positions).max() < 1e-12  # rounding, grown over 30 steps
+    assert np.abs(parts.system.positions - load_scene("melt.toml").system().positions).max() > 1e-3  # atoms moved
+
+
+def test_resume_without_a_stored_scene_asks_for_one(folder, capsys):
+    scene = load_scene("melt.toml")
+    scene.simulation().run(10, every=5, trajectory="bare.h5md")
+    assert cli.main(["resume", "bare.h5md", "--steps", "5"]) == 2
+    assert "'bare.h5md' holds no scene" in capsys.readouterr().err
+    assert cli.main(["resume", "bare.h5md", "--steps", "10", "--scene", "melt.toml", "--quiet"]) == 0
+    assert read_file("bare.h5md").step == 20
+
+
+def test_check_passes_on_a_sound_file_and_fails_on_another(folder, capsys):
+    cli.main(["run", "melt.toml", "--quiet"])
+    assert cli.main(["check", "melt.h5md"]) == 0
+    assert "passed" in capsys.readouterr().out
+    import h5py
+
+    with h5py.File("melt.h5md", "r+") as h5:
+        h5["particles/trajectory/velocity/value"][2] *= 1.01
+    assert cli.main(["check", "melt.h5md"]) == 1
+    assert "FAILED" in capsys.readouterr().out
+
+
+def test_plot_writes_a_picture_and_says_so(folder, capsys):
+    cli.main(["run", "melt.toml", "--quiet"])
+    assert cli.main(["plot", "melt.h5md"]) == 0
+    assert cli.main(["plot", "melt.h5md"]) == 0
+    assert cli.main(["plot", "melt.h5md", "--out", "other.png"]) == 0
+    assert capsys.readouterr().out.splitlines() == ["written        melt.png", "replaced       melt.png", "written        other.png"]
+    assert Path("other.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsys):
+    Path("melt.toml").write_text(SCENE.replace("timestep = 0.004", "timestep = 0.025").replace("1.44", "50.0").replace("steps = 40", "steps = 4000"))
+    assert cli.main(["run", "melt.toml"]) == 3
+    err = capsys.readouterr().err
+    (line,) = [line for line in err.splitlines() if line.startswith("minimd: error:")]
+    assert "at step" in line
+    assert "timestep 0.025 too large" in line
+    assert "kept in melt.h5md" in line
+    assert "Traceback" not in err
+    assert read_file("melt.h5md").n_frames > 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_ctrl_c_ends_with_130_and_a_file_that_can_be_resumed(folder):
+    process = command("run", "melt.toml", "--steps", "1000000", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    deadline = time.monotonic() + 100.0
+    while time.monotonic() < deadline and not (Path("melt.h5md").exists() and Path("melt.h5md").stat().st_size > 100_000):
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert "stopped after step" in err
+    assert "kept in melt.h5md" in err
+    reached = read_file("melt.h5md").step
+    assert cli.main(["resume", "melt.h5md", "--steps", "10", "--quiet"]) == 0
+    assert read_file("melt.h5md").step == reached + 10
+
+
+def test_doctor_finds_this_machine_in_order(capsys):
+    assert cli.main(["doctor"]) == 0
+    told = capsys.readouterr().out
+    assert "FAILED" not in told
+    assert told.count(" OK ") == 5
+    for words in (f"minimd         {md.__version__}", "numba ", "cores", "cache folder", "million atom-steps/s"):
+        assert words in told
+
+
+def test_doctor_notices_a_wrong_force(capsys, monkeypatch):
+    evaluate = md.evaluate
+
+    def wrong(system, potentials):
+        found = evaluate(system, potentials)
+        found.forces[:] *= 1.001
+        return found
+
+    monkeypatch.setattr(doctor.md, "evaluate", wrong)
+    assert cli.main(["doctor"]) == 1
+    told = capsys.readouterr().out
+    assert "forces         FAILED" in told
+    assert "NOT work" in told
+
+
+def test_doctor_notices_a_drift(monkeypatch):
+    class Leaking(md.VelocityVerlet):
+        def advance(self, state, compute_forces, n_steps):
+            state.velocities[:] *= 0.9999
+            return super().advance(state, compute_forces, n_steps)
+
+    monkeypatch.setattr(doctor.md, "VelocityVerlet", Leaking)
+    fine, sentence = doctor.conservation()
+    assert not fine, sentence

@@ -23,6 +23,7 @@ CELLS = {
     "slab": ([3.6, 3.6, 9.0], [True, True, False]),
     "slab without height": ([3.6, 3.6, 0.0], [True, True, False]),
     "open": (None, None),
+    "open with vectors": (9.0, False),
 }
 
 
@@ -104,7 +105,7 @@ def test_cell_of_mdanalysis_has_lengths_and_angles_of_ours(tmp_path, cell):
     sim.run(0, trajectory=tmp_path / "a.h5md")
     dimensions, cell_read = opened(tmp_path / "a.h5md").trajectory.ts.dimensions, read_file(tmp_path / "a.h5md").system.cell
     assert cell_read.same_as(sim.system.cell)
-    if cell in ("open", "slab without height"):
+    if cell.startswith("open") or cell == "slab without height":
         assert dimensions is None
         return
     a, b, c = sim.system.cell.vectors
@@ -237,11 +238,9 @@ def test_interrupt_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypatch
     monkeypatch.setattr(h5md.layout, "series_of", interrupted)
     with pytest.raises(KeyboardInterrupt):
         writer.write(sim.frame())
-    shutil.copy(path, tmp_path / "then.h5md")
+    assert {len(series) for series in h5md.layout.all_series(writer._h5)} == {1}
     monkeypatch.setattr(h5md.layout, "series_of", series_of)
     writer.close()
-    with h5py.File(tmp_path / "then.h5md") as h5:
-        assert {len(series) for series in h5md.layout.all_series(h5)} == {1}
     assert read_file(path).record.step.tolist() == [0, 5]
 
 
@@ -305,6 +304,13 @@ def test_full_disk_is_told_once_and_spoils_nothing(tmp_path, monkeypatch, way):
         writer.write(sim.frame())
 
 
+def test_reserved_room_is_given_back(tmp_path):
+    simulation().run(20, every=5, trajectory=tmp_path / "a.h5md")
+    with h5py.File(tmp_path / "a.h5md") as h5:
+        held = sum(series.id.get_storage_size() for series in h5md.layout.all_series(h5))
+    assert (tmp_path / "a.h5md").stat().st_size < held + 100_000  # HDF5's own tables and what is written once
+
+
 def test_failing_write_leaves_the_frames_before_it(tmp_path, monkeypatch):
     path, sim = tmp_path / "a.h5md", simulation()
     series_of = h5md.layout.series_of
@@ -318,6 +324,8 @@ def test_failing_write_leaves_the_frames_before_it(tmp_path, monkeypatch):
     monkeypatch.setattr(h5md, "SECONDS_BETWEEN_FLUSHES", 0.0)
     with pytest.raises(OSError, match="frame of step 10: Input/output error; its 2 frames"):
         sim.run(50, every=5, trajectory=path)
+    with h5py.File(path) as h5:
+        assert {len(series) for series in h5md.layout.all_series(h5)} == {2}
     assert read_file(path).record.step.tolist() == [0, 5]
 
 

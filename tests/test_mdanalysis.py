@@ -1,0 +1,203 @@
+"""The bridge to MDAnalysis: universes that know the system, foreign formats that hold the run, analyses with known results."""
+
+import warnings
+
+import MDAnalysis
+import numpy as np
+import pytest
+
+import minimd as md
+from minimd import mdanalysis
+from minimd.h5md import H5MDWriter
+from minimd.mdanalysis import diffusion_coefficient, motion, radial_distribution, universe
+
+PER_PICOSECOND = 98.22694788464064  # of ASE's time unit
+FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]
+TURNED_CELL = np.array([[0.3, 9.0, 0.5], [1.0, 3.5, 8.0], [8.5, -2.0, 1.0]])  # left-handed, along no axis
+SKEWED = np.array([[1, 0, 0], [2, 1, 0], [-3, 1, 1]])  # SKEWED @ cell spans the same lattice
+
+
+def system(cell=(9.0, 10.0, 11.0), pbc=None, units=md.units.ASE, n_atoms=24):
+    """Atoms of two species on a loose lattice, bonded in pairs, moving."""
+    rng = np.random.default_rng(2)
+    sites = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3)[:n_atoms]
+    return md.System(
+        sites * 3.1 + rng.normal(0.0, 0.05, (n_atoms, 3)),
+        masses=np.where(np.arange(n_atoms) % 2, 39.948, 83.798),
+        velocities=rng.normal(0.0, 0.02, (n_atoms, 3)),
+        cell=cell,
+        pbc=pbc,
+        species=np.where(np.arange(n_atoms) % 2, "Ar", "Kr"),
+        bonds=np.arange(n_atoms).reshape(-1, 2),
+        units=units,
+    )
+
+
+def simulation(of=None):
+    return md.Simulation(of or system(), md.LennardJones(0.0104, 3.4, 4.4, truncation="shifted"), md.VelocityVerlet(0.4))
+
+
+def written(path, made, frames):
+    """A file of the given positions, one frame for each step."""
+    sim = md.Simulation(made, md.LennardJones(1e-12, 1e-6, 1e-3), md.VelocityVerlet(0.5))
+    writer = H5MDWriter(path, sim, False)
+    for step, positions in enumerate(frames):
+        writer.write(sim.frame()._replace(step=step, time=0.5 * step, positions=positions))
+    sim.step = len(frames) - 1
+    writer.close()
+    return path
+
+
+def test_universe_knows_the_system(tmp_path):
+    sim = simulation()
+    sim.run(4, every=2, trajectory=tmp_path / "a.h5md")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made = universe(tmp_path / "a.h5md")
+    np.testing.assert_array_equal(made.atoms.masses, sim.system.masses)
+    np.testing.assert_array_equal(made.atoms.bonds.indices, sim.system.bonds)
+    assert made.atoms.types.tolist() == made.atoms.names.tolist() == made.atoms.elements.tolist() == sim.system.species.tolist()
+    assert len(made.trajectory) == 3
+    np.testing.assert_array_equal(made.trajectory[-1].positions, sim.positions.astype(np.float32))
+
+
+def test_labels_that_are_no_symbols_are_no_elements(tmp_path):
+    made = system(units=md.units.LJ)
+    labelled = md.System(made.positions, species=np.where(np.arange(24) % 2, "Ar", "bead"))
+    simulation(labelled).run(0, trajectory=tmp_path / "a.h5md")
+    read = universe(tmp_path / "a.h5md").atoms
+    assert read.elements.tolist() == ["", "Ar"] * 12
+    assert read.types.tolist() == ["bead", "Ar"] * 12
+
+
+@pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_foreign_format_read_back_is_the_trajectory_written(tmp_path, suffix, units):
+    path, seen = tmp_path / f"a.{suffix}", []
+    sim = simulation(system(units=units))
+    sim.run(12)
+    sim.run(12, every=4, trajectory=path, observers=[lambda s: seen.append((s.time, s.positions.copy(), s.velocities.copy()))])
+    per_ps = PER_PICOSECOND if units is md.units.ASE else 1.0
+    made = MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(path))
+    assert len(made.trajectory) == 4
+    for ts, (time, positions, velocities) in zip(made.trajectory, seen, strict=True):
+        assert ts.time == pytest.approx(time / per_ps, rel=1e-6)
+        np.testing.assert_allclose(ts.dimensions, [9.0, 10.0, 11.0, 90.0, 90.0, 90.0], rtol=1e-6)
+        np.testing.assert_allclose(ts.positions, positions, rtol=2e-7, atol=1.01 * FORMATS[suffix])
+        assert ts.has_velocities == (suffix in ("trr", "ncdf"))
+        if ts.has_velocities:
+            np.testing.assert_allclose(ts.velocities, velocities * per_ps, rtol=4e-7)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("cell", [[[9.0, 0, 0], [2.0, 9.0, 0], [-1.0, 3.0, 9.0]], None], ids=["triclinic", "open"])
+def test_foreign_format_keeps_lengths_and_angles(tmp_path, suffix, cell):
+    simulation(system(cell)).run(4, every=2, trajectory=tmp_path / f"a.{suffix}")
+    dimensions = MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / f"a.{suffix}")).trajectory.ts.dimensions
+    if cell is None:
+        assert dimensions is None or not dimensions[:3].any()
+    else:
+        a, b, c = np.array(cell)
+        angles = [np.degrees(np.arccos(u @ v / np.linalg.norm(u) / np.linalg.norm(v))) for u, v in ((b, c), (a, c), (a, b))]
+        np.testing.assert_allclose(dimensions, [*np.linalg.norm(cell, axis=1), *angles], rtol=1e-5)
+
+
+def test_dcd_of_one_frame_is_whole(tmp_path):
+    simulation().run(0, trajectory=tmp_path / "a.dcd")
+    assert len(MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / "a.dcd")).trajectory) == 1
+
+
+def test_cell_that_lengths_and_angles_cannot_hold_is_told(tmp_path):
+    with pytest.warns(UserWarning, match="first vector lay along x"):
+        simulation(system(3.0 * TURNED_CELL)).run(0, trajectory=tmp_path / "a.trr")
+
+
+@pytest.mark.parametrize("suffix", ["xtc", "ncdf"])
+def test_exception_leaves_a_valid_foreign_file(tmp_path, suffix):
+    def stop(sim):
+        if sim.step == 4:
+            raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        simulation().run(20, every=2, trajectory=tmp_path / f"a.{suffix}", observers=[stop])
+    assert len(MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / f"a.{suffix}")).trajectory) == 3
+
+
+def test_failing_foreign_write_names_file_and_step(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(MDAnalysis.coordinates.TRR.TRRWriter, "write", full)
+    with pytest.raises(OSError, match=r"a\.trr' could not take the frame of step 0: No space left"):
+        simulation().run(4, every=2, trajectory=tmp_path / "a.trr")
+
+
+@pytest.mark.parametrize(("distances", "every"), [(1e9, 1), (2e3, 6)])  # from every atom; from a few
+@pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
+def test_radial_distribution_equals_counting_all_images(tmp_path, monkeypatch, units, distances, every):
+    rng = np.random.default_rng(4)
+    cell, n_atoms, n_frames, n_bins = TURNED_CELL, 24, 20, 6
+    frames = [rng.uniform(-2.0, 2.0, (n_atoms, 3)) @ cell for _ in range(n_frames)]  # far outside of the cell too
+    for positions in frames:
+        positions[::2] = positions[1::2] + rng.normal(0.0, 0.6, (n_atoms // 2, 3))  # so that g(r) is not flat
+    monkeypatch.setattr(mdanalysis, "RDF_DISTANCES", distances)
+    made = md.System(frames[0], masses=1.0, cell=SKEWED @ cell, units=units)
+    r, g = radial_distribution(written(tmp_path / "a.h5md", made, frames), n_bins)
+    edges = np.linspace(1 / n_bins, 1.0, n_bins) * md.Cell.of(cell).heights.min() / 2
+    counts = sum(counted(positions, cell, edges, every) for positions in frames)
+    shells = 4 / 3 * np.pi * np.diff(edges**3)
+    expected = counts / n_frames / (n_atoms / every) / (n_atoms - 1) * abs(np.linalg.det(cell)) / shells
+    np.testing.assert_allclose(r, 0.5 * (edges[1:] + edges[:-1]), rtol=1e-6)
+    np.testing.assert_allclose(g, expected, rtol=0.01)  # float32 may put a pair on the edge of a bin to the other side
+    assert expected[0] > 2.0 > expected[-1] > 0.5
+
+
+def counted(positions, cell, edges, every):
+    """Distances from every so manieth atom to all images of all atoms, as a histogram: every image that could matter."""
+    inverse = np.linalg.inv(cell)
+    vectors = positions[None, :, :] - positions[::every][:, None, :]
+    vectors -= np.round(vectors @ inverse) @ cell
+    images = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), -1).reshape(-1, 3) @ cell
+    return np.histogram(np.linalg.norm(vectors[:, :, None, :] + images, axis=-1), bins=edges)[0]
+
+
+def test_radial_distribution_needs_full_periodicity(tmp_path):
+    simulation(system((9.0, 10.0, 11.0), (True, True, False))).run(0, trajectory=tmp_path / "a.h5md")
+    with pytest.raises(ValueError, match="periodic in all directions"):
+        radial_distribution(tmp_path / "a.h5md")
+
+
+@pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
+def test_diffusion_of_a_random_walk_is_that_of_its_steps(tmp_path, units):
+    rng, n_atoms, n_frames, step = np.random.default_rng(6), 500, 100, 0.3
+    walk = np.cumsum(rng.normal(0.0, step, (n_frames, n_atoms, 3)), axis=0)
+    path = written(tmp_path / "a.h5md", md.System(walk[0], masses=1.0, cell=9.0, units=units), walk)
+    found = diffusion_coefficient(path)
+    frame_time = 0.5 / (PER_PICOSECOND if units is md.units.ASE else 1.0)
+    expected = step**2 / 2.0 / frame_time  # <x²> = step² a frame = 2 D t
+    assert found.coefficient == pytest.approx(expected, rel=0.05)  # statistics: four standard errors of 500 walkers
+    assert found.window == pytest.approx((0.1 * 99 * frame_time, 0.5 * 99 * frame_time))
+    assert (found.cm2_per_s is None) == (units is md.units.LJ)
+    if units is md.units.ASE:
+        assert found.cm2_per_s == pytest.approx(found.coefficient * 1e-16 / 1e-12)
+    assert diffusion_coefficient(path, (0.0, 20 * frame_time)).coefficient == pytest.approx(expected, rel=0.05)
+
+
+def test_window_of_a_fit_must_hold_points(tmp_path):
+    path = written(tmp_path / "a.h5md", md.System(np.eye(3)), [np.eye(3)] * 10)
+    with pytest.raises(ValueError, match="at least 3 lags"):
+        diffusion_coefficient(path, (100.0, 200.0))
+    with pytest.raises(ValueError, match="at least 4 frames"):
+        diffusion_coefficient(written(tmp_path / "b.h5md", md.System(np.eye(3)), [np.eye(3)] * 3))
+
+
+@pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
+def test_moments_recomputed_from_velocities_are_those_of_the_record(tmp_path, units):
+    record = simulation(system(units=units)).run(40, every=10, trajectory=tmp_path / "a.h5md")
+    moved = motion(tmp_path / "a.h5md")
+    np.testing.assert_array_equal(moved.step, record.step)
+    np.testing.assert_allclose(moved.time, record.time, rtol=1e-14)
+    np.testing.assert_allclose(moved.kinetic_energy, record.kinetic_energy, rtol=1e-6)
+    assert np.linalg.norm(moved.momentum - record.momentum, axis=1).max() < 6e-8 * record.absolute_momentum.max()
+    np.testing.assert_array_equal(moved.stored["total_energy"], record.total_energy)
+    assert np.ptp(record.kinetic_energy) > 1e-4 * record.kinetic_energy[0]

@@ -15,7 +15,7 @@ ARGON = Path(__file__).parent.parent / "examples" / "argon.toml"
 # SI values, independent of minimd.units (CODATA 2018; minimd has ASE's of 2014, equal to 1e-6)
 ATOMIC_MASS, ELECTRON_VOLT, BOLTZMANN, ANGSTROM = 1.66053906660e-27, 1.602176634e-19, 1.380649e-23, 1e-10
 TIME_UNIT = ANGSTROM * np.sqrt(ATOMIC_MASS / ELECTRON_VOLT)  # s
-CODATA = 1e-6  # relative; what two editions of the constants differ by
+CODATA = 1e-6  # relative, always with abs=0: approx would take every number of SI size for zero; what two editions differ by
 
 REDUCED = """
 units = "LJ"
@@ -79,14 +79,14 @@ def test_argon_scene_is_rahmans_argon():
     assert system.species_names == ("Ar",)
     assert np.all(system.masses == 39.948)
     density = 864 * 39.948 * ATOMIC_MASS / (system.volume * ANGSTROM**3)  # kg/m³
-    assert density == pytest.approx(1374.0, rel=CODATA)
-    assert simulation.method.timestep * TIME_UNIT == pytest.approx(10e-15, rel=CODATA)
+    assert density == pytest.approx(1374.0, rel=CODATA, abs=0.0)
+    assert simulation.method.timestep * TIME_UNIT == pytest.approx(10e-15, rel=CODATA, abs=0.0)
 
 
 def test_argon_scene_draws_velocities_of_94_kelvin():
     system = load_scene(ARGON).simulation().system
     kinetic = 0.5 * 39.948 * np.sum(system.velocities**2) * ELECTRON_VOLT
-    assert 2.0 * kinetic / (3 * 863 * BOLTZMANN) == pytest.approx(94.4, rel=CODATA)
+    assert 2.0 * kinetic / (3 * 863 * BOLTZMANN) == pytest.approx(94.4, rel=CODATA, abs=0.0)
     assert np.abs(system.velocities.mean(axis=0)).max() < 1e-15  # rounding
 
 
@@ -96,7 +96,7 @@ def test_argon_potential_has_its_well_at_120_kelvin():
     depth, slope = 4 * (2.5**-12 - 2.5**-6), 4 * (-12 * 2.5**-13 + 6 * 2.5**-7)  # u(r_c)/ε, u′(r_c) σ/ε
     expected = -1.0 - depth - (2 ** (1 / 6) - 2.5) * slope  # force-shifted at 2.5 σ
     found = md.evaluate(pair, potential).potential_energy * ELECTRON_VOLT / BOLTZMANN
-    assert found == pytest.approx(120.0 * expected, rel=CODATA)
+    assert found == pytest.approx(120.0 * expected, rel=CODATA, abs=0.0)
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_every_unit_in_a_key_has_its_size(dimension, ending, si):
         "stiffness": ELECTRON_VOLT / ANGSTROM**2,
         "angular stiffness": ELECTRON_VOLT,
     }
-    assert KEY_UNITS["ASE"][dimension][ending] * engine.get(dimension, 1.0) == pytest.approx(si, rel=CODATA)
+    assert KEY_UNITS["ASE"][dimension][ending] * engine.get(dimension, 1.0) == pytest.approx(si, rel=CODATA, abs=0.0)
 
 
 def test_every_unit_in_a_key_is_tested_above():
@@ -206,7 +206,7 @@ steps = 1
     (tmp_path / "pair.xyz").write_text("2\n\nAr 0 0 0\nKr 4.0 0 0\n")
     scene = scene_of(text, tmp_path / "scene.toml")
     found = md.evaluate(scene.system(), scene.potentials()).potential_energy * ELECTRON_VOLT / BOLTZMANN
-    assert found == pytest.approx(4.0 * epsilon * ((sigma / 4.0) ** 12 - (sigma / 4.0) ** 6), rel=CODATA)
+    assert found == pytest.approx(4.0 * epsilon * ((sigma / 4.0) ** 12 - (sigma / 4.0) ** 6), rel=CODATA, abs=0.0)
 
 
 def test_options_of_a_potential_arrive():

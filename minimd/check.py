@@ -2,13 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd import observables
 from minimd.h5md import H5MDContents, read_file
-from minimd.mdanalysis import VERSION, Motion, motion
-from minimd.record import Record
+from minimd.mdanalysis import VERSION, universe
+from minimd.record import SERIES, Record
 from minimd.report import Report, conservation_report
 
 SINGLE = 6e-8  # 2⁻²⁴, rounding of a velocity to float32, and so at most this part of Σ|mv|
@@ -67,6 +69,42 @@ def check_file(path: str | Path) -> FileCheck:
         comparisons=comparisons(moved),
         report=conservation_report(record, angular=not contents.system.cell.is_periodic),
     )
+
+
+class Motion(NamedTuple):
+    """All frames as MDAnalysis gives them, in the units of the simulation.
+
+    step : (T,).  time : (T,).  stored : observables of the file, float64 and uncast, names as in record.SERIES.
+    kinetic_energy, momentum, absolute_momentum : (T,), (T, 3), (T,), recomputed from float32 velocities.
+    """
+
+    step: NDArray[np.int64]
+    time: NDArray[np.float64]
+    stored: dict[str, NDArray[np.float64]]
+    kinetic_energy: NDArray[np.float64]
+    momentum: NDArray[np.float64]
+    absolute_momentum: NDArray[np.float64]
+
+
+def motion(path: str | Path) -> Motion:
+    """Stored observables, and energies and momenta recomputed from velocities and masses, of all frames.
+
+    Raises
+    ------
+    As universe.
+    """
+    units = read_file(path).system.units
+    made, rows = universe(path), []
+    masses = made.atoms.masses
+    for ts in made.trajectory:
+        v = ts.velocities * np.float64(units.to_picosecond / units.to_angstrom)
+        stored = [np.array(ts.data[name]) for name in SERIES if name in ts.data]
+        moments = observables.kinetic_energy(v, masses), observables.momentum(v, masses), observables.absolute_momentum(v, masses)
+        rows.append((ts.data["step"], ts.time / units.to_picosecond, *stored, *moments))
+    names = [name for name in SERIES if name in ts.data]
+    made.trajectory.close()
+    step, time, *series = (np.array(column) for column in zip(*rows, strict=True))
+    return Motion(step, time, dict(zip(names, series, strict=False)), *series[len(names) :])
 
 
 def comparisons(moved: Motion) -> list[Comparison]:

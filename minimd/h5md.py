@@ -48,6 +48,10 @@ class H5MDWriter:
     OSError : if the file cannot be created or has no room.
     """
 
+    _n_frames: int  # in the file
+    _last_step: int  # that was taken
+    _flushed: float  # when [s]
+
     def __init__(self, file: Path, simulation: "Simulation", store_forces: bool) -> None:
         self._begin(Path(file), simulation, layout.opened(file, "w"), store_forces)
         system = simulation.system

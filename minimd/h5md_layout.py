@@ -13,6 +13,7 @@ P. de Buyl, P. H. Colberg, F. Höfling, Comput. Phys. Commun. 185, 1546 (2014); 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -76,12 +77,17 @@ def columns(system: System, observables: list[str], store_forces: bool) -> list[
         Column("minimd/time", units.time, lambda frame: frame.time),
         Column(STEPS, "", lambda frame: frame.step),
         Column(TIMES, "ps", lambda frame: frame.time * units.to_picosecond),
-        *(Column(f"observables/{name}/value", unit_of(name, system), lambda frame, name=name: frame.observables[name]) for name in observables),
+        *(Column(f"observables/{name}/value", unit_of(name, system), partial(observable, name)) for name in observables),
         *([Column(f"{TRAJECTORY}/box/edges/value", "Angstrom", lambda _: edges)] if has_edges(system.cell) else []),
         Column(f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda frame: frame.velocities * per_time),
         *([Column(f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", lambda frame: frame.forces * force)] if store_forces else []),
         Column(f"{TRAJECTORY}/position/value", "Angstrom", lambda frame: frame.positions * units.to_angstrom),
     ]
+
+
+def observable(name: str, frame: Frame) -> Any:
+    """One observable of a frame."""
+    return frame.observables[name]
 
 
 def unit_of(name: str, system: System) -> str:

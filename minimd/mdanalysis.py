@@ -6,10 +6,12 @@ pass unchanged, 1 σ as 1 Å and 1 τ as 1 ps.
 
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from errno import ENOSPC
 from math import ceil
 from pathlib import Path
+from shutil import disk_usage
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import MDAnalysis
@@ -20,10 +22,10 @@ from MDAnalysis.guesser.tables import SYMB2Z
 from MDAnalysis.lib.mdamath import triclinic_box, triclinic_vectors
 from numpy.typing import NDArray
 
-from minimd import observables
 from minimd.cell import Cell
 from minimd.h5md import read_file
-from minimd.record import SERIES, Frame
+from minimd.h5md_layout import has_edges
+from minimd.record import Frame
 from minimd.units import ASE
 
 if TYPE_CHECKING:
@@ -32,7 +34,8 @@ if TYPE_CHECKING:
 VERSION = MDAnalysis.__version__
 XTC_DECIMALS = 4  # of nm, one more than usual, because σ is written as 0.1 nm
 RDF_FRAMES, RDF_DISTANCES = 50, 2e7  # at most, so that g(r) takes a few seconds
-MSD_FRAMES, MSD_ATOMS = 300, 500  # at most
+MSD_FRAMES, MSD_ATOMS = 200, 400  # at most
+ROOM = 2**18  # B that must stay free beside a frame, for what C libraries buffer
 FIT_FROM, FIT_TO = 0.1, 0.5  # of the duration: behind the ballistic start, before few pairs of frames are left
 CM2_PER_S = 1e-4  # per Å²/ps
 
@@ -84,10 +87,9 @@ class MDAnalysisWriter:
     def __init__(self, file: Path, simulation: "Simulation") -> None:
         system = simulation.system
         self._file, self._format = Path(file), Path(file).suffix[1:].upper()
-        self._length, self._per_time = system.units.to_angstrom, system.units.to_angstrom / system.units.to_picosecond
-        self._picoseconds = system.units.to_picosecond
-        self._timestep = simulation.method.timestep * self._picoseconds
-        self._dimensions = _dimensions(system.cell, self._length)
+        self._angstrom, self._picosecond = system.units.to_angstrom, system.units.to_picosecond
+        self._timestep = simulation.method.timestep * self._picosecond
+        self._dimensions = _dimensions(system.cell, self._angstrom)
         self._waiting: list[Frame] = []
         self._writer: Any = None
         with _quiet():
@@ -101,22 +103,29 @@ class MDAnalysisWriter:
             self._write_waiting()
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file; do nothing if it has failed."""
         self._write_waiting()
-        if self._writer is not None:
-            self._writer.close()
-            self._writer = None
+        self._shut()
 
     def _write_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
         for frame in waiting:
             try:
                 with _quiet():
+                    _check_room(self._file, frame.positions.nbytes + ROOM)
                     self._writer = self._writer or self._opened(waiting)
                     self._place(frame)
                     self._writer.write(self._universe)
             except (OSError, RuntimeError) as error:
-                raise OSError(f"trajectory {str(self._file)!r} could not take the frame of step {frame.step}: {error}") from error
+                with suppress(OSError, RuntimeError):
+                    self._shut()
+                reason = getattr(error, "strerror", None) or error
+                raise OSError(f"trajectory {str(self._file)!r} could not take the frame of step {frame.step}: {reason}") from error
+
+    def _shut(self) -> None:
+        writer, self._writer = self._writer, None
+        if writer:
+            writer.close()
 
     def _opened(self, waiting: list[Frame]) -> Any:
         options: dict[str, dict[str, Any]] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": self._spacing(waiting)}
@@ -129,25 +138,29 @@ class MDAnalysisWriter:
 
     def _place(self, frame: Frame) -> None:
         ts = self._universe.trajectory.ts
-        ts.positions = frame.positions * self._length
-        ts.velocities = frame.velocities * self._per_time
+        ts.positions = frame.positions * self._angstrom
+        ts.velocities = frame.velocities * (self._angstrom / self._picosecond)
         ts.dimensions = self._dimensions
-        ts.time, ts.data["step"] = frame.time * self._picoseconds, frame.step
+        ts.time, ts.data["step"] = frame.time * self._picosecond, frame.step
+
+
+def _check_room(file: Path, n_bytes: int) -> None:
+    """Raise OSError where a disk has less room [B]: not every format notices that it could not write."""
+    if disk_usage(file.absolute().parent).free < n_bytes:
+        raise OSError(ENOSPC, "no room on the disk")
 
 
 def _dimensions(cell: Cell, to_angstrom: float) -> NDArray[np.float32] | None:
     """Lengths and angles of a cell [Å, °], or None where nothing repeats or three independent vectors are missing."""
-    if not cell.is_periodic or np.linalg.matrix_rank(cell.vectors) < 3:
-        return None
-    return triclinic_box(*(cell.vectors * to_angstrom))
+    return triclinic_box(*(cell.vectors * to_angstrom)) if has_edges(cell) else None
 
 
 def _warn_if_turned(file: Path, cell: Cell) -> None:
     dimensions = _dimensions(cell, 1.0)
     if dimensions is not None and not np.allclose(triclinic_vectors(dimensions), cell.vectors, atol=1e-4 * abs(cell.vectors).max()):
         warnings.warn(
-            f"trajectory {str(file)!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the xy "
-            "plane, which they do not; distances across the boundary will be wrong, write .h5md too",
+            f"trajectory {str(file)!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the "
+            "xy plane, which they do not; distances across the boundary will be wrong, write .h5md too",
             stacklevel=2,
         )
 
@@ -225,64 +238,38 @@ class Diffusion:
         return f"D = {self.coefficient:.4g} {unit}{absolute}, from lags of {self.window[0]:.4g} to {self.window[1]:.4g} {time}"
 
 
-def diffusion_coefficient(path: str | Path, window: tuple[float, float] | None = None) -> Diffusion:
-    """D from the mean-square displacement of MDAnalysis' EinsteinMSD, a straight line fitted within a window of lags.
+def mean_square_displacement(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
 
-    window : [ps, or τ in reduced units]; from a tenth to half of the duration if not given. Frames and atoms are evenly chosen
-    where there are many.
+    Frames and atoms are evenly chosen where there are many.
 
     Raises
     ------
-    ValueError : if the window holds fewer than three lags.  And as universe.
+    ValueError : if there is one frame only.  And as universe.
     """
-    units = read_file(path).system.units
     with _quiet():
         made = universe(path)
-        stride = ceil(len(made.trajectory) / MSD_FRAMES)
-        if len(made.trajectory[::stride]) < 4:
-            raise ValueError(f"diffusion needs at least 4 frames; {str(path)!r} holds {len(made.trajectory)}")
-        result = EinsteinMSD(_every(made, MSD_ATOMS), fft=False).run(step=stride).results
+        if len(made.trajectory) < 2:
+            raise ValueError(f"a displacement needs at least 2 frames; {str(path)!r} holds {len(made.trajectory)}")
+        result = EinsteinMSD(_every(made, MSD_ATOMS), fft=False).run(step=ceil(len(made.trajectory) / MSD_FRAMES)).results
         made.trajectory.close()
-    lags, squares = np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.timeseries)
+    return np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.timeseries)
+
+
+def diffusion_coefficient(path: str | Path, window: tuple[float, float] | None = None) -> Diffusion:
+    """D from the mean-square displacement, a straight line fitted within a window of lags.
+
+    window : [ps, or τ]; from a tenth to half of the duration if not given.
+
+    Raises
+    ------
+    ValueError : if the window holds fewer than three lags.  And as mean_square_displacement.
+    """
+    lags, squares = mean_square_displacement(path)
     start, end = window or (FIT_FROM * lags[-1], FIT_TO * lags[-1])
     chosen = (lags >= start) & (lags <= end)
     if chosen.sum() < 3:
         raise ValueError(f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {chosen.sum()} of {len(lags)}")
     coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
-    return Diffusion(coefficient, coefficient * CM2_PER_S if units is ASE else None, (float(start), float(end)), lags, squares)
-
-
-class Motion(NamedTuple):
-    """All frames as MDAnalysis gives them, in the units of the simulation.
-
-    step : (T,).  time : (T,).  stored : observables of the file, float64 and uncast, names as in record.SERIES.
-    kinetic_energy, momentum, absolute_momentum : (T,), (T, 3), (T,), recomputed from float32 velocities.
-    """
-
-    step: NDArray[np.int64]
-    time: NDArray[np.float64]
-    stored: dict[str, NDArray[np.float64]]
-    kinetic_energy: NDArray[np.float64]
-    momentum: NDArray[np.float64]
-    absolute_momentum: NDArray[np.float64]
-
-
-def motion(path: str | Path) -> Motion:
-    """Stored observables, and energies and momenta recomputed from velocities and masses, of all frames.
-
-    Raises
-    ------
-    As universe.
-    """
-    units = read_file(path).system.units
-    made, rows = universe(path), []
-    masses = made.atoms.masses
-    for ts in made.trajectory:
-        v = ts.velocities * np.float64(units.to_picosecond / units.to_angstrom)
-        stored = [np.array(ts.data[name]) for name in SERIES if name in ts.data]
-        moments = observables.kinetic_energy(v, masses), observables.momentum(v, masses), observables.absolute_momentum(v, masses)
-        rows.append((ts.data["step"], ts.time / units.to_picosecond, *stored, *moments))
-    names = [name for name in SERIES if name in ts.data]
-    made.trajectory.close()
-    step, time, *series = (np.array(column) for column in zip(*rows, strict=True))
-    return Motion(step, time, dict(zip(names, series, strict=False)), *series[len(names) :])
+    absolute = coefficient * CM2_PER_S if read_file(path).system.units is ASE else None
+    return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares)

@@ -1,6 +1,7 @@
 """A run in one picture: energy, temperature, momentum, structure."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,12 +9,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from minimd.h5md import H5MDContents, read_file
-from minimd.mdanalysis import diffusion_coefficient, radial_distribution
+from minimd.mdanalysis import mean_square_displacement, radial_distribution
 from minimd.report import drift
 
 INCHES, DOTS_PER_INCH = (10.0, 7.0), 150
 ENERGY, TEMPERATURE, MOMENTUM, STRUCTURE, ACCENT = "#1f5fa8", "#c8501e", "#5b3f99", "#1b7f5c", "#222222"
-STYLE = {"lw": 1.1, "solid_joinstyle": "round"}
+STYLE: dict[str, Any] = {"lw": 1.1, "solid_joinstyle": "round"}
 
 
 def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
@@ -101,10 +102,10 @@ def _structure(panel: Axes, path: Path, contents: H5MDContents) -> None:
     """g(r) if it can be had, else the mean-square displacement, else a word."""
     if contents.system.cell.pbc.all() and len(contents.system) > 1:
         _radial_distribution(panel, path, contents.system.units.length)
-    elif contents.n_frames >= 4:
+    elif contents.n_frames > 1:
         _displacement(panel, path, contents)
     else:
-        panel.text(0.5, 0.5, "too few frames for a displacement", ha="center", va="center", transform=panel.transAxes, color="0.4")
+        panel.text(0.5, 0.5, "one frame only, no displacement", ha="center", va="center", transform=panel.transAxes, color="0.4")
 
 
 def _radial_distribution(panel: Axes, path: Path, length: str) -> None:
@@ -117,8 +118,8 @@ def _radial_distribution(panel: Axes, path: Path, length: str) -> None:
 
 
 def _displacement(panel: Axes, path: Path, contents: H5MDContents) -> None:
-    found = diffusion_coefficient(path)
-    panel.plot(found.lags, found.displacements, color=STRUCTURE, **STYLE)
+    lags, squares = mean_square_displacement(path)
+    panel.plot(lags, squares, color=STRUCTURE, **STYLE)
     panel.set(xlabel=f"lag  [{_time_unit(contents)}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{contents.system.units.length}²]")
     panel.set_title("mean-square displacement")
 

@@ -142,9 +142,10 @@ def test_picture_goes_where_it_is_told(run_file, tmp_path):
         plot_file(run_file, tmp_path / "nowhere" / "b.png")
 
 
-def test_picture_of_one_frame_and_of_atoms_at_rest(tmp_path):
+@pytest.mark.parametrize("n_frames", [1, 2, 3])
+def test_picture_of_few_frames_and_of_atoms_at_rest(tmp_path, n_frames):
     sim = simulation(pbc=(False, False, False))
     sim.velocities[:] = 0.0
-    sim.run(0, trajectory=tmp_path / "a.h5md")
+    sim.run(5 * n_frames - 5, every=5, trajectory=tmp_path / "a.h5md")
     assert plot_file(tmp_path / "a.h5md").stat().st_size > 10_000
     assert "too few frames" in str(check_file(tmp_path / "a.h5md"))

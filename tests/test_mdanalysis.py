@@ -8,8 +8,9 @@ import pytest
 
 import minimd as md
 from minimd import mdanalysis
+from minimd.check import motion
 from minimd.h5md import H5MDWriter
-from minimd.mdanalysis import diffusion_coefficient, motion, radial_distribution, universe
+from minimd.mdanalysis import diffusion_coefficient, radial_distribution, universe
 
 PER_PICOSECOND = 98.22694788464064  # of ASE's time unit
 FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]
@@ -123,13 +124,27 @@ def test_exception_leaves_a_valid_foreign_file(tmp_path, suffix):
     assert len(MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / f"a.{suffix}")).trajectory) == 3
 
 
-def test_failing_foreign_write_names_file_and_step(tmp_path, monkeypatch):
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_full_disk_is_told_by_every_format(tmp_path, monkeypatch, suffix):
+    def fill(sim):
+        if sim.step == 4:
+            monkeypatch.setattr(mdanalysis, "disk_usage", lambda folder: usage(folder)._replace(free=1000))
+
+    usage = mdanalysis.disk_usage
+    with pytest.raises(OSError, match=rf"a\.{suffix}' could not take the frame of step 6: no room"):
+        simulation().run(20, every=2, trajectory=tmp_path / f"a.{suffix}", observers=[fill])
+    assert len(MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / f"a.{suffix}")).trajectory) == 3
+
+
+def test_failing_foreign_write_is_told_once(tmp_path, monkeypatch):
     def full(*_):
-        raise OSError("No space left on device")
+        raise OSError("write error")
 
     monkeypatch.setattr(MDAnalysis.coordinates.TRR.TRRWriter, "write", full)
-    with pytest.raises(OSError, match=r"a\.trr' could not take the frame of step 0: No space left"):
+    monkeypatch.setattr(MDAnalysis.coordinates.TRR.TRRWriter, "close", full)
+    with pytest.raises(OSError, match=r"a\.trr' could not take the frame of step 0: write error"):
         simulation().run(4, every=2, trajectory=tmp_path / "a.trr")
+    monkeypatch.undo()
 
 
 @pytest.mark.parametrize(("distances", "every"), [(1e9, 1), (2e3, 6)])  # from every atom; from a few
@@ -187,8 +202,21 @@ def test_window_of_a_fit_must_hold_points(tmp_path):
     path = written(tmp_path / "a.h5md", md.System(np.eye(3)), [np.eye(3)] * 10)
     with pytest.raises(ValueError, match="at least 3 lags"):
         diffusion_coefficient(path, (100.0, 200.0))
-    with pytest.raises(ValueError, match="at least 4 frames"):
-        diffusion_coefficient(written(tmp_path / "b.h5md", md.System(np.eye(3)), [np.eye(3)] * 3))
+    with pytest.raises(ValueError, match="at least 2 frames"):
+        diffusion_coefficient(written(tmp_path / "b.h5md", md.System(np.eye(3)), [np.eye(3)]))
+
+
+def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(tmp_path):
+    steps, velocity = [0, 1, 2, 4, 8], np.array([[0.1, 0.2, 0.2]])
+    made = md.System(np.eye(3), cell=9.0)
+    sim = md.Simulation(made, md.LennardJones(1e-12, 1e-6, 1e-3), md.VelocityVerlet(0.5))
+    writer = H5MDWriter(tmp_path / "a.h5md", sim, False)
+    for step in steps:
+        writer.write(sim.frame()._replace(step=step, time=0.5 * step, positions=np.eye(3) + 0.5 * step * velocity))
+    writer.close()
+    lags, squares = mdanalysis.mean_square_displacement(tmp_path / "a.h5md")
+    np.testing.assert_allclose(lags, 0.5 * np.array([0, 1, 2, 3, 4, 6, 7, 8]))
+    np.testing.assert_allclose(squares, 0.09 * lags**2, rtol=1e-6)
 
 
 @pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)

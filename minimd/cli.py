@@ -139,7 +139,7 @@ def _kept(files: Sequence[Path]) -> Iterator[None]:
     except (KeyboardInterrupt, NonFiniteError, ConstraintError, OSError) as error:
         kept = [str(file) for file in files if file.is_file() and file.stat().st_size and file.stat().st_mtime > begun]
         if kept and not isinstance(error, FileExistsError):
-            message = _about_file(error) if isinstance(error, OSError) else str(error)
+            message = _about_file(error) if isinstance(error, OSError) else str(error) or "interrupted"
             raise type(error)(f"{message}; what was written before is kept in {', '.join(kept)}") from None
         raise
 

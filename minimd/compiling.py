@@ -72,6 +72,7 @@ class announce_compilation(event.Listener):  # noqa: N801 - used as a context ma
         self._stop_timer()
 
     def on_start(self, _event: event.Event) -> None:
+        """Called by Numba; compilations nest."""
         self._depth += 1
         if self._depth == 1 and not self._told:
             self._timer = threading.Timer(WAIT_BEFORE_TELLING, self._tell)
@@ -79,6 +80,7 @@ class announce_compilation(event.Listener):  # noqa: N801 - used as a context ma
             self._timer.start()
 
     def on_end(self, _event: event.Event) -> None:
+        """Called by Numba."""
         self._depth -= 1
         if self._depth == 0:
             self._stop_timer()

@@ -50,12 +50,12 @@ class Report:
 
     Attributes
     ----------
-    energy_drift : Drift of the total energy per atom [energy/time].
+    energy_drift : Drift of the total energy per atom [energy/time]; time in ps, or τ in reduced units.
     energy_oscillation : standard deviation of the total energy per atom about that line [energy].
     momentum_change : largest |P(t) − P(0)| / Σ|mv|.
     angular_momentum_change : largest |L(t) − L(0)| / |L| scale, or None where L is not a constant.
     mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
-    duration : [time].  kinetic_energy : mean per atom [energy].
+    duration : [ps or τ].  kinetic_energy : mean per atom [energy].
     """
 
     energy_drift: Drift
@@ -119,10 +119,10 @@ class Report:
 
 def conservation_report(record: Record, angular: bool) -> Report:
     """The report of a record.  angular : whether the scene conserves angular momentum (nothing periodic)."""
-    time, energy = record.time, record.total_energy / record.n_atoms
+    units = record.units
+    time, energy = record.time * units.to_picosecond, record.total_energy / record.n_atoms
     slope = drift(time, energy)
     about_line = energy - energy.mean() - slope.slope * (time - time.mean())
-    units = record.units
     return Report(
         energy_drift=slope,
         energy_oscillation=float(about_line.std()),
@@ -133,7 +133,7 @@ def conservation_report(record: Record, angular: bool) -> Report:
         duration=float(np.ptp(time)),
         kinetic_energy=float(record.kinetic_energy.mean() / record.n_atoms),
         n_frames=len(time),
-        units=(units.energy, units.time, units.temperature),
+        units=(units.energy, units.shown_time, units.temperature),
     )
 
 

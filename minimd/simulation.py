@@ -133,9 +133,9 @@ class Simulation:
         self.record = Record(self.system.units, len(self.system))
         start, end = self.step, self.step + n_steps
         with (
+            stop_on_interrupt(self),
             open_trajectories(trajectory, self, store_forces=store_forces, overwrite=overwrite) as writers,
             Progress(n_steps, "running", progress) as bar,
-            stop_on_interrupt(self),
         ):
             self._observe(writers, observers)
             while self.step < end:

@@ -50,7 +50,7 @@ def open_trajectories(
 
 
 def checked_output(path: str | Path, overwrite: bool) -> Path:
-    """The path, if a new file can be written there; nothing is left behind by trying."""
+    """The path, if a new file can be written there."""
     file = Path(path)
     known = (".h5md", *MDANALYSIS_SUFFIXES, *ASE_SUFFIXES)
     if file.suffix.lower() not in known:
@@ -59,11 +59,8 @@ def checked_output(path: str | Path, overwrite: bool) -> Path:
         raise FileExistsError(f"output {str(file)!r} exists; choose another name, or say overwrite")
     if not file.absolute().parent.is_dir():
         raise FileNotFoundError(f"output folder {str(file.absolute().parent)!r} does not exist; make it first")
-    is_new = not file.exists()
     try:
         file.open("ab").close()
-        if is_new:
-            file.unlink()
     except OSError as error:
         raise PermissionError(f"output {str(file)!r} cannot be written: {error.strerror}") from None
     return file

@@ -26,6 +26,7 @@ class UnitSystem:
     k_B : Boltzmann constant [energy/temperature].
     to_angstrom, to_picosecond, to_kj_per_mol : factors for files that know only these units. Reduced numbers are written
         unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), the convention of most tools.
+    shown_time : name of the unit of time · to_picosecond, for people.
     length, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files, plots and reports.
     """
 
@@ -36,6 +37,7 @@ class UnitSystem:
     to_kj_per_mol: float
     length: str
     time: str
+    shown_time: str
     energy: str
     temperature: str
     pressure: str
@@ -51,6 +53,7 @@ ASE = UnitSystem(
     to_kj_per_mol=KJ_PER_MOL_PER_EV,
     length="Å",
     time="Å √(u/eV)",
+    shown_time="ps",
     energy="eV",
     temperature="K",
     pressure="eV/Å³",
@@ -66,6 +69,7 @@ LJ = UnitSystem(
     to_kj_per_mol=1.0,
     length="σ",
     time="τ",
+    shown_time="τ",
     energy="ε",
     temperature="ε/k_B",
     pressure="ε/σ³",

@@ -112,6 +112,12 @@ def test_constraints_are_refused_by_name(constraint):
     atoms.calc = Calculator(lennard_jones())
     with pytest.raises(ValueError, match=type(constraint).__name__):
         VelocityVerlet(atoms, TIMESTEP).run(1)
+    atoms.set_constraint()
+    dynamics = VelocityVerlet(atoms, TIMESTEP)
+    dynamics.run(1)
+    atoms.set_constraint(constraint)  # between two runs
+    with pytest.raises(ValueError, match=type(constraint).__name__):
+        dynamics.run(1)
 
 
 def test_what_is_no_atoms_is_refused():
@@ -267,6 +273,7 @@ def test_atoms_with_calculator_can_be_copied_and_pickled(duplicate):
     atoms = with_calculator(argon(), Calculator(lennard_jones("switched")))
     expected = atoms.get_forces()
     other = duplicate(atoms)
+    assert (atoms.calc.n_builds, other.calc.n_builds) == (1, 0)  # the list stays behind
     other.rattle(0.1, seed=8)
     assert same(atoms.get_forces(), expected, 0.0)
     other.positions[:] = atoms.positions
@@ -369,13 +376,19 @@ def stretch(atoms):
     atoms.set_cell(atoms.cell.array * 1.01, scale_atoms=True)
 
 
+def exchange(atoms):
+    """Take the other of two truncations."""
+    other = "force-shifted" if atoms.calc.potentials.truncation == "shifted" else "shifted"
+    atoms.calc = Calculator(lennard_jones(other))
+
+
 MEDDLERS = {
     "momenta": heat,
     "wrapped": lambda atoms: atoms.wrap(),
     "displaced": lambda atoms: atoms.rattle(0.05, seed=11),
     "cell": stretch,
     "masses": lambda atoms: atoms.set_masses(1.1 * atoms.get_masses()),
-    "another calculator": lambda atoms: setattr(atoms, "calc", Calculator(lennard_jones("force-shifted"))),
+    "another calculator": exchange,
 }
 
 

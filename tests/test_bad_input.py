@@ -176,9 +176,8 @@ def test_wrong_call_is_answered_with_one_sentence(wrong):
 def test_existing_output_is_refused_and_kept(tmp_path):
     (tmp_path / "a.h5md").write_text("precious")
     with pytest.raises(FileExistsError, match=r"a\.h5md' exists; choose another name, or say overwrite"):
-        simulate(trajectory=[tmp_path / "new.h5md", tmp_path / "a.h5md"])
+        simulate(trajectory=tmp_path / "a.h5md")
     assert (tmp_path / "a.h5md").read_text() == "precious"
-    assert not (tmp_path / "new.h5md").exists()
 
 
 def fill_the_disk(monkeypatch, after):
@@ -283,6 +282,23 @@ def test_unwritable_folder_is_told_before_anything_is_computed(folder, capsys, m
     monkeypatch.setattr(md.Simulation, "__init__", lambda *_, **__: pytest.fail("it began to compute"))
     assert cli.main(["run", "good.toml"]) == 2
     assert only_error(capsys) == "output 'good.h5md' cannot be written: Permission denied"
+
+
+def test_refused_output_leaves_no_empty_files_of_the_others(folder, capsys):
+    (folder / "two.toml").write_text(SCENE + 'trajectory = ["new.h5md", "atoms.xyz"]\n')
+    assert cli.main(["run", "two.toml"]) == 2
+    assert only_error(capsys) == "output 'atoms.xyz' exists; choose another name, or say overwrite"
+    assert not (folder / "new.h5md").exists()
+
+
+def test_ctrl_c_without_words_says_interrupted_and_what_is_kept(folder, capsys, monkeypatch):
+    def interrupt(*_, **__):
+        (folder / "good.h5md").write_text("half a run")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("minimd.scene.run_scene", interrupt)
+    assert cli.main(["run", "good.toml"]) == 130
+    assert only_error(capsys) == "interrupted; what was written before is kept in good.h5md"
 
 
 def test_full_disk_is_told_with_what_is_kept(folder, capsys, monkeypatch):

@@ -189,11 +189,25 @@ def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsy
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_killed_run_can_be_resumed(folder):
+    process = command("run", "melt.toml", "--steps", "1000000", "--quiet")
+    deadline = time.monotonic() + 100.0
+    while time.monotonic() < deadline and not (Path("melt.h5md").exists() and Path("melt.h5md").stat().st_size > 1_000_000):
+        time.sleep(0.1)
+    process.kill()
+    process.wait(timeout=60)
+    contents = read_file("melt.h5md")
+    assert contents.n_frames > 1
+    assert cli.main(["resume", "melt.h5md", "--steps", "10", "--quiet"]) == 0
+    assert read_file("melt.h5md").step == contents.step + 10
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_ctrl_c_ends_with_130_and_a_file_that_can_be_resumed(folder):
     process = command("run", "melt.toml", "--steps", "1000000", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     deadline = time.monotonic() + 100.0
-    while time.monotonic() < deadline and not (Path("melt.h5md").exists() and Path("melt.h5md").stat().st_size > 100_000):
-        time.sleep(0.1)
+    while time.monotonic() < deadline and not (Path("melt.h5md").exists() and Path("melt.h5md").stat().st_size > 1_000_000):
+        time.sleep(0.1)  # until frames are written, so that the steps are under way
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130

@@ -143,7 +143,8 @@ def test_closest_pair_is_the_closest(scene):
     system = md.System(positions, cell=cell, pbc=pbc)
     closest = closest_pair(system)
     if closest is None:
-        assert len(positions) == 1 and not pbc.any()
+        assert len(positions) == 1
+        assert not pbc.any()
         return
     found = brute_force_pairs(positions, cell, pbc, closest.distance * (1 + 1e-9))
     assert {(i, j) for i, j, *_ in found} >= {(closest.first, closest.second)}

@@ -189,7 +189,9 @@ def test_bonded_scale_acts_on_the_bond_graph():
         pair = md.System(free.positions[[i, j]])
         expected += scale[j - i - 1] * md.evaluate(pair, md.LennardJones(1.0, 1.0)).potential_energy
     assert md.evaluate(bent, md.LennardJones(1.0, 1.0, bonded_scale=scale[:3])).potential_energy == pytest.approx(expected, rel=1e-13)
-    assert md.evaluate(bent, md.LennardJones(1.0, 1.0)).potential_energy == pytest.approx(md.evaluate(free, md.LennardJones(1.0, 1.0)).potential_energy)
+    assert md.evaluate(bent, md.LennardJones(1.0, 1.0)).potential_energy == pytest.approx(
+        md.evaluate(free, md.LennardJones(1.0, 1.0)).potential_energy
+    )
 
 
 def test_excluded_pairs_may_sit_on_each_other():

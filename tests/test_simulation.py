@@ -18,9 +18,12 @@ def chains(n_beads=8):
     rng = np.random.default_rng(3)
     k = np.arange(n_beads)
     one = np.column_stack([k * 0.97, 0.3 * np.sin(k), 0.3 * np.cos(k)])
-    positions = np.concatenate([one, one + [0.3, 2.5, 2.5]]) + 0.02 * rng.normal(size=(2 * n_beads, 3))
+    positions = np.concatenate([one, one + np.array([0.3, 2.5, 2.5])]) + 0.02 * rng.normal(size=(2 * n_beads, 3))
     bonds = np.concatenate([np.column_stack([k[:-1], k[1:]]), np.column_stack([k[:-1], k[1:]]) + n_beads])
-    return md.System(positions, cell=9.0, bonds=bonds), [md.LennardJones(1.0, 1.0, 2.5, "switched", bonded_scale=(0, 1, 1)), md.HarmonicBond(400.0, 1.0)]
+    return md.System(positions, cell=9.0, bonds=bonds), [
+        md.LennardJones(1.0, 1.0, 2.5, "switched", bonded_scale=(0, 1, 1)),
+        md.HarmonicBond(400.0, 1.0),
+    ]
 
 
 @pytest.mark.parametrize("method", METHODS.values())

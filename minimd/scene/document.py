@@ -94,7 +94,9 @@ class Scene:
         structure, unit_system = self.sections.structure, self.units
         mass = 1.0
         if unit_system is units.ASE:
-            mass = _atomic_mass(structure.element)
+            from minimd.ase import atomic_mass
+
+            mass = atomic_mass(structure.element)
         edge = structure.lattice_constant or constant_from_density(structure.lattice, structure.density, mass)
         positions, edges = crystal(structure.lattice, structure.repeat, edge)
         species = structure.species or (structure.element and [structure.element] * len(positions))
@@ -102,7 +104,9 @@ class Scene:
 
     def _from_file(self) -> System:
         structure, reduced = self.sections.structure, self.units is units.LJ
-        read = _system_in(self.path.parent / structure.file)
+        from minimd.ase import system_from_file
+
+        read = system_from_file(self.path.parent / structure.file)
         cell = read.cell
         if structure.cell is not None or structure.pbc is not None:
             cell = Cell.of(read.cell.vectors if structure.cell is None else structure.cell, structure.pbc)
@@ -156,29 +160,6 @@ def parse_scene(text: str, path: Path) -> Scene:
     if found:
         raise ValueError("\n".join(f"{path}: {sentence}" for sentence in found))
     return Scene(path, text, sections)
-
-
-def _system_in(file: Path) -> System:
-    """The last structure in a file, read by ASE, in its units."""
-    from minimd.ase import ase, system_from_atoms
-
-    if not file.is_file():
-        raise ValueError(f"file {str(file)!r} does not exist")
-    try:
-        return system_from_atoms(ase.io.read(file))
-    except Exception as error:  # the readers of ASE raise whatever comes
-        reason = " ".join(str(error).split()) or "ASE gives no reason"
-        raise ValueError(f"file {str(file)!r} cannot be read as a structure: {type(error).__name__}: {reason}") from None
-
-
-def _atomic_mass(element: str) -> float:
-    """Mass of a chemical element [u]."""
-    from minimd.ase import Atoms
-
-    try:
-        return float(Atoms([element]).get_masses()[0])
-    except KeyError:
-        raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {element!r}") from None
 
 
 @contextmanager

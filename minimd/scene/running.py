@@ -10,7 +10,7 @@ from minimd import units
 from minimd.h5md import H5MDWriter, annotate, read_file
 from minimd.potentials import PairPotential
 from minimd.scene.document import Scene, parse_scene
-from minimd.simulation import Simulation
+from minimd.simulation import Observer, Simulation
 from minimd.trajectory import checked_output
 
 Tell = Callable[[str], None]
@@ -46,10 +46,15 @@ def run_scene(
     for line in description(scene, simulation, n_steps):
         tell(line)
     equilibrate(scene, simulation, progress, tell)
-    try:
-        simulation.run(n_steps, every=output.every, trajectory=files, store_forces=output.forces, overwrite=overwrite, progress=progress)
-    finally:
-        _store_scene(files, scene)
+    simulation.run(
+        n_steps,
+        every=output.every,
+        trajectory=files,
+        store_forces=output.forces,
+        overwrite=overwrite,
+        observers=[_scene_keeper(scene, files)],
+        progress=progress,
+    )
     tell(str(simulation.report()))
     if picture is not None:
         from minimd.plot import plot_file
@@ -89,23 +94,30 @@ def resume_run(file: Path, steps: int, *, scene: Scene | None = None, progress: 
     return simulation
 
 
-def _store_scene(files: Sequence[Path], scene: Scene) -> None:
-    """Put the scene into its H5MD files, so that they can be resumed; one that got no frame or no room goes without."""
-    for file in files:
-        if file.suffix.lower() == ".h5md":
-            with suppress(ValueError, OSError):
-                annotate(file, title=scene.sections.title or None, scene=scene.text)
+def _scene_keeper(scene: Scene, files: Sequence[Path]) -> Observer:
+    """An observer that puts the scene into its H5MD files at the first frame, so that even a killed run can be resumed."""
+
+    def keep_scene(run: Simulation) -> None:
+        for file in files if run.step == 0 else ():
+            if file.suffix.lower() == ".h5md":
+                with suppress(OSError):  # a full disk is told of by the next frame
+                    annotate(file, title=scene.sections.title or None, scene=scene.text)
+
+    return keep_scene
 
 
 def check_outputs(trajectories: Sequence[Path], picture: Path | None, overwrite: bool) -> None:
-    """Refuse what cannot be written.
+    """Refuse what cannot be written, and leave nothing behind by trying.
 
     Raises
     ------
     ValueError, OSError : as trajectory.checked_output.
     """
     for file in trajectories:
+        is_new = not file.exists()
         checked_output(file, overwrite)
+        if is_new:
+            file.unlink()
     if picture is not None and picture.exists() and not overwrite:
         raise FileExistsError(f"output {str(picture)!r} exists; choose another name, or say overwrite")
     if picture is not None and not picture.absolute().parent.is_dir():

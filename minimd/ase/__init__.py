@@ -1,0 +1,22 @@
+"""The bridge to ASE: atoms in and out, calculators both ways, velocity Verlet for ASE's scripts, ASE's trajectory files.
+
+ASE's units are Å, eV, u and Å √(u/eV); minimd.units.ASE are the same, so nothing is converted here. A scene in reduced
+units crosses with its numbers unchanged. Only this package imports ase.
+"""
+
+from minimd.ase.atoms import atomic_mass, atoms_from_system, system_from_atoms, system_from_file
+from minimd.ase.calculator import Calculator
+from minimd.ase.dynamics import VelocityVerlet
+from minimd.ase.foreign import ForcesFromCalculator
+from minimd.ase.writer import ASEWriter
+
+__all__ = [
+    "ASEWriter",
+    "Calculator",
+    "ForcesFromCalculator",
+    "VelocityVerlet",
+    "atomic_mass",
+    "atoms_from_system",
+    "system_from_atoms",
+    "system_from_file",
+]

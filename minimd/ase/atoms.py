@@ -1,0 +1,108 @@
+"""ASE's atoms as systems, and systems as ASE's atoms."""
+
+from pathlib import Path
+
+import ase.io
+import numpy as np
+from ase import Atoms
+from ase.data import atomic_masses, atomic_numbers
+from numpy.typing import ArrayLike
+
+from minimd import units
+from minimd.cell import Cell
+from minimd.system import System
+
+LABELS = "species_labels"  # the array of an ase.Atoms that holds species which are no chemical elements
+
+
+def system_from_atoms(atoms: Atoms, bonds: ArrayLike | None = None) -> System:
+    """A system in ASE's units: positions, velocities, masses, cell and periodicity of the atoms.
+
+    Parameters
+    ----------
+    atoms : ase.Atoms. Species are the chemical symbols, or the labels that atoms_from_system left there.
+    bonds : (B, 2) int, pairs of bonded atoms; ASE's atoms carry none.
+
+    Raises
+    ------
+    TypeError : for something that is no ase.Atoms.  ValueError : for atoms with constraints, and as System does.
+    """
+    if not isinstance(atoms, Atoms):
+        raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")
+    if atoms.constraints:
+        names = ", ".join(sorted({type(constraint).__name__ for constraint in atoms.constraints}))
+        raise ValueError(f"atoms.constraints must be empty, minimd would ignore them; it holds {names}: remove them, or use ASE's dynamics")
+    return unchecked_system(atoms, bonds)
+
+
+def system_from_file(file: Path) -> System:
+    """The last structure in a file of any format that ASE reads, in ASE's units.
+
+    Raises
+    ------
+    ValueError : if the file does not exist, or ASE cannot read it; whatever its readers raise becomes one sentence.
+    """
+    if not file.is_file():
+        raise ValueError(f"file {str(file)!r} does not exist")
+    try:
+        return system_from_atoms(ase.io.read(file))
+    except Exception as error:
+        reason = " ".join(str(error).split()) or "ASE gives no reason"
+        raise ValueError(f"file {str(file)!r} cannot be read as a structure: {type(error).__name__}: {reason}") from None
+
+
+def atomic_mass(element: str) -> float:
+    """Mass of a chemical element [u].
+
+    Raises
+    ------
+    ValueError : if it is no chemical symbol.
+    """
+    if element not in atomic_numbers:
+        raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {element!r}")
+    return float(atomic_masses[atomic_numbers[element]])
+
+
+def atoms_from_system(system: System) -> Atoms:
+    """ASE's atoms with the positions (not wrapped), momenta, masses, cell and periodicity of a system; bonds are lost.
+
+    Species that are chemical symbols become elements. All others become 'X', ASE's symbol for no element, and all labels
+    are kept in the array "species_labels", where system_from_atoms finds them again. Numbers cross unchanged: for a system
+    in reduced units they are no Å and eV.
+    """
+    symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
+    momenta = system.velocities * system.masses[:, None]
+    atoms = Atoms(symbols, system.positions, momenta=momenta, masses=system.masses, cell=system.cell.vectors, pbc=system.cell.pbc)
+    if not set(system.species_names) <= set(atomic_numbers):
+        atoms.set_array(LABELS, system.species)
+    return atoms
+
+
+def unchecked_system(atoms: Atoms, bonds: ArrayLike | None) -> System:
+    """A system of atoms whose constraints are somebody else's business."""
+    species = atoms.arrays.get(LABELS, atoms.get_chemical_symbols())
+    velocities = atoms.get_velocities()
+    return System(
+        atoms.positions, masses=atoms.get_masses(), velocities=velocities, cell=cell_of(atoms), species=species, bonds=bonds, units=units.ASE
+    )
+
+
+def cell_of(atoms: Atoms) -> Cell:
+    """The cell and periodicity of atoms."""
+    return Cell.of(atoms.cell.array, atoms.pbc)
+
+
+def same_labels(one: Atoms, other: Atoms) -> bool:
+    """True if species that are no elements carry the same labels."""
+    return np.array_equal(one.arrays.get(LABELS, ()), other.arrays.get(LABELS, ()))
+
+
+def same_scene(one: Atoms, other: Atoms) -> bool:
+    """True if only positions, momenta and cell can differ."""
+    arrays = ((one.numbers, other.numbers), (one.get_masses(), other.get_masses()), (one.pbc, other.pbc))
+    return all(np.array_equal(a, b) for a, b in arrays) and same_labels(one, other) and one.calc is other.calc
+
+
+def volume_of(atoms: Atoms) -> float:
+    """Volume of the parallelepiped, periodic or not [Å³]; 0 if there is none."""
+    return float(atoms.get_volume()) if atoms.cell.rank == 3 else 0.0

@@ -1,0 +1,99 @@
+"""Potentials of minimd as a calculator of ASE."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from ase import Atoms
+from ase.calculators.calculator import Calculator as ASECalculator
+from ase.calculators.calculator import all_changes
+from ase.stress import full_3x3_to_voigt_6_stress
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.ase.atoms import cell_of, same_labels, same_scene, unchecked_system, volume_of
+from minimd.errors import NonFiniteError
+from minimd.forces import Forces
+from minimd.neighbors.closest import closest_pair
+from minimd.potentials.pair_loop import PER_ATOM, TOTALS
+from minimd.terms import Potential
+
+
+class Calculator(ASECalculator):
+    """A calculator for ase.Atoms: their energy, forces and stress from potentials of minimd, in Å and eV.
+
+    The stress is −W/V, tension positive, in the order xx yy zz yz xz xy, without the ideal-gas part, for every cell with
+    three lattice vectors; stresses are each atom's share of it. The pair list is kept while atoms move: see PairList.
+    ASE applies the constraints of the atoms itself. Copies and pickles carry the potentials, not the list.
+
+    Parameters
+    ----------
+    potentials : one potential or several.
+    bonds : (B, 2) int, pairs of bonded atoms.
+    skin : of the pair lists [Å]; chosen if not given.
+
+    Raises
+    ------
+    TypeError, ValueError : when it first meets the atoms, as System and Forces do.
+    NonFiniteError : where a force or an energy is not finite, as for two atoms on one spot; it names the closest pair.
+    """
+
+    implemented_properties = ["energy", "free_energy", "energies", "forces", "stress", "stresses"]  # noqa: RUF012 - ASE's form
+
+    def __init__(self, potentials: Potential | Sequence[Potential], bonds: ArrayLike | None = None, skin: float | None = None) -> None:
+        super().__init__()
+        self.potentials, self.bonds, self.skin = potentials, bonds, skin
+        self._plan: tuple[Atoms, Forces] | None = None
+
+    @property
+    def n_builds(self) -> int:
+        """How often a pair list was built since the scene was last planned."""
+        return self._plan[1].n_builds if self._plan else 0
+
+    def calculate(self, atoms: Atoms | None = None, properties: Sequence[str] = ("energy",), system_changes: Sequence[str] = all_changes) -> None:
+        """Fill results. What is kept is decided by a look at the atoms: system_changes knows neither masses nor failed calls."""
+        super().calculate(atoms, list(properties), list(system_changes))
+        per_atom = bool({"energies", "stresses"} & set(properties))
+        forces = self._forces_at(self.atoms)
+        forces.compute(PER_ATOM if per_atom else TOTALS)
+        if not (np.isfinite(forces.potential_energy) and np.isfinite(forces.forces).all()):
+            raise NonFiniteError(f"forces or energies are not finite; the closest pair is {closest_pair(forces.system)}: move them apart")
+        self.results = _results(forces, volume_of(self.atoms), per_atom)
+
+    def check_state(self, atoms: Atoms, tol: float = 1e-15) -> list[str]:
+        """ASE's list of what has changed; another label counts as another atomic number."""
+        changes = super().check_state(atoms, tol)
+        return changes if self.atoms is None or same_labels(self.atoms, atoms) else [*changes, "numbers"]
+
+    def adopt(self, atoms: Atoms, potential_energy: float, forces: NDArray[np.float64]) -> None:
+        """Take over results [eV], (N, 3) [eV/Å] that minimd has found for these atoms and potentials elsewhere."""
+        self.atoms = atoms.copy()
+        self.results = {"energy": potential_energy, "free_energy": potential_energy, "forces": forces.copy()}
+
+    def _forces_at(self, atoms: Atoms) -> Forces:
+        """The Forces on these atoms: those of the last call with their pair list, if only positions or an unbonded scene's cell changed."""
+        cell = cell_of(atoms)
+        if self._plan and same_scene(self._plan[0], atoms):
+            forces = self._plan[1]
+            if cell.same_as(forces.system.cell) or not len(forces.system.bonds):  # with bonds the skin may depend on the cell
+                forces.system.positions[:], forces.system.cell = atoms.positions, cell
+                return forces
+        forces = Forces(unchecked_system(atoms, self.bonds), self.potentials, self.skin)
+        self._plan = atoms, forces
+        return forces
+
+    def _get_name(self) -> str:
+        return "minimd"
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_plan": None}
+
+
+def _results(forces: Forces, volume: float, per_atom: bool) -> dict:
+    energy = forces.potential_energy
+    results = {"energy": energy, "free_energy": energy, "forces": forces.forces.copy()}
+    if per_atom:
+        results["energies"] = forces.energies
+    if volume:
+        results["stress"] = -full_3x3_to_voigt_6_stress(forces.virial) / volume
+    if volume and per_atom:
+        results["stresses"] = -forces.virials / volume
+    return results

@@ -1,0 +1,74 @@
+"""Calculators of ASE as potentials of minimd."""
+
+import warnings
+from collections.abc import Iterable
+
+import numpy as np
+from ase import Atoms
+from ase.calculators.calculator import BaseCalculator
+from ase.stress import full_3x3_to_voigt_6_stress
+from numpy.typing import NDArray
+
+from minimd.ase.atoms import atoms_from_system, volume_of
+from minimd.potentials.pair_loop import FORCES, PER_ATOM
+from minimd.system import System
+
+
+class ForcesFromCalculator:
+    """A potential for scenes of minimd: forces, energy and virial from any calculator of ASE.
+
+    The energy is the one that belongs to the forces (free_energy), where the calculator has it. The virial is
+    W = −stress · volume; in an open scene W = Σ r ⊗ F, which needs no stress. Where neither is to be had, virial and
+    pressure are NaN, and a warning says so. The units of the calculator (Å, eV) should be those of the system.
+
+    calculator : of ase.calculators, an EMT() for instance.  Raises TypeError if it is none.
+    """
+
+    def __init__(self, calculator: BaseCalculator) -> None:
+        if not (hasattr(calculator, "get_forces") and hasattr(calculator, "get_potential_energy")):
+            raise TypeError(f"calculator must be a calculator of ASE, such as ase.calculators.emt.EMT(); got {calculator!r}")
+        self.calculator = calculator
+
+    def bind(self, system: System) -> "CalculatorTerm":
+        """The term that asks the calculator for the forces on this system."""
+        atoms = atoms_from_system(system)
+        atoms.calc = self.calculator
+        return CalculatorTerm(atoms)
+
+
+class CalculatorTerm:
+    """Forces on one system from the calculator of its atoms; see minimd.terms.Term."""
+
+    def __init__(self, atoms: Atoms) -> None:
+        self._atoms = atoms
+        self._implemented = getattr(atoms.calc, "implemented_properties", ())
+
+    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+        """Add forces, (N, 3); for TOTALS and PER_ATOM also energies, (N,), and virials, (N, 6), the latter in equal shares."""
+        self._atoms.positions[:], self._atoms.cell[:] = system.positions, system.cell.vectors
+        own = self._atoms.get_forces()
+        forces += own
+        if detail != FORCES:
+            energies += self._shares_of_energy(detail)
+            virials += self._virial(system, own) / len(system)
+
+    def skipped(self) -> Iterable[str]:
+        """Nothing that minimd knows of."""
+        return ()
+
+    def _shares_of_energy(self, detail: int) -> NDArray[np.float64]:
+        """(N,), with the right sum; the calculator's own shares if it has them and somebody asks."""
+        total = self._atoms.get_potential_energy(force_consistent="free_energy" in self._implemented)
+        own = detail == PER_ATOM and "energies" in self._implemented
+        shares = self._atoms.get_potential_energies() if own else np.zeros(len(self._atoms))
+        return shares + (total - shares.sum()) / len(shares)
+
+    def _virial(self, system: System, forces: NDArray[np.float64]) -> NDArray[np.float64]:
+        """W, (6,) as xx yy zz yz xz xy."""
+        if not system.cell.is_periodic:
+            return full_3x3_to_voigt_6_stress((system.positions - system.positions.mean(axis=0)).T @ forces)
+        try:
+            return -self._atoms.get_stress() * volume_of(self._atoms)
+        except NotImplementedError as reason:
+            warnings.warn(f"{type(self._atoms.calc).__name__} gives no stress ({reason}); virial and pressure are NaN", stacklevel=2)
+            return np.full(6, np.nan)

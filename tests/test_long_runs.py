@@ -1,0 +1,58 @@
+"""The long runs: liquid argon as Rahman saw it, and the conservation of energy and momentum over many steps."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from references import melt
+
+import minimd as md
+from minimd.cli import main
+from minimd.mdanalysis import diffusion_coefficient, radial_distribution
+from minimd.report import conservation_report
+
+pytestmark = pytest.mark.slow
+SMOOTH = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.fixture(scope="module")
+def liquid():
+    """The 4000-atom melt, molten."""
+    simulation = md.Simulation(melt(), SMOOTH, md.VelocityVerlet(0.004))
+    simulation.equilibrate(1500, 1.44)
+    simulation.run(500)
+    return simulation.system
+
+
+def test_argon_is_rahmans(tmp_path):
+    """D = 2.43e-5 cm²/s, first peak of g(r) at 3.7 Å, both by MDAnalysis from the file."""
+    file = tmp_path / "argon.h5md"
+    assert main(["run", str(EXAMPLES / "argon.toml"), "--out", str(file), "--quiet"]) == 0
+    g = radial_distribution(file)
+    peak, diffusion = g.r[np.argmax(g.g)], diffusion_coefficient(file)
+    print(f"peak of g(r) {peak:.3f} Å, {diffusion}")
+    assert peak == pytest.approx(3.7, abs=0.1)
+    assert diffusion.cm2_per_s == pytest.approx(2.43e-5, abs=0.25e-5)
+    assert main(["check", str(file)]) == 0
+
+
+def test_energy_oscillation_falls_as_the_square_of_the_time_step(liquid):
+    """Slope 2.0 ± 0.1 over three step sizes, on paths through the same liquid of the same length."""
+    timesteps, oscillation = (0.005, 0.0025, 0.00125), []
+    for dt in timesteps:
+        simulation = md.Simulation(liquid, SMOOTH, md.VelocityVerlet(dt))
+        record = simulation.run(round(10.0 / dt), every=round(0.01 / dt))
+        oscillation.append(conservation_report(record, angular=False).energy_oscillation)
+    slope = np.polyfit(np.log(timesteps), np.log(oscillation), 1)[0]
+    print(f"oscillation {oscillation}, slope {slope:.3f}")
+    assert slope == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_hundred_thousand_steps_conserve_energy_and_momentum(liquid):
+    simulation = md.Simulation(liquid, SMOOTH, md.VelocityVerlet(0.002))
+    record = simulation.run(100_000, every=50)
+    report = conservation_report(record, angular=False)
+    print(report)
+    assert abs(report.energy_drift.slope) < max(report.energy_drift.error, 1e-6)
+    assert report.momentum_change < 1e-14

@@ -192,8 +192,8 @@ def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsy
 def test_killed_run_can_be_resumed(folder):
     process = command("run", "melt.toml", "--steps", "1000000", "--quiet")
     deadline = time.monotonic() + 100.0
-    while time.monotonic() < deadline and not (Path("melt.h5md").exists() and Path("melt.h5md").stat().st_size > 1_000_000):
-        time.sleep(0.1)
+    while time.monotonic() < deadline and not (Path("melt.h5md").exists() and Path("melt.h5md").stat().st_size > 10_000_000):
+        time.sleep(0.1)  # more than the room that is reserved for the first frames
     process.kill()
     process.wait(timeout=60)
     contents = read_file("melt.h5md")

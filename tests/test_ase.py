@@ -302,9 +302,9 @@ def test_relaxed_argon_has_the_lattice_constant_of_the_lattice_sums():
     atoms.rattle(0.05, seed=2)
     atoms.set_cell(atoms.cell.array @ [[1.01, 0.02, 0], [0, 0.99, 0], [0.01, 0, 1.01]], scale_atoms=True)
     atoms.calc = Calculator(lennard_jones(cutoff=cutoff * SIGMA))
-    assert BFGS(FrechetCellFilter(atoms), logfile=None).run(fmax=1e-7, steps=300)
+    assert BFGS(FrechetCellFilter(atoms), logfile=None, alpha=5.0).run(fmax=1e-7, steps=100)  # alpha: argon is softer than ASE's guess
     lengths = atoms.cell.lengths() / SIGMA
-    assert lengths == pytest.approx(lattice_constant(cutoff), rel=1e-6)  # of the minimum, √(fmax/stiffness)
+    assert lengths == pytest.approx(lattice_constant(cutoff), rel=1e-7)  # truncation: fmax over the stiffness of the crystal
     assert lattice_constant(7.0) == pytest.approx(
         np.sqrt(2.0) * (2.0 * 12.13188 / 14.45392) ** (1 / 6), rel=1e-3
     )  # Kittel, table 3.3: cutoff infinite

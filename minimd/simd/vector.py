@@ -1,0 +1,141 @@
+"""The vector type, and how numbers become vectors and vectors numbers."""
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, models, register_model
+
+INT32 = ir.IntType(32)
+
+
+class Vector(types.Type):
+    """The Numba type of `lanes` numbers of type `element`: float64, float32, int32, or boolean for a mask."""
+
+    def __init__(self, element: types.Type, lanes: int) -> None:
+        self.element, self.lanes = element, lanes
+        super().__init__(name=f"Vector({element}, {lanes})")
+
+    @property
+    def mask(self) -> "Vector":
+        """The type of comparisons."""
+        return Vector(types.boolean, self.lanes)
+
+    @property
+    def suffix(self) -> str:
+        """How LLVM's intrinsic functions name the type, v8f64 for instance."""
+        return f"v{self.lanes}{'f' if isinstance(self.element, types.Float) else 'i'}{self.element.bitwidth}"
+
+
+@register_model(Vector)
+class VectorModel(models.PrimitiveModel):
+    """A Vector is an LLVM vector; the lanes of a mask are single bits."""
+
+    def __init__(self, manager, fe_type):
+        element = ir.IntType(1) if fe_type.element == types.boolean else manager.lookup(fe_type.element).get_value_type()
+        super().__init__(manager, fe_type, ir.VectorType(element, fe_type.lanes))
+
+
+def is_vector(kind: types.Type) -> bool:
+    """True for the Numba type of a vector or a mask."""
+    return isinstance(kind, Vector)
+
+
+@intrinsic
+def broadcast(_context, number, like):
+    """A number in all lanes, as a vector of the type of like; a vector of that type is returned as it is."""
+    if is_vector(number):
+        return (like(number, like), lambda context, builder, signature, arguments: arguments[0]) if number == like else None
+
+    def generate(context, builder, signature, arguments):
+        return all_lanes(builder, context.cast(builder, arguments[0], number, like.element), like.lanes)
+
+    return like(number, like), generate
+
+
+@intrinsic
+def mask_from_bits(_context, bits, like):
+    """A mask for vectors of the type of like; lane k is bit k of an unsigned integer."""
+
+    def generate(context, builder, signature, arguments):
+        width = ir.IntType(like.lanes)
+        narrow = builder.trunc(arguments[0], width) if bits.bitwidth > like.lanes else arguments[0]
+        return builder.bitcast(narrow, ir.VectorType(ir.IntType(1), like.lanes))
+
+    return like.mask(bits, like), generate
+
+
+@intrinsic
+def bits_from_mask(_context, mask):
+    """A mask as an int64 whose bit k is lane k; zero if no lane is set."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.zext(builder.bitcast(arguments[0], ir.IntType(mask.lanes)), ir.IntType(64))
+
+    return types.int64(mask), generate
+
+
+@intrinsic
+def convert(_context, vector, like):
+    """A vector of float64 or float32 with the element type of like."""
+    kind = Vector(like.element, vector.lanes)
+
+    def generate(context, builder, signature, arguments):
+        if vector.element == like.element:
+            return arguments[0]
+        change = builder.fpext if like.element.bitwidth > vector.element.bitwidth else builder.fptrunc
+        return change(arguments[0], context.get_value_type(kind))
+
+    return kind(vector, like), generate
+
+
+@intrinsic
+def total(_context, vector):
+    """The sum of all lanes: halves are added to each other until one number is left."""
+
+    def generate(context, builder, signature, arguments):
+        value, lanes = arguments[0], vector.lanes
+        while lanes > 1:
+            lanes //= 2
+            halves = [some_lanes(builder, value, range(start, start + lanes)) for start in (0, lanes)]
+            value = (builder.fadd if isinstance(vector.element, types.Float) else builder.add)(*halves)
+        return builder.extract_element(value, INT32(0))
+
+    return vector.element(vector), generate
+
+
+@intrinsic
+def lane(_context, vector, k):
+    """The number in lane k."""
+    return vector.element(vector, k), lambda context, builder, signature, arguments: builder.extract_element(*arguments)
+
+
+@intrinsic
+def with_lane(_context, vector, k, number):
+    """The vector with another number in lane k."""
+
+    def generate(context, builder, signature, arguments):
+        value = context.cast(builder, arguments[2], number, vector.element)
+        return builder.insert_element(arguments[0], value, arguments[1])
+
+    return vector(vector, k, number), generate
+
+
+# What intrinsics are written with
+
+
+def some_lanes(builder, value, numbers):
+    """Some lanes of a vector, as a shorter or longer one."""
+    pattern = ir.Constant(ir.VectorType(INT32, len(numbers)), list(numbers))
+    return builder.shuffle_vector(value, ir.Constant(value.type, ir.Undefined), pattern)
+
+
+def all_lanes(builder, number, lanes):
+    """A number in all lanes."""
+    empty = ir.Constant(ir.VectorType(number.type, lanes), ir.Undefined)
+    return some_lanes(builder, builder.insert_element(empty, number, INT32(0)), [0] * lanes)
+
+
+def call(builder, name, result, arguments):
+    """Call one of LLVM's functions by name."""
+    kind = ir.FunctionType(result, [argument.type for argument in arguments])
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)

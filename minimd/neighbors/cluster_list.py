@@ -68,6 +68,7 @@ class ClusterList:
         gather_clusters(positions, self.atom, self._offsets, self.coordinates)
         refresh_ghosts(self.coordinates, self.n_clusters, self.ghosts, self._cell.lattice)
         self.on_clusters[: (self.n_clusters + len(self.ghosts)) * BLOCK] = 0.0
+        self.on_atoms[: self.n_clusters * BLOCK] = 0.0
 
     def scatter(self, forces: NDArray[np.float64]) -> None:
         """Add what the loop found to the forces on the atoms, (N, 3)."""

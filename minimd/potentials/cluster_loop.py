@@ -6,10 +6,13 @@ atom i and names the clusters j that hold atoms within its reach; a mask says wh
 
 from typing import Any, NamedTuple
 
+import numba
+import numpy as np
+from numba.core.errors import NumbaError
 from numba.extending import overload
 
-from minimd.compiling import kernel
-from minimd.potentials.law import evaluate_law
+from minimd.compiling import kernel, without_cache
+from minimd.potentials.law import evaluate_law, is_user_law
 from minimd.potentials.parameters import SameForAll
 from minimd.simd import broadcast, fma, load, mask_from_bits, select, store, total
 
@@ -68,10 +71,10 @@ def _loaded_overload(columns, start):
 def add_cluster_forces(first, last, rows, coordinates, law, parameters, look, on_clusters, on_atoms, energies, virials):
     """Forces between the atoms in slots first to last and the clusters of their rows.
 
-        r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij into on_clusters,   F_i = −Σ f r_ij written to on_atoms
+        r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij into on_clusters,   F_i −= Σ f r_ij into on_atoms
 
     coordinates, on_clusters, on_atoms : flat, BLOCK numbers for each cluster [length], [energy/length].
-    look : also write energies (slots,) and virials (slots, 6) as xx yy zz yz xz xy; each pair is booked on its atom i.
+    look : also add to energies (slots,) and virials (slots, 6) as xx yy zz yz xz xy; each pair is booked on its atom i.
     """
     zero = load(coordinates, 0, LANES) * 0.0
     for slot in range(first, last):
@@ -100,8 +103,36 @@ def add_cluster_forces(first, last, rows, coordinates, law, parameters, look, on
                 energy = energy + select(near, u, 0.0)
                 xx, yy, zz = fma(gx, dx, xx), fma(gy, dy, yy), fma(gz, dz, zz)
                 yz, xz, xy = fma(gy, dz, yz), fma(gx, dz, xz), fma(gx, dy, xy)
-        on_atoms[block], on_atoms[block + LANES], on_atoms[block + 2 * LANES] = total(fx), total(fy), total(fz)
+        on_atoms[block] += total(fx)
+        on_atoms[block + LANES] += total(fy)
+        on_atoms[block + 2 * LANES] += total(fz)
         if look:
-            energies[slot] = total(energy)
-            virials[slot, 0], virials[slot, 1], virials[slot, 2] = total(xx), total(yy), total(zz)
-            virials[slot, 3], virials[slot, 4], virials[slot, 5] = total(yz), total(xz), total(xy)
+            energies[slot] += total(energy)
+            virials[slot, 0] += total(xx)
+            virials[slot, 1] += total(yy)
+            virials[slot, 2] += total(zz)
+            virials[slot, 3] += total(yz)
+            virials[slot, 4] += total(xz)
+            virials[slot, 5] += total(xy)
+
+
+def cluster_loop_for(law: tuple):
+    """add_cluster_forces, compiled so that the cache serves all laws it can recognise."""
+    return without_cache(add_cluster_forces) if is_user_law(law) else add_cluster_forces
+
+
+def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
+    """Whether a law compiles for vectors. Those of minimd do; one of the user's that branches on its arguments does not."""
+    if not is_user_law(law):
+        return True
+
+    @numba.njit(error_model="numpy")
+    def attempt(law, values, parameters):
+        u, f = evaluate_law(law, load(values, 0, LANES), parameters)
+        return total(u) + total(f)
+
+    try:
+        attempt(law, np.ones(LANES), (1.0,) * n_parameters)
+    except NumbaError:
+        return False
+    return True

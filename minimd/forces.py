@@ -12,7 +12,7 @@ from minimd.neighbors.closest import closest_pair
 from minimd.potentials.pair import PairPotential
 from minimd.potentials.pair_loop import FORCES, PER_ATOM
 from minimd.system import System
-from minimd.terms import FixedPairs, ListedPairs, Potential, plan
+from minimd.terms import ClusteredPairs, FixedPairs, ListedPairs, Potential, plan
 
 VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # places of xx yy zz yz xz xy in a (3, 3) tensor
 
@@ -102,7 +102,7 @@ class Forces:
     @property
     def n_builds(self) -> int:
         """How often a pair list was built."""
-        return sum(term.list.n_builds for term in self.terms if isinstance(term, ListedPairs))
+        return sum(term.list.n_builds for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs)))
 
     def skipped(self) -> list[str]:
         """What this scene lacks and therefore does not pay for, in words."""

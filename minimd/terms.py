@@ -20,7 +20,7 @@ from minimd.system import System, checked_pairs
 from minimd.topology import pairs_by_bonds_apart
 
 ALL_PAIRS_UP_TO = 100  # atoms: below, an open scene is faster without a list that has to be rebuilt
-CLUSTERS_FROM = 200  # atoms: below, the pair list is as fast
+CLUSTERS_FROM = 64  # atoms: below, the pair list is as fast
 SKIN = 0.12  # default skin in units of the cutoff
 
 Potential = Any  # PairPotential, BondPotential, HarmonicAngle, or an object with bind(system) that returns a Term

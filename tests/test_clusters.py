@@ -24,10 +24,11 @@ def branching(r2, height):
 
 
 KINDS = {"A": (1.0, 1.0), "B": (0.5, 0.88), "C": (0.2, 1.2)}
+CUTOFFS = {(a, b): 1.5 + 0.1 * k for k, (a, b) in enumerate(["AA", "AB", "AC", "BB", "BC", "CC"])}
 POTENTIALS = {
     "one species": [md.LennardJones(1.0, 1.0, CUTOFF, "force-shifted")],
     "three species": [md.LennardJones(KINDS, cutoff=CUTOFF, truncation="switched")],
-    "cutoffs by pair": [md.LennardJones({"A": (1, 1), "B": (0.5, 0.9), "C": (1, 1)}, cutoff={(a, b): 1.5 + 0.1 * k for k, (a, b) in enumerate(["AA", "AB", "AC", "BB", "BC", "CC"])})],
+    "cutoffs by pair": [md.LennardJones({"A": (1, 1), "B": (0.5, 0.9), "C": (1, 1)}, cutoff=CUTOFFS)],
     "exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, bonded_scale=(0.0, 0.3, 0.8))],
     "two laws": [md.LennardJones(1.0, 1.0, 1.6), md.PairPotential(soft, (3.0,), CUTOFF)],
 }

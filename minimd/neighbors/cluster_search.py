@@ -17,7 +17,7 @@ import numpy as np
 
 from minimd.compiling import kernel, scalar
 from minimd.potentials.cluster_loop import BLOCK, LANES
-from minimd.simd import bits_from_mask, broadcast, load, store
+from minimd.simd import bits_from_mask, broadcast, fma, load, store
 
 HOME = 13  # row of image (0, 0, 0) among the 27 images
 ALL_LANES = 255
@@ -54,13 +54,16 @@ def find_rows(
     """
     n_clusters = boxes.shape[0]
     n_entries, n_ghosts, most = 0, 0, 0
+    columns = np.empty((3 * (reach_columns[0] + 1) * (2 * reach_columns[1] + 1), 3), dtype=np.int64)
+    shifts = np.empty((columns.shape[0], 3))
     for column_x in range(counts[0]):
         for column_y in range(counts[1]):
-            column = column_x * counts[1] + column_y
-            for i in range(column_start[column], column_start[column + 1]):
-                n = _candidates(
-                    i, column_x, column_y, boxes, bottom, top, column_start, counts, reach_columns, along, reach, pbc, lattice, candidates
-                )
+            own = column_x * counts[1] + column_y
+            if column_start[own] == column_start[own + 1]:
+                continue
+            n_columns = _columns_ahead(column_x, column_y, column_start, counts, reach_columns, pbc, lattice, columns, shifts)
+            for i in range(column_start[own], column_start[own + 1]):
+                n = _candidates(i, n_columns, columns, shifts, boxes, bottom, top, along, reach, candidates)
                 most = max(most, n)
                 n = min(n, candidates.shape[0])
                 n_ghosts = _as_blocks(n, n_clusters, coordinates, lattice, candidates, ghost_of, ghosts, n_ghosts)
@@ -72,8 +75,11 @@ def find_rows(
 
 
 @scalar
-def _candidates(i, column_x, column_y, boxes, bottom, top, column_start, counts, reach_columns, along, reach, pbc, lattice, candidates):
-    """Clusters ahead of cluster i whose boxes are within reach: rows (cluster, image) of candidates; returns how many."""
+def _columns_ahead(column_x, column_y, column_start, counts, reach_columns, pbc, lattice, columns, shifts):
+    """The column itself, what is above it, and the columns ahead, with their images; returns how many.
+
+    columns : rows (first cluster, last cluster + 1, image).  shifts : lattice vector of each image.
+    """
     n = 0
     for ahead_x in range(reach_columns[0] + 1):
         for ahead_y in range(-reach_columns[1] if ahead_x > 0 else 0, reach_columns[1] + 1):
@@ -82,25 +88,41 @@ def _candidates(i, column_x, column_y, boxes, bottom, top, column_start, counts,
             if (cell_x != 0 and not pbc[0]) or (cell_y != 0 and not pbc[1]):
                 continue
             column = (to_x - cell_x * counts[0]) * counts[1] + to_y - cell_y * counts[1]
-            own = ahead_x == 0 and ahead_y == 0
-            for cell_z in range((0 if own else -1) if pbc[2] else 0, 2 if pbc[2] else 1):
-                low, high = bottom[i] - along - cell_z, top[i] + along - cell_z
-                x = cell_x * lattice[0, 0] + cell_y * lattice[1, 0] + cell_z * lattice[2, 0]
-                y = cell_x * lattice[0, 1] + cell_y * lattice[1, 1] + cell_z * lattice[2, 1]
-                z = cell_x * lattice[0, 2] + cell_y * lattice[1, 2] + cell_z * lattice[2, 2]
-                first = i + 1 if own and cell_z == 0 else column_start[column]
-                for j in range(first, column_start[column + 1]):
-                    if top[j] < low:
-                        continue
-                    if bottom[j] > high:
-                        break
-                    gap_x = max(0.0, max(boxes[j, 0] + x - boxes[i, 3], boxes[i, 0] - boxes[j, 3] - x))
-                    gap_y = max(0.0, max(boxes[j, 1] + y - boxes[i, 4], boxes[i, 1] - boxes[j, 4] - y))
-                    gap_z = max(0.0, max(boxes[j, 2] + z - boxes[i, 5], boxes[i, 2] - boxes[j, 5] - z))
-                    if gap_x * gap_x + gap_y * gap_y + gap_z * gap_z < reach * reach:
-                        if n < candidates.shape[0]:
-                            candidates[n, 0], candidates[n, 1] = j, (cell_x + 1) * 9 + (cell_y + 1) * 3 + cell_z + 1
-                        n += 1
+            lowest = 0 if ahead_x == 0 and ahead_y == 0 else -1
+            for cell_z in range(lowest if pbc[2] else 0, 2 if pbc[2] else 1):
+                columns[n, 0], columns[n, 1] = column_start[column], column_start[column + 1]
+                columns[n, 2] = (cell_x + 1) * 9 + (cell_y + 1) * 3 + cell_z + 1
+                for d in range(3):
+                    shifts[n, d] = cell_x * lattice[0, d] + cell_y * lattice[1, d] + cell_z * lattice[2, d]
+                n += 1
+    return n
+
+
+@scalar
+def _candidates(i, n_columns, columns, shifts, boxes, bottom, top, along, reach, candidates):
+    """Clusters ahead of cluster i whose boxes are within reach: rows (cluster, image) of candidates; returns how many."""
+    n = 0
+    for k in range(n_columns):
+        first, last, image = columns[k, 0], columns[k, 1], columns[k, 2]
+        cell_z = image % 3 - 1
+        low, high = bottom[i] - along - cell_z, top[i] + along - cell_z
+        if first == last or top[last - 1] < low or bottom[first] > high:
+            continue
+        if k == 0:
+            first = i + 1
+        x, y, z = shifts[k, 0], shifts[k, 1], shifts[k, 2]
+        for j in range(first, last):
+            if top[j] < low:
+                continue
+            if bottom[j] > high:
+                break
+            gap_x = max(0.0, max(boxes[j, 0] + x - boxes[i, 3], boxes[i, 0] - boxes[j, 3] - x))
+            gap_y = max(0.0, max(boxes[j, 1] + y - boxes[i, 4], boxes[i, 1] - boxes[j, 4] - y))
+            gap_z = max(0.0, max(boxes[j, 2] + z - boxes[i, 5], boxes[i, 2] - boxes[j, 5] - z))
+            if gap_x * gap_x + gap_y * gap_y + gap_z * gap_z < reach * reach:
+                if n < candidates.shape[0]:
+                    candidates[n, 0], candidates[n, 1] = j, image
+                n += 1
     return n
 
 
@@ -133,19 +155,19 @@ def _prune(i, n, coordinates, atom, reach, candidates, start, cluster, lanes, n_
         x = broadcast(coordinates[i * BLOCK + k], zero)
         y = broadcast(coordinates[i * BLOCK + LANES + k], zero)
         z = broadcast(coordinates[i * BLOCK + 2 * LANES + k], zero)
-        if k < LANES - 1:
-            if n_entries < cluster.size:
-                cluster[n_entries], lanes[n_entries] = i, (ALL_LANES << (k + 1)) & ALL_LANES
-            n_entries += 1
+        if n_entries + n + 1 > cluster.size:  # no room: an upper bound tells how much is missing
+            n_entries += n + 1
+            continue
+        cluster[n_entries], lanes[n_entries] = i, (ALL_LANES << (k + 1)) & ALL_LANES
+        n_entries += k < LANES - 1
         for c in range(n):
             j = candidates[c, 0] * BLOCK
             dx = load(coordinates, j, LANES) - x
             dy = load(coordinates, j + LANES, LANES) - y
             dz = load(coordinates, j + 2 * LANES, LANES) - z
-            if bits_from_mask(dx * dx + dy * dy + dz * dz < reach * reach) != 0:
-                if n_entries < cluster.size:
-                    cluster[n_entries], lanes[n_entries] = candidates[c, 0], ALL_LANES
-                n_entries += 1
+            near = bits_from_mask(fma(dx, dx, fma(dy, dy, dz * dz)) < reach * reach)
+            cluster[n_entries], lanes[n_entries] = candidates[c, 0], ALL_LANES  # overwritten by the next unless near
+            n_entries += near != 0
     return n_entries
 
 

@@ -22,6 +22,9 @@ from minimd.potentials.cluster_loop import BLOCK, LANES
 FAR = 1e3  # in units of the scene: where padding stands, each piece farther than the one before
 
 
+THINNEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick
+
+
 class Columns(NamedTuple):
     """counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
 
@@ -53,12 +56,13 @@ class Clusters(NamedTuple):
 
 def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Columns:
     """Columns so wide that eight atoms fill about a cube of them."""
-    fractional = positions @ cell.inverse
-    origin = np.where(cell.pbc, 0.0, fractional.min(axis=0))
-    extent = np.where(cell.pbc, 1.0, np.maximum(fractional.max(axis=0) - origin, 1e-9 * reach / cell.heights))
+    origin, extent = np.zeros(3), np.ones(3)
+    for k in np.flatnonzero(~cell.pbc):
+        along = positions @ cell.inverse[:, k]
+        origin[k], extent[k] = along.min(), max(np.ptp(along), THINNEST * reach / cell.heights[k])
     widths = cell.heights * extent
     cube = (LANES * widths.prod() / len(positions)) ** (1.0 / 3.0)
-    across = np.maximum(1.0, np.floor(np.minimum(widths[:2] / cube, len(positions))))
+    across = np.maximum(1.0, np.rint(np.minimum(widths[:2] / cube, len(positions))))
     bins = max(1.0, len(positions) / across.prod())
     counts = np.array([*across, bins]).astype(np.int64)
     return Columns(counts, np.ceil(reach * counts[:2] / widths[:2]).astype(np.int64), reach / cell.heights[2], origin, extent)

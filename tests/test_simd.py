@@ -1,0 +1,163 @@
+"""Vectors compute, lane by lane, what numpy computes element by element."""
+
+import math
+import operator
+
+import numba
+import numpy as np
+import pytest
+
+from minimd.compiling import scalar
+from minimd.potentials.law import evaluate_law
+from minimd.potentials.truncation import TRUNCATIONS
+from minimd.simd import bits_from_mask, broadcast, convert, fma, lane, load, mask_from_bits, select, store, store_compressed, total, with_lane
+
+import minimd as md  # isort: skip
+
+TYPES = [np.float64, np.float32, np.int32]
+LANES = [4, 8, 16]
+FLOATS = TYPES[:2]
+
+
+def numbers(kind, n, seed=0, low=0.5, high=4.0):
+    return (
+        np.random.default_rng(seed).uniform(low, high, n).astype(kind)
+        if kind != np.int32
+        else np.random.default_rng(seed).integers(-50, 50, n, dtype=np.int32)
+    )
+
+
+def on_vectors(function, n):
+    """The function of two vectors, compiled, as a function of two arrays of n elements that fills a third."""
+    compiled = scalar(function)
+
+    @numba.njit(error_model="numpy")
+    def run(a, b, out):
+        store(out, 0, compiled(load(a, 0, n), load(b, 0, n)))
+
+    return run
+
+
+@pytest.mark.parametrize("kind", TYPES)
+@pytest.mark.parametrize("n", LANES)
+def test_arithmetic_and_memory(kind, n):
+    a, b, out = numbers(kind, n), numbers(kind, n, 1), np.zeros(n, kind)
+    for function in (lambda x, y: x + y, lambda x, y: x - y * y, lambda x, y: x * y - x):
+        on_vectors(function, n)(a, b, out)
+        assert np.array_equal(out, function(a, b))
+
+
+@pytest.mark.parametrize("kind", FLOATS)
+@pytest.mark.parametrize("n", LANES)
+def test_division_functions_and_numbers(kind, n):
+    a, b, out = numbers(kind, n), numbers(kind, n, 1), np.zeros(n, kind)
+    cases = [
+        (lambda x, y: x / y, lambda x, y: x / y),
+        (lambda x, y: 1.0 / x + 2 * y - 0.5, lambda x, y: kind(1) / x + kind(2) * y - kind(0.5)),
+        (lambda x, y: -x, lambda x, y: -x),
+        (lambda x, y: math.sqrt(x), lambda x, y: np.sqrt(x)),
+        (lambda x, y: np.sqrt(y), lambda x, y: np.sqrt(y)),
+        (lambda x, y: abs(x - y), lambda x, y: np.abs(x - y)),
+        (lambda x, y: max(0.5, min(x, 1.5)), lambda x, y: np.clip(x, kind(0.5), kind(1.5))),
+        (lambda x, y: min(max(x, y), 2.5), lambda x, y: np.minimum(np.maximum(x, y), kind(2.5))),
+        (lambda x, y: select(x < y, x, 7.0), lambda x, y: np.where(x < y, x, kind(7))),
+        (lambda x, y: select((x >= y) | (x <= 1.0), x, y), lambda x, y: np.where((x >= y) | (x <= 1), x, y)),
+        (lambda x, y: select((x > y) & (x != 1.0), x, y), lambda x, y: np.where((x > y) & (x != 1), x, y)),
+    ]
+    for function, expected in cases:
+        on_vectors(function, n)(a, b, out)
+        assert np.array_equal(out, expected(a, b).astype(kind))
+
+
+@pytest.mark.parametrize("name", ["exp", "log", "sin", "cos", "tanh"])
+def test_functions_lane_by_lane(name):
+    a, out, of_math, of_numpy = numbers(np.float64, 8), np.zeros(8), getattr(math, name), getattr(np, name)
+    on_vectors(lambda x, y: of_math(x) + of_numpy(y), 8)(a, a, out)
+    assert out == pytest.approx(2 * of_numpy(a), rel=1e-15)
+    on_vectors(lambda x, y: x**1.5, 8)(a, a, out)
+    assert out == pytest.approx(a**1.5, rel=1e-15)
+
+
+def test_fused_multiply_add_rounds_once():
+    a, out = np.full(8, 1.0 + 2.0**-30), np.zeros(8)
+    on_vectors(lambda x, y: fma(x, y, broadcast(-1.0, x)), 8)(a, a, out)
+    assert np.array_equal(out, np.full(8, 2.0**-29 + 2.0**-60))
+
+
+@pytest.mark.parametrize("kind", FLOATS)
+def test_masks_lanes_and_sums(kind):
+    @numba.njit
+    def run(a, bits, out):
+        x = load(a, 0, 8)
+        store(out, 0, select(mask_from_bits(bits, x), x, 0.0))
+        return bits_from_mask(x > 2.0), total(x), lane(x, 5), total(with_lane(x, 2, 100.0))
+
+    a, out = numbers(kind, 8), np.zeros(8, kind)
+    bits, sum_, fifth, changed = run(a, np.uint8(0b10100110), out)
+    assert np.array_equal(out, np.where(np.arange(8)[::-1] >= 0, a * [int(b) for b in "10100110"][::-1], 0).astype(kind))
+    assert bits == sum(1 << k for k in range(8) if a[k] > 2.0)
+    pairs = a.reshape(2, 4).sum(axis=0)
+    assert sum_ == (pairs[0] + pairs[2]) + (pairs[1] + pairs[3])
+    assert fifth == a[5]
+    assert changed == pytest.approx(a.sum() - a[2] + 100.0, rel=1e-5)
+
+
+def test_compressed_store_writes_the_chosen_lanes_one_after_the_other():
+    @numba.njit
+    def run(a, out):
+        x = load(a, 0, 8)
+        store_compressed(out, 1, x, x > 2.0)
+
+    a, out = numbers(np.float64, 8), np.full(10, -1.0)
+    run(a, out)
+    chosen = a[a > 2.0]
+    assert np.array_equal(out, [-1.0, *chosen, *[-1.0] * (9 - len(chosen))])
+
+
+def test_conversion_rounds_to_the_nearest():
+    @numba.njit
+    def run(wide, narrow, back):
+        x, like = load(wide, 0, 8), load(narrow, 0, 8)
+        store(narrow, 0, convert(x, like))
+        store(back, 0, convert(load(narrow, 0, 8), x))
+
+    wide, narrow, back = numbers(np.float64, 8), np.zeros(8, np.float32), np.zeros(8)
+    run(wide, narrow, back)
+    assert np.array_equal(narrow, wide.astype(np.float32))
+    assert np.array_equal(back, narrow.astype(np.float64))
+
+
+@pytest.mark.parametrize("truncation", TRUNCATIONS)
+def test_laws_compile_for_vectors_from_the_same_source(truncation):
+    @numba.njit(error_model="numpy")
+    def run(law, r2, parameters, out):
+        u, f = evaluate_law(law, load(r2, 0, 8), parameters)
+        store(out, 0, u)
+        store(out, 8, f)
+
+    potential = md.LennardJones(1.3, 0.9, 2.5, truncation)
+    parameters = tuple(potential.table(("X",))[0, 0, 1:].tolist())
+    r2, out = np.linspace(0.8, 7.0, 8), np.zeros(16)
+    run(potential.law, r2, parameters, out)
+    expected = np.array([evaluate_law(potential.law, x, parameters) for x in r2.tolist()])
+    assert pytest.approx(expected, rel=1e-14, abs=1e-16) == out.reshape(2, 8).T
+
+
+def test_vector_code_uses_vector_instructions():
+    """Reads the compiled code; only where the processor has AVX-512."""
+    import llvmlite.binding
+
+    if not llvmlite.binding.get_host_cpu_features().get("avx512f"):
+        pytest.skip("no AVX-512 here")
+    run = on_vectors(lambda x, y: x / y + x, 8)
+    run(*(np.ones(8) for _ in range(3)))
+    code = next(iter(run.inspect_asm().values()))
+    assert "vdivpd" in code
+    assert "zmm" in code
+    assert "vdivsd" not in code
+
+
+@pytest.mark.parametrize("operation", [operator.mod, operator.floordiv])
+def test_what_vectors_cannot_do_is_an_error(operation):
+    with pytest.raises(numba.core.errors.TypingError):
+        on_vectors(lambda x, y: operation(x, y), 8)(*(np.ones(8) for _ in range(3)))

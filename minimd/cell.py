@@ -7,13 +7,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiling import kernel, scalar
 
-FLAT = 1e-9  # |det| of the unit lattice vectors below which they count as linearly dependent
+FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Lattice vectors and periodicity, checked, with the reduced lattice that searches use.
+    """Lattice vectors and periodicity, checked, with the reduced lattice that searches use. Made by Cell.of; never changed.
 
     Attributes
     ----------
@@ -42,6 +42,8 @@ class Cell:
         set_field(self, "reduction", reduction)
         set_field(self, "inverse", np.ascontiguousarray(inverse))
         set_field(self, "heights", 1.0 / np.linalg.norm(inverse, axis=0))
+        for array in (self.vectors, self.pbc, self.lattice, self.reduction, self.inverse, self.heights):
+            array.setflags(write=False)
 
     @classmethod
     def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> "Cell":
@@ -83,7 +85,7 @@ class Cell:
 
     def same_as(self, other: "Cell") -> bool:
         """True if vectors and periodicity are equal to the last bit."""
-        return np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc)
+        return self is other or (np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc))
 
 
 @scalar
@@ -91,7 +93,7 @@ def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
     """Integers (a, b, c) for which d + (a, b, c) · lattice is shortest.
 
     Rounding the fractional coordinates is right for vectors shorter than half the smallest height; longer ones are
-    compared with their 26 neighbours, which suffices in a reduced lattice.
+    compared with their 26 neighbors, which suffices in a reduced lattice.
     """
     a = -np.rint(dx * inverse[0, 0] + dy * inverse[1, 0] + dz * inverse[2, 0]) if pbc[0] else 0.0
     b = -np.rint(dx * inverse[0, 1] + dy * inverse[1, 1] + dz * inverse[2, 1]) if pbc[1] else 0.0
@@ -152,7 +154,7 @@ def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> 
     if rows.size == 0:
         return
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-    if np.sqrt(abs(np.linalg.det(unit @ unit.T))) < FLAT:
+    if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
         raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}")
 
 
@@ -173,14 +175,14 @@ def _shorten_once(steps: NDArray[np.int64], rows: NDArray[np.float64]) -> bool:
     current = steps @ rows
     length2 = (current**2).sum(axis=1)
     for i in np.argsort(-length2):
-        for candidate in _neighbours(i, steps, current, length2):
+        for candidate in _neighbors(i, steps, current, length2):
             if ((candidate @ rows) ** 2).sum() < SHORTER * length2[i]:
                 steps[i] = candidate
                 return True
     return False
 
 
-def _neighbours(i: int, steps: NDArray[np.int64], current: NDArray[np.float64], length2: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+def _neighbors(i: int, steps: NDArray[np.int64], current: NDArray[np.float64], length2: NDArray[np.float64]) -> list[NDArray[np.int64]]:
     """Vector i plus the others: once by the rounded projection (Gauss), then by all of −1, 0, 1 (Minkowski's conditions)."""
     others = [j for j in range(len(steps)) if j != i]
     gauss = [steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j] for j in others]

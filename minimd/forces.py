@@ -28,7 +28,7 @@ class Forces:
 
     Attributes
     ----------
-    forces : (N, 3) [energy/length], of the last compute.  n_evaluations : number of calls of compute.
+    forces : (N, 3) [energy/length], of the last compute.  n_evaluations : calls of compute since the last reset_counts.
 
     Raises
     ------
@@ -41,24 +41,44 @@ class Forces:
         self.potentials = tuple(potentials) if isinstance(potentials, Sequence) and not isinstance(potentials, str) else (potentials,)
         if skin is not None and not (np.isfinite(skin) and skin >= 0.0):
             raise ValueError(f"skin must be finite and not negative; skin = {skin}")
-        self.terms = plan(system, self.potentials, skin)
+        self._skin = skin
+        self._plan()
         self.forces = np.zeros_like(system.positions)
-        self.n_evaluations = 0
+        self.n_evaluations, self._builds_before = 0, 0
+        self._compiled = False
         self._energies = np.zeros(len(system))
         self._virials = np.zeros((len(system), 6))
         self._detail = FORCES
         self._tail = (None, 0.0, 0.0)
 
+    def _plan(self) -> None:
+        """What a scene needs depends on its cell: which list fits, which skin, whether there are images."""
+        self.terms = plan(self.system, self.potentials, self._skin)
+        self._planned_for = self.system.cell
+
+    def reset_counts(self) -> None:
+        """Count evaluations and list builds from zero."""
+        self.n_evaluations, self._builds_before = 0, self._builds_before - self.n_builds
+
     def compute(self, detail: int = FORCES) -> NDArray[np.float64]:
-        """Evaluate the forces at system.positions and return them; TOTALS and PER_ATOM also evaluate energy and virial."""
+        """Evaluate the forces at system.positions and return them; TOTALS and PER_ATOM also evaluate energy and virial.
+
+        Raises
+        ------
+        NonFiniteError : if a position is not finite.  ValueError : as Forces, if the cell has changed and no longer fits.
+        """
+        if not self.system.cell.same_as(self._planned_for):
+            self._builds_before = self.n_builds
+            self._plan()
         self.forces[:] = 0.0
         if detail != FORCES:
             self._energies[:], self._virials[:] = 0.0, 0.0
-        if self.n_evaluations == 0:
+        if self._compiled:
+            self._sum(detail)
+        else:
             with announce_compilation():
                 self._sum(detail)
-        else:
-            self._sum(detail)
+            self._compiled = True
         self.n_evaluations += 1
         self._detail = detail
         return self.forces
@@ -95,14 +115,14 @@ class Forces:
 
     @property
     def longest_stride(self) -> float:
-        """The largest finite cutoff [length]: an atom that moves farther in one step has passed its neighbours unseen."""
+        """The largest finite cutoff [length]: an atom that moves farther in one step has passed its neighbors unseen."""
         cutoffs = [p.cutoff for p in self.potentials if isinstance(p, PairPotential) and np.isfinite(p.cutoff)]
         return max(cutoffs, default=np.inf)
 
     @property
     def n_builds(self) -> int:
-        """How often a pair list was built."""
-        return sum(term.list.n_builds for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs)))
+        """How often a list was built, since the last reset_counts."""
+        return self._builds_before + sum(term.list.n_builds for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs)))
 
     def skipped(self) -> list[str]:
         """What this scene lacks and therefore does not pay for, in words."""

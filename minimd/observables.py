@@ -25,7 +25,12 @@ def degrees_of_freedom(n_atoms: int, n_constraints: int = 0) -> int:
 
 
 def temperature(velocities: Array, masses: Array, k_B: float = 1.0, n_constraints: int = 0) -> float:  # noqa: N803
-    """Kinetic temperature T = 2K / (n_dof k_B), see degrees_of_freedom."""
+    """Kinetic temperature T = 2K / (n_dof k_B), for total momentum zero; see degrees_of_freedom.
+
+    Raises
+    ------
+    ValueError : if no degree of freedom is left.
+    """
     return 2.0 * kinetic_energy(velocities, masses) / (degrees_of_freedom(len(masses), n_constraints) * k_B)
 
 
@@ -45,6 +50,12 @@ def momentum(velocities: Array, masses: Array) -> Array:
 def absolute_momentum(velocities: Array, masses: Array) -> float:
     """Σ |m v| [mass length/time]: the scale against which a change of the total momentum is seen."""
     return float(masses @ np.sqrt(np.einsum("ij,ij->i", velocities, velocities)))
+
+
+def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
+    """Σ m |r − r_cm| |v| [mass length²/time]: the scale against which a change of the angular momentum is seen."""
+    centered = positions - masses @ positions / masses.sum()
+    return float(masses @ np.sqrt(np.einsum("ij,ij->i", centered, centered) * np.einsum("ij,ij->i", velocities, velocities)))
 
 
 def angular_momentum(positions: Array, velocities: Array, masses: Array) -> Array:

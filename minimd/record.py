@@ -16,6 +16,7 @@ SERIES = {  # name in record and file: the attribute of UnitSystem that names it
     "momentum": "momentum",
     "angular_momentum": "angular_momentum",
     "absolute_momentum": "momentum",
+    "absolute_angular_momentum": "angular_momentum",
 }
 
 
@@ -43,6 +44,7 @@ class Record:
     potential_energy, kinetic_energy, total_energy : (T,) [energy].  temperature : (T,).
     pressure : (T,) [energy/length³], only where the cell has a volume.
     momentum, angular_momentum : (T, 3).  absolute_momentum : (T,) Σ |m v|.
+    absolute_angular_momentum : (T,) Σ m |r − r_cm| |v|.
     units : the UnitSystem of all of them.  n_atoms : N.
     """
 

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from minimd import observables
 from minimd.errors import NonFiniteError
+from minimd.faults import autopsy, fault_at_start, fault_of
 from minimd.forces import Forces, Potential
-from minimd.integrators.splitting import Splitting
+from minimd.integrators.splitting import Splitting, State
 from minimd.interrupt import stop_on_interrupt
-from minimd.neighbors.closest import closest_pair
 from minimd.potentials.pair_loop import FORCES, TOTALS
 from minimd.progress import Progress
 from minimd.record import Frame, Record
-from minimd.report import Report, conservation_report
+from minimd.report import Cost, Report, conservation_report
 from minimd.system import System
 from minimd.trajectory import Writer, open_trajectories
 from minimd.velocities import maxwell_boltzmann, rescaled
@@ -37,6 +37,8 @@ class Simulation:
     system : System, or ase.Atoms. The simulation works on a copy; sim.system is always the current state.
     potentials : one potential or several.
     method : a splitting with its time step, such as VelocityVerlet(0.005).
+    threads : how many; one, so far.
+    precision : "double": all arithmetic in float64.
     skin : of the pair lists [length]; chosen if not given.
 
     Attributes
@@ -49,8 +51,19 @@ class Simulation:
     """
 
     def __init__(
-        self, system: "System | ase.Atoms", potentials: Potential | Sequence[Potential], method: Splitting, *, skin: float | None = None
+        self,
+        system: "System | ase.Atoms",
+        potentials: Potential | Sequence[Potential],
+        method: Splitting,
+        *,
+        threads: int | None = None,
+        precision: str = "double",
+        skin: float | None = None,
     ) -> None:
+        if threads not in (None, 1):
+            raise ValueError(f"threads must be 1, simulations do not share their work yet; threads = {threads!r}")
+        if precision != "double":
+            raise ValueError(f"precision must be 'double', there is no other yet; precision = {precision!r}")
         if not isinstance(method, Splitting):
             raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {method!r}")
         self.system = system.copy() if isinstance(system, System) else System.from_ase(system)
@@ -58,14 +71,12 @@ class Simulation:
         self.step = 0
         self.time = 0.0
         self.record: Record | None = None
-        self.run_seconds = 0.0
-        self.run_steps = 0
-        self.inverse_masses = 1.0 / self.system.masses
-        self.forces_are_current = False
-        self.stop_requested = False
+        self._run_seconds, self._run_steps = 0.0, 0
         self._forces = Forces(self.system, potentials, skin)
+        self._state = State(self.system.positions, self.system.velocities, self._forces.forces, 1.0 / self.system.masses)
 
-    # The four arrays and two flags below are the State that an integrator moves.
+    def __repr__(self) -> str:
+        return f"Simulation({self.system!r}, {self.method!r}, step {self.step})"
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -83,19 +94,35 @@ class Simulation:
         return self._forces.forces
 
     def set_temperature(self, temperature: float, seed: int | None = None) -> None:
-        """Draw Maxwell-Boltzmann velocities: total momentum zero, kinetic temperature exactly this one."""
+        """Draw Maxwell-Boltzmann velocities: kinetic temperature exactly this one, total momentum zero (of several atoms).
+
+        Raises
+        ------
+        ValueError : if the temperature is negative or not finite.
+        """
         self.velocities[:] = maxwell_boltzmann(self.system.masses, temperature, self.system.units.k_B, seed)
 
     def rescale_temperature(self, temperature: float) -> None:
-        """Multiply all velocities so that the kinetic temperature is exactly this one."""
+        """Multiply all velocities so that the kinetic temperature is exactly this one.
+
+        Raises
+        ------
+        ValueError : if the temperature is negative or not finite, or nothing moves.
+        """
         self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B)
 
     def equilibrate(self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None) -> None:
-        """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again."""
-        self._check_counts(n_steps, every)
-        with Progress(n_steps, "equilibrating", progress) as bar, stop_on_interrupt(self):
+        """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again.
+
+        Raises
+        ------
+        NonFiniteError, KeyboardInterrupt : as run does.  ValueError : for counts or a temperature out of range.
+        """
+        _check_counts(n_steps, every)
+        self._check_start()
+        with Progress(n_steps, "equilibrating", progress) as bar, stop_on_interrupt(self._state):
             for done in range(every, n_steps + every, every):
-                self._advance(min(every, n_steps - done + every))
+                self._advance(min(every, n_steps - done + every), look=False)
                 self.rescale_temperature(temperature)
                 bar.advance_to(min(done, n_steps))
         self.step, self.time = 0, 0.0
@@ -128,22 +155,25 @@ class Simulation:
         KeyboardInterrupt : after Ctrl-C, with the state of the last whole step, all files valid.
         FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
         """
-        self._check_counts(n_steps, every)
+        _check_counts(n_steps, every)
         self._check_start()
         self.record = Record(self.system.units, len(self.system))
+        self._run_seconds, self._run_steps = 0.0, 0
+        self._forces.reset_counts()
         start, end = self.step, self.step + n_steps
         with (
-            stop_on_interrupt(self),
+            stop_on_interrupt(self._state),
             open_trajectories(trajectory, self, store_forces=store_forces, overwrite=overwrite) as writers,
             Progress(n_steps, "running", progress) as bar,
         ):
-            self._observe(writers, observers)
+            self._observe(self.record, writers, observers)
             while self.step < end:
                 next_look = self.step + every - (self.step - start) % every
-                self._advance(min(STEPS_BETWEEN_CHECKS, next_look - self.step, end - self.step))
+                n_steps_now = min(STEPS_BETWEEN_CHECKS, next_look - self.step, end - self.step)
+                self._advance(n_steps_now, look=self.step + n_steps_now == next_look)
                 bar.advance_to(self.step - start)
                 if self.step == next_look:
-                    self._observe(writers, observers)
+                    self._observe(self.record, writers, observers)
         return self.record
 
     def report(self) -> Report:
@@ -155,67 +185,69 @@ class Simulation:
         """
         if self.record is None:
             raise ValueError("there is nothing to report yet; call run first")
-        return conservation_report(self.record, angular=not self.system.cell.is_periodic).with_run(
-            steps_per_second=self.run_steps / self.run_seconds if self.run_seconds else None,
-            list_builds=self._forces.n_builds,
-            n_evaluations=self._forces.n_evaluations,
-            skipped=self._forces.skipped(),
-        )
+        cost = Cost(self._run_steps, self._run_seconds, self._forces.n_builds, self._forces.n_evaluations, self._forces.skipped())
+        return conservation_report(self.record, angular=not self.system.cell.is_periodic, cost=cost)
 
     def frame(self) -> Frame:
-        """The state as it is now, with its observables; forces are evaluated if need be."""
+        """The state as it is now, with its observables; the forces are evaluated."""
+        self._state.forces_are_current = False
+        return self._frame()
+
+    def _frame(self) -> Frame:
         self._look()
         system, forces = self.system, self._forces
-        potential, kinetic = forces.potential_energy, observables.kinetic_energy(system.velocities, system.masses)
+        motion = (system.positions, system.velocities, system.masses)
+        potential, kinetic = forces.potential_energy, observables.kinetic_energy(*motion[1:])
         values = {
             "potential_energy": potential,
             "kinetic_energy": kinetic,
             "total_energy": potential + kinetic,
-            "temperature": observables.temperature(system.velocities, system.masses, system.units.k_B),
-            "momentum": observables.momentum(system.velocities, system.masses),
-            "angular_momentum": observables.angular_momentum(system.positions, system.velocities, system.masses),
-            "absolute_momentum": observables.absolute_momentum(system.velocities, system.masses),
+            "temperature": observables.temperature(*motion[1:], system.units.k_B),
+            "momentum": observables.momentum(*motion[1:]),
+            "angular_momentum": observables.angular_momentum(*motion),
+            "absolute_momentum": observables.absolute_momentum(*motion[1:]),
+            "absolute_angular_momentum": observables.absolute_angular_momentum(*motion),
         }
         if system.volume is not None:
             values["pressure"] = observables.pressure(kinetic, forces.virial, system.volume)
         return Frame(self.step, self.time, self.positions, self.velocities, self.forces, values)
 
-    def _observe(self, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
-        frame = self.frame()
+    def _observe(self, record: Record, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
+        frame = self._frame()
         if not np.isfinite(frame.observables["total_energy"]):
             raise NonFiniteError(self._autopsy("the potential energy is not finite", self.step))
-        assert self.record is not None
-        self.record.append(frame)
+        record.append(frame)
         for writer in writers:
             writer.write(frame)
         for observer in observers:
             observer(self)
+            self._state.forces_are_current = False  # it may have moved atoms
 
     def _look(self) -> None:
         """Make sure that forces, energy and virial are those of the present positions."""
-        if not (self.forces_are_current and self._forces.has_energy):
-            self._compute_forces(self, True)
-            self.forces_are_current = True
+        if not (self._state.forces_are_current and self._forces.has_energy):
+            self._compute_forces(self._state, True)
+            self._state.forces_are_current = True
 
-    def _compute_forces(self, _state: "Simulation", look: bool) -> None:
+    def _compute_forces(self, _state: State, look: bool) -> None:
         self._forces.compute(TOTALS if look else FORCES)
 
-    def _advance(self, n_steps: int) -> None:
+    def _advance(self, n_steps: int, look: bool) -> None:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why."""
         before = self.positions.copy(), self.velocities.copy()
         started = perf_counter()
-        done = self._attempt(n_steps)
-        self.run_seconds += perf_counter() - started
+        done = self._attempt(n_steps, look)
+        self._run_seconds += perf_counter() - started
         if done is None:
             self._replay(before, n_steps)
         self._count(done)
-        if self.stop_requested:
+        if self._state.stop_requested:
             raise KeyboardInterrupt(f"stopped after step {self.step}")
 
-    def _attempt(self, n_steps: int) -> int | None:
+    def _attempt(self, n_steps: int, look: bool) -> int | None:
         """Steps made, or None if the state after them is no longer a possible one."""
         try:
-            done = self.method.advance(self, self._compute_forces, n_steps)
+            done = self.method.advance(self._state, self._compute_forces, n_steps, look)
         except NonFiniteError:
             return None
         return done if self._fault() is None else None
@@ -225,7 +257,7 @@ class Simulation:
         self._restore(before)
         for _ in range(n_steps):
             good = self.positions.copy(), self.velocities.copy()
-            if self._attempt(1) is None:
+            if self._attempt(1, look=False) is None:
                 fault = self._fault() or "the forces are not finite"
                 self._restore(good)
                 raise NonFiniteError(self._autopsy(fault, self.step + 1))
@@ -234,45 +266,29 @@ class Simulation:
 
     def _restore(self, state: tuple[NDArray, NDArray]) -> None:
         self.positions[:], self.velocities[:] = state
-        self.forces_are_current = False
+        self._state.forces_are_current = False
 
     def _count(self, done: int) -> None:
         self.step += done
-        self.run_steps += done
+        self._run_steps += done
         self.time += done * self.method.timestep
 
-    def _fault(self) -> str | None:
-        """What is impossible about the present state, in words; None if it is a possible one."""
-        for name in ("positions", "velocities"):
-            bad = np.flatnonzero(~np.isfinite(getattr(self, name)).all(axis=1))
-            if bad.size:
-                return f"{name} of {bad.size} atoms are not finite (atom {bad[0]}{' ...' if bad.size > 1 else ''})"
-        stride = np.sqrt(np.einsum("ij,ij->i", self.velocities, self.velocities).max()) * abs(self.method.timestep)
-        if stride > self._forces.longest_stride:
-            atom = int(np.argmax(np.einsum("ij,ij->i", self.velocities, self.velocities)))
-            return f"atom {atom} moves {stride:.3g} in one step, past every neighbour (cutoff {self._forces.longest_stride:g})"
-        return None
-
     def _check_start(self) -> None:
-        """Raise NonFiniteError before the first step if it would already throw atoms across the scene."""
+        """Look at the state anew, and raise NonFiniteError if the first step would throw atoms across the scene."""
+        self._state.forces_are_current = False
         self._look()
-        push = np.sqrt(np.einsum("ij,ij->i", self.forces, self.forces)) * self.inverse_masses * self.method.timestep**2
-        if not np.isfinite(push).all() or not np.isfinite(self._forces.potential_energy):
-            raise NonFiniteError(self._autopsy("forces or energies are not finite", self.step))
-        fault = self._fault()
-        if push.max() > self._forces.longest_stride:
-            fault = f"the force on atom {int(np.argmax(push))} would move it by {push.max():.3g} in one step"
+        fault = fault_at_start(self.system, self.forces, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
         if fault:
             raise NonFiniteError(self._autopsy(fault, self.step))
 
-    def _autopsy(self, fault: str, step: int) -> str:
-        return (
-            f"{fault}, at step {step}; the closest pair before it is {closest_pair(self.system)}: overlapping atoms, "
-            f"or timestep {self.method.timestep:g} too large. The system holds the last good state, that of step {self.step}"
-        )
+    def _fault(self) -> str | None:
+        return fault_of(self.system, self.method.timestep, self._forces.longest_stride)
 
-    @staticmethod
-    def _check_counts(n_steps: int, every: int) -> None:
-        for name, value in (("n_steps", n_steps), ("every", every)):
-            if not isinstance(value, (int, np.integer)) or value < (1 if name == "every" else 0):
-                raise ValueError(f"{name} must be a whole number, at least {1 if name == 'every' else 0}; {name} = {value!r}")
+    def _autopsy(self, fault: str, step: int) -> str:
+        return autopsy(self.system, fault, step, self.method.timestep, self.step)
+
+
+def _check_counts(n_steps: int, every: int) -> None:
+    for name, value, least in (("n_steps", n_steps, 0), ("every", every, 1)):
+        if not isinstance(value, (int, np.integer)) or value < least:
+            raise ValueError(f"{name} must be a whole number, at least {least}; {name} = {value!r}")

@@ -30,7 +30,8 @@ class System:
 
     Attributes
     ----------
-    The same names hold the checked arrays, of float64 and of the user's atom order; species_names is the tuple of
+    The same names hold the checked arrays, of float64 and of the user's atom order; positions and velocities may be
+    changed in place, cell may be replaced, the others are read-only. species_names is the tuple of
     distinct labels, species_index (N,) the index of each atom's label in it.
 
     Raises
@@ -57,9 +58,13 @@ class System:
         self.positions = _vectors("positions", positions)
         self.masses = _masses(masses, len(self.positions), units)
         self.velocities = np.zeros_like(self.positions) if velocities is None else _vectors("velocities", velocities, len(self))
+        if isinstance(cell, Cell) and pbc is not None:
+            raise ValueError("pbc is part of a Cell; give pbc only beside lattice vectors")
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
         self.species_names, self.species_index = _species(species, len(self))
         self.bonds = _bonds(bonds, len(self))
+        for fixed in (self.masses, self.species_index, self.bonds):
+            fixed.setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -143,12 +148,12 @@ def _masses(masses: ArrayLike | None, n_atoms: int, units: UnitSystem) -> NDArra
 def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, NDArray[np.int64]]:
     if species is None:
         return ("X",), np.zeros(n_atoms, dtype=np.int64)
-    labels = np.asarray(species)
+    labels = np.asarray(species, dtype=object)
     if labels.shape != (n_atoms,):
         raise ValueError(f"species must be {n_atoms} labels, one for each atom; their shape is {labels.shape}")
-    if labels.dtype == object and not all(isinstance(label, str) for label in labels):
+    if not any(all(isinstance(label, kind) and not isinstance(label, bool) for label in labels) for kind in (str, (int, np.integer))):
         raise ValueError(f"species must be all strings or all whole numbers; they are {labels[:3].tolist()} ...")
-    names, index = np.unique(labels, return_inverse=True)
+    names, index = np.unique(labels.tolist(), return_inverse=True)
     return tuple(names.tolist()), index.astype(np.int64)
 
 

@@ -100,7 +100,7 @@ class ListedPairs:
     def skipped(self) -> Iterable[str]:
         """See Term."""
         if self._in_users_order:
-            yield "neighbour list (all pairs)"
+            yield "neighbor list (all pairs)"
         yield from self._laws.skipped()
 
 

@@ -12,15 +12,15 @@ def pairs_by_bonds_apart(bonds: NDArray[np.int64], n_atoms: int) -> list[NDArray
     bonds : (B, 2) int.  Returns three (P, 2) int arrays, each sorted by (i, j). Rings and cages are no exception: the
     shortest path decides.
     """
-    neighbours: list[set[int]] = [set() for _ in range(n_atoms)]
+    neighbors: list[set[int]] = [set() for _ in range(n_atoms)]
     for i, j in bonds.tolist():
-        neighbours[i].add(j)
-        neighbours[j].add(i)
+        neighbors[i].add(j)
+        neighbors[j].add(i)
     found: list[list[tuple[int, int]]] = [[] for _ in range(MAX_BONDS_APART)]
     for i in np.unique(bonds).tolist():
         seen, shell = {i}, {i}
         for pairs in found:
-            shell = {k for j in shell for k in neighbours[j]} - seen
+            shell = {k for j in shell for k in neighbors[j]} - seen
             seen |= shell
             pairs.extend((i, j) for j in sorted(shell) if j > i)
     return [np.array(pairs, dtype=np.int64).reshape(-1, 2) for pairs in found]

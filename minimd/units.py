@@ -26,7 +26,8 @@ class UnitSystem:
     k_B : Boltzmann constant [energy/temperature].
     to_angstrom, to_picosecond, to_kj_per_mol : factors for files that know only these units. Reduced numbers are written
         unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), the convention of most tools.
-    shown_time : name of the unit of time · to_picosecond, for people.
+    shown_time : name of the unit of time · to_picosecond, for people.  small_time : the same for time steps, of which
+        shown_small_time make one.
     length, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files, plots and reports.
     """
 
@@ -38,6 +39,8 @@ class UnitSystem:
     length: str
     time: str
     shown_time: str
+    small_time: str
+    shown_small_time: float
     energy: str
     temperature: str
     pressure: str
@@ -54,6 +57,8 @@ ASE = UnitSystem(
     length="Å",
     time="Å √(u/eV)",
     shown_time="ps",
+    small_time="fs",
+    shown_small_time=1000.0,
     energy="eV",
     temperature="K",
     pressure="eV/Å³",
@@ -70,6 +75,8 @@ LJ = UnitSystem(
     length="σ",
     time="τ",
     shown_time="τ",
+    small_time="τ",
+    shown_small_time=1.0,
     energy="ε",
     temperature="ε/k_B",
     pressure="ε/σ³",

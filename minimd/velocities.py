@@ -27,7 +27,7 @@ def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int 
 
 
 def without_momentum(velocities: Array, masses: Array) -> Array:
-    """Velocities relative to the centre of mass, (N, 3)."""
+    """Velocities relative to the center of mass, (N, 3)."""
     return velocities - momentum(velocities, masses) / masses.sum()
 
 

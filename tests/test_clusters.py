@@ -117,7 +117,7 @@ def test_rule_which_list_a_scene_gets():
         return type(md.Simulation(system, potential, md.VelocityVerlet(0.001), **options)._forces.terms[0]).__name__
 
     assert kind(liquid(5), md.LennardJones(1.0, 1.0, 2.5)) == "ClusteredPairs"
-    assert kind(liquid(3), md.LennardJones(1.0, 1.0, 1.5)) == "ListedPairs"  # few atoms
+    assert kind(liquid(2), md.LennardJones(1.0, 1.0, 1.2)) == "ListedPairs"  # few atoms
     assert kind(liquid(5), md.LennardJones(1.0, 1.0, 8.0)) == "ListedPairs"  # cell too small
     assert kind(liquid(5), md.PairPotential(soft, (1.0,), 2.5)) == "ClusteredPairs"
     assert kind(liquid(5), md.PairPotential(branching, (1.0,), 2.5)) == "ListedPairs"  # cannot run on vectors

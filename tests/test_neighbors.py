@@ -1,4 +1,4 @@
-"""The neighbour list finds every pair and image once, in any cell, and never goes stale."""
+"""The neighbor list finds every pair and image once, in any cell, and never goes stale."""
 
 import numpy as np
 import pytest

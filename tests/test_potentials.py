@@ -29,7 +29,7 @@ POTENTIALS = {
     **{f"lennard-jones {t}": md.LennardJones(1.0, 1.0, CUTOFF, t) for t in TRUNCATIONS},
     "lennard-jones mixture": md.LennardJones(TWO_KINDS, cutoff=CUTOFF),
     "kob-andersen": md.LennardJones(TWO_KINDS, cutoff={("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}, pairs={("A", "B"): (1.5, 0.8)}),
-    "scaled neighbours": md.LennardJones(TWO_KINDS, cutoff=CUTOFF, truncation="switched", bonded_scale=(0.0, 0.3, 0.7)),
+    "scaled neighbors": md.LennardJones(TWO_KINDS, cutoff=CUTOFF, truncation="switched", bonded_scale=(0.0, 0.3, 0.7)),
     "yukawa": md.PairPotential(yukawa, (2.0, 1.1), CUTOFF, "force-shifted"),
     "soft core": md.PairPotential(soft_core, (3.0,), CUTOFF),
     "harmonic bonds": md.HarmonicBond(np.linspace(50, 90, 9), 1.1),
@@ -154,7 +154,7 @@ def slopes(potential, r, h=1e-4):
 @pytest.mark.parametrize(("truncation", "smoothness"), [("truncated", 0), ("shifted", 1), ("force-shifted", 2), ("charmm", 2), ("switched", 3)])
 def test_truncation_is_as_smooth_as_it_promises_and_no_smoother(truncation, smoothness):
     """Continuous derivatives at the cutoff: none, u, u and u′, (u, u′ and u″) for smoothness 0 to 3."""
-    potential = md.LennardJones(1.0, 1.0, 2.5, truncation, switch_start=2.0)
+    potential = md.LennardJones(1.0, 1.0, 2.5, truncation)
     jumps = [abs(a - b) for a, b in zip(slopes(potential, 2.5 - 1e-3), slopes(potential, 2.5 + 1e-3), strict=True)]
     full = [0.0163, 0.0390, 0.113]  # |u|, |u′|, |u″| of the law at 2.5
     for derivative, jump in enumerate(jumps):
@@ -203,6 +203,64 @@ def test_straight_angle_pulls_nowhere():
     straight = md.System([[0, 0, 0], [1, 0, 0], [2.2, 0, 0]])
     assert np.abs(md.evaluate(straight, md.HarmonicAngle(10.0, np.pi, [[0, 1, 2]])).forces).max() < 1e-6
     assert np.isfinite(md.evaluate(straight, md.HarmonicAngle(10.0, 2.0, [[0, 1, 2]])).forces).all()
+
+
+def test_bonds_in_any_order_keep_their_own_parameters():
+    system = md.System([[0, 0, 0], [1.0, 0, 0], [2.1, 0, 0], [3.3, 0, 0]], bonds=[[2, 3], [1, 0], [1, 2]])
+    k, length = np.array([10.0, 200.0, 3000.0]), np.array([1.0, 0.9, 1.2])
+    distances = np.array([1.2, 1.0, 1.1])
+    expected = (0.5 * k * (distances - length) ** 2).sum()
+    assert md.evaluate(system, md.HarmonicBond(k, length)).potential_energy == pytest.approx(expected, rel=1e-13)
+
+
+def test_scaled_pairs_end_at_the_cutoff_too():
+    far = md.System([[0, 0, 0], [1.2, 0, 0], [2.5, 0, 0]], bonds=[[0, 1], [1, 2]])
+    scaled = md.evaluate(far, md.LennardJones(1.0, 1.0, 2.4, "truncated", bonded_scale=(0.0, 0.5, 1.0)))
+    assert scaled.potential_energy == 0.0
+
+
+def test_the_switch_starts_at_eight_tenths_of_the_cutoff():
+    given = md.LennardJones(1.0, 1.0, 2.5, "switched", switch_start=2.0)
+    default = md.LennardJones(1.0, 1.0, 2.5, "switched")
+    r = np.linspace(1.9, 2.5, 30)
+    assert np.array_equal(given.pair_energy(r), default.pair_energy(r))
+
+
+@pytest.mark.parametrize("truncation", ["switched", "charmm"])
+def test_switches_begin_as_smoothly_as_they_promise(truncation):
+    potential = md.LennardJones(1.0, 1.0, 2.5, truncation, switch_start=2.0)
+    before, after = slopes(potential, 2.0 - 1e-3), slopes(potential, 2.0 + 1e-3)
+    scale = [abs(x) for x in before]
+    assert abs(after[0] - before[0]) < 0.02 * scale[0]
+    assert abs(after[1] - before[1]) < 0.02 * scale[1]
+    if truncation == "switched":
+        assert abs(after[2] - before[2]) < 0.1 * scale[2]
+
+
+@pytest.mark.parametrize("cell", [3.0, [[2.9, 0, 0], [1.2, 3.0, 0], [-0.8, 0.9, 3.3]]])
+def test_scaled_pairs_in_small_cells_equal_the_textbook_sum(cell):
+    """All images of all pairs, but the nearest image of a bonded one is scaled."""
+    rng = np.random.default_rng(12)
+    vectors = md.Cell.of(cell).vectors
+    positions = np.array([[0.1, 0.2, 0.3], [1.2, 0.4, 0.1], [1.4, 1.6, 0.5], [0.2, 1.5, 1.7]]) + 0.05 * rng.normal(size=(4, 3))
+    scale, cutoff, expected = (0.0, 0.3, 0.7), 4.0, 0.0
+    for i, j in itertools.product(range(4), repeat=2):
+        shifts = np.array(list(itertools.product(range(-4, 5), repeat=3))) @ vectors
+        distances = np.sort(np.linalg.norm(positions[j] - positions[i] + shifts, axis=1))
+        if i == j:
+            distances = distances[1:]
+        energies = np.where(distances < cutoff, 4.0 * (distances**-12 - distances**-6), 0.0)
+        if i != j:
+            energies[0] *= scale[abs(i - j) - 1]
+        expected += 0.5 * energies.sum()
+    system = md.System(positions, cell=vectors, bonds=[[0, 1], [1, 2], [2, 3]])
+    result = md.evaluate(system, md.LennardJones(1.0, 1.0, cutoff, "truncated", bonded_scale=scale))
+    assert result.potential_energy == pytest.approx(expected, rel=1e-12)
+
+
+def test_two_atoms_alone_on_one_spot_are_named():
+    with pytest.raises(md.NonFiniteError, match="atoms 0 and 1, 0 apart"):
+        md.evaluate(md.System([[1, 1, 1], [1, 1, 1]]), md.LennardJones(1.0, 1.0, 2.0))
 
 
 def test_two_atoms_on_one_spot_are_an_error_that_names_them():

@@ -37,13 +37,39 @@ def test_tail_pressure_is_the_closed_form():
 
 @pytest.mark.parametrize("truncation", ["switched", "charmm"])
 def test_tail_makes_a_switched_fluid_that_of_the_full_law(truncation):
-    """At uniform density the energy with the tail must not depend on the cutoff: compare two cutoffs on a perfect gas of pairs."""
+    """At uniform density, energy and virial with the tail are those of the full law, wherever the cutoff lies."""
     counts, volume = np.array([1000]), 2000.0
-    tails = []
+    energies, virials = [], []
     for cutoff in (3.0, 3.5):
         potential = md.LennardJones(1.0, 1.0, cutoff, truncation, switch_start=2.5, tail_correction=True)
-        r = np.linspace(2.5, cutoff, 200_001)
-        inside = potential.pair_energy(r) * r**2
-        body = 2 * np.pi * counts[0] ** 2 / volume * np.trapezoid(inside, r)
-        tails.append(body + potential.tail(counts, ("X",), volume)[0])
-    assert tails[0] == pytest.approx(tails[1], rel=1e-9)  # truncation of the trapezoidal rule
+        r = np.linspace(2.5, cutoff, 100_001)
+        u = potential.pair_energy(r)
+        tail = potential.tail(counts, ("X",), volume)
+        pairs = 2 * np.pi * counts[0] ** 2 / volume
+        energies.append(pairs * np.trapezoid(u * r**2, r) + tail[0])
+        virials.append(pairs * np.trapezoid(-np.gradient(u, r) * r**3, r) + tail[1])
+    assert energies[0] == pytest.approx(energies[1], rel=1e-8)  # truncation of the trapezoidal rule
+    assert virials[0] == pytest.approx(virials[1], rel=1e-6)  # and of the gradient
+
+
+def test_tail_follows_the_volume_and_is_shared_by_the_atoms():
+    system = md.System(np.random.default_rng(1).uniform(0, 8, (100, 3)), cell=8.0)
+    on, off = (md.LennardJones(1.0, 0.3, 2.0, "truncated", tail_correction=tail) for tail in (True, False))
+    forces, plain = md.Forces(system, on), md.Forces(system, off)
+    tails = []
+    for edge in (8.0, 16.0):
+        system.cell = md.Cell.of(edge)
+        forces.compute(2)
+        plain.compute(2)
+        tails.append((forces.potential_energy - plain.potential_energy, np.trace(forces.virial - plain.virial)))
+        assert forces.energies.sum() == pytest.approx(forces.potential_energy, rel=1e-12)
+        assert forces.virials.sum(axis=0)[:3].sum() == pytest.approx(np.trace(forces.virial), rel=1e-12)
+    assert tails[0] == pytest.approx(np.multiply(8.0, tails[1]), rel=1e-6)
+
+
+def test_tail_of_a_law_that_does_not_fall_off_is_refused():
+    def coulomb(r2, strength):
+        return strength / r2**0.5, strength / r2**1.5
+
+    with pytest.raises(ValueError, match="falls off faster"):
+        md.evaluate(md.System([[0, 0, 0], [1, 0, 0]], cell=9.0), md.PairPotential(coulomb, (1.0,), 3.0, "truncated", tail_correction=True))

@@ -14,7 +14,7 @@ LJ = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
 
 
 def chains(n_beads=8):
-    """Two bead chains in a box, bonded, first neighbours excluded."""
+    """Two bead chains in a box, bonded, first neighbors excluded."""
     rng = np.random.default_rng(3)
     k = np.arange(n_beads)
     one = np.column_stack([k * 0.97, 0.3 * np.sin(k), 0.3 * np.cos(k)])
@@ -76,8 +76,8 @@ def test_list_and_fresh_search_give_the_same_path():
         simulation.run(200, every=200)
     assert ends[0].positions == pytest.approx(ends[1].positions, abs=1e-10)
     assert ends[0].positions == pytest.approx(ends[2].positions, abs=1e-10)
-    builds = [simulation.report().list_builds for simulation in ends]
-    assert builds[0] > 200 > builds[1] > builds[2]
+    builds = [simulation.report().cost.list_builds for simulation in ends]
+    assert builds[0] == 200 > builds[1] > builds[2]
 
 
 def test_two_runs_are_one_run():
@@ -105,18 +105,24 @@ def test_what_nobody_asks_for_is_not_recorded_or_paid():
     record = simulation.run(10, every=5)
     with pytest.raises(AttributeError, match="pressure was not recorded: the cell has no volume"):
         _ = record.pressure
-    with pytest.raises(AttributeError, match="a record has no 'colour'"):
-        _ = record.colour
-    assert {"periodic images", "bond loop", "parameter table", "exclusions"} <= set(simulation.report().skipped)
+    with pytest.raises(AttributeError, match="a record has no 'color'"):
+        _ = record.color
+    assert {"periodic images", "bond loop", "parameter table", "exclusions"} <= set(simulation.report().cost.skipped)
 
 
-def test_energy_is_evaluated_only_where_somebody_looks(monkeypatch):
+@pytest.mark.parametrize("every", [20, 500])
+def test_energy_is_evaluated_only_where_somebody_looks(monkeypatch, every):
     asked = []
     compute = md.Forces.compute
     monkeypatch.setattr(md.Forces, "compute", lambda self, detail=0: (asked.append(detail), compute(self, detail))[1])
-    md.Simulation(*chains(), md.VelocityVerlet(0.002)).run(40, every=20)
-    assert len(asked) == 41
+    md.Simulation(*chains(), md.VelocityVerlet(0.002)).run(2 * every, every=every)
+    assert len(asked) == 2 * every + 1
     assert sum(detail > 0 for detail in asked) == 3
+    asked.clear()
+    simulation = md.Simulation(*chains(), md.VelocityVerlet(0.002))
+    simulation.set_temperature(1.0, seed=1)
+    simulation.equilibrate(100, 1.0)
+    assert sum(detail > 0 for detail in asked) == 1  # the look at the start
 
 
 def test_pressure_is_minus_the_volume_derivative_of_the_free_energy_at_rest():
@@ -182,10 +188,11 @@ def test_blow_up_says_at_which_step_which_atoms_and_keeps_the_last_good_state():
     message = str(caught.value)
     assert f"at step {simulation.step + 1}" in message
     assert "atoms 0 and 1" in message
-    assert "timestep 0.05 too large" in message
+    assert "timestep 0.05 τ too large" in message
     assert 0 < simulation.step < 20
     assert np.isfinite(simulation.positions).all()
     assert np.abs(simulation.velocities).max() < 1e3
+    assert simulation.frame().observables["potential_energy"] == pytest.approx(md.evaluate(simulation.system, LJ).potential_energy, rel=1e-12)
     twin = md.Simulation(system, LJ, md.VelocityVerlet(0.05))
     twin.run(simulation.step, every=1)
     assert simulation.positions == pytest.approx(twin.positions, abs=1e-9)
@@ -269,3 +276,75 @@ def test_drift_has_an_honest_error():
         misses += abs(drift(t, noise).slope) > 2 * drift(t, noise).error
         assert drift(t, noise + 0.01 * t).is_significant
     assert misses < 30  # 5 % expected, with room for the correlation between blocks
+
+
+def test_atoms_moved_from_outside_are_seen():
+    simulation = md.Simulation(md.System([[0, 0, 0], [1.5, 0, 0]]), LJ, md.VelocityVerlet(0.001))
+    simulation.run(5, every=5)
+    simulation.positions[:] = [[0, 0, 0], [1.12, 0, 0]]
+    expected = md.evaluate(simulation.system, LJ)
+    assert simulation.frame().observables["potential_energy"] == pytest.approx(expected.potential_energy, rel=1e-14)
+    simulation.positions[1, 0] = 1.3
+    expected = md.evaluate(simulation.system, LJ).potential_energy
+    assert simulation.run(0).potential_energy[0] == pytest.approx(expected, rel=1e-14)
+
+
+def test_observer_that_moves_an_atom_changes_the_next_kick():
+    def push(sim):
+        if sim.step == 10:
+            sim.positions[1, 0] = 1.2
+
+    watched = md.Simulation(md.System([[0, 0, 0], [1.5, 0, 0]]), LJ, md.VelocityVerlet(0.001))
+    watched.run(20, every=10, observers=[push])
+    twin = md.Simulation(md.System([[0, 0, 0], [1.5, 0, 0]]), LJ, md.VelocityVerlet(0.001))
+    twin.run(10, every=10)
+    push(twin)
+    twin.run(10, every=10)
+    assert np.array_equal(watched.positions, twin.positions)
+
+
+@pytest.mark.parametrize("cells", [(None, 9.0), (9.0, None), (12.0, 4.0), (9.0, [9.0, 9.0, 5.2])])
+def test_forces_follow_a_cell_that_changes(cells):
+    """Open to periodic and back, below twice the cutoff, with bonds and exclusions."""
+    system, potentials = chains()
+    changing = md.System(system.positions, cell=cells[0], bonds=system.bonds)
+    forces = md.Forces(changing, potentials)
+    forces.compute(1)
+    changing.cell = md.Cell.of(cells[1])
+    forces.compute(1)
+    fresh = md.evaluate(md.System(system.positions, cell=cells[1], bonds=system.bonds), potentials)
+    assert forces.potential_energy == pytest.approx(fresh.potential_energy, rel=1e-12)
+    assert forces.forces == pytest.approx(fresh.forces, rel=1e-11, abs=1e-11)
+
+
+def test_what_is_fixed_cannot_be_changed_behind_the_engine():
+    system = liquid(2)
+    for array in (system.masses, system.bonds, system.species_index, system.cell.vectors, system.cell.lattice):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+
+
+def test_angular_momentum_is_judged_by_its_scale_not_by_itself():
+    """A cluster at rest as a whole has L = 0; rounding must not look like a change."""
+    simulation = md.Simulation(md.System(liquid(2, jitter=0.0).positions - 1.0), LJ, md.VelocityVerlet(0.002))
+    simulation.run(500, every=100)
+    assert simulation.report().angular_momentum_change < 1e-12
+
+
+def test_few_frames_are_not_judged():
+    simulation = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85), md.VelocityVerlet(0.002))
+    simulation.run(20, every=10)
+    assert simulation.report().energy_is_conserved is None
+    assert "too few" in simulation.report().verdict
+
+
+def test_small_significant_drift_is_told_apart_from_none():
+    """1e-3 ε per atom per τ is a drift, however long the run."""
+    simulation = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(0.002))
+
+    def heat(sim):
+        sim.velocities[:] *= 1.0 + 1e-5
+
+    simulation.run(2000, every=10, observers=[heat])
+    assert 1e-4 < simulation.report().energy_drift.slope < 1e-2
+    assert simulation.report().energy_is_conserved is False

@@ -26,6 +26,6 @@ def test_shortest_path_decides_in_any_graph():
             assert pairs.tolist() == np.argwhere(np.triu(expected == apart, k=1)).tolist()
 
 
-def test_ring_of_four_has_no_third_neighbours():
+def test_ring_of_four_has_no_third_neighbors():
     one, two, three = pairs_by_bonds_apart(np.array([[0, 1], [1, 2], [2, 3], [3, 0]]), 4)
     assert (len(one), len(two), len(three)) == (4, 2, 0)

@@ -8,23 +8,32 @@ reads the same from both ends. E. Hairer, C. Lubich, G. Wanner, Geometric Numeri
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import isfinite
-from typing import Any, ClassVar, NamedTuple, Protocol
+from numbers import Real
+from typing import ClassVar, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiling import kernel
 
 
-class State(Protocol):
-    """What a splitting moves: (N, 3) arrays, (N,) inverse masses, and whether forces still belong to positions."""
+@dataclass
+class State:
+    """What a splitting moves, in place.
 
-    positions: NDArray[Any]
-    velocities: NDArray[Any]
-    forces: NDArray[Any]
-    inverse_masses: NDArray[Any]
-    forces_are_current: bool
-    stop_requested: bool
+    positions, velocities, forces : (N, 3) [length], [length/time], [energy/length].  inverse_masses : (N,) [1/mass].
+    forces_are_current : whether forces belong to positions; whoever moves positions sets it to False.
+    stop_requested : set it to True to end a run of steps after the present one.
+    """
+
+    positions: NDArray[np.float64]
+    velocities: NDArray[np.float64]
+    forces: NDArray[np.float64]
+    inverse_masses: NDArray[np.float64]
+    forces_are_current: bool = False
+    stop_requested: bool = False
 
 
 ComputeForces = Callable[[State, bool], None]  # fills state.forces; True if somebody will look at the energy
@@ -93,34 +102,34 @@ class Splitting:
     closing: ClassVar[tuple[Stage, ...]] = ()
 
     def __init__(self, timestep: float) -> None:
-        if not (isfinite(timestep) and timestep != 0.0):
-            raise ValueError(f"timestep must be finite and not zero; timestep = {timestep}")
+        if not (isinstance(timestep, Real) and isfinite(timestep) and timestep != 0.0):
+            raise ValueError(f"timestep must be finite and not zero; timestep = {timestep!r}")
         self.timestep = float(timestep)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(timestep={self.timestep:g})"
 
-    def advance(self, state: State, compute_forces: ComputeForces, n_steps: int) -> int:
-        """Make n_steps steps, fewer if state.stop_requested becomes true; return how many. n_steps ≥ 1.
+    def advance(self, state: State, compute_forces: ComputeForces, n_steps: int, look: bool = True) -> int:
+        """Make n_steps steps, at least one, fewer if state.stop_requested becomes true; return how many.
 
-        The forces of the last step are computed with the flag that somebody looks.
+        look : compute the forces of the last step with the flag that somebody looks at the energy.
         """
         opening, body, between, closing = self._merged()
         self._apply(opening, state, compute_forces)
         for step in range(1, n_steps + 1):
             if step == n_steps or state.stop_requested:
-                self._apply(body + closing, state, compute_forces, look_at_last=True)
+                self._apply(body + closing, state, compute_forces, look_at_last=look)
                 break
             self._apply(body + between, state, compute_forces)
         return step
 
     def _merged(self) -> tuple[tuple[Stage, ...], ...]:
-        """The row as stages before, in, between and after the steps, with equal neighbours made one."""
+        """The row as stages before, in, between and after the steps, with equal neighbors made one."""
         first, last = self.stages[0], self.stages[-1]
         if len(self.stages) == 1 or type(first) is not type(last):
             return self.opening, self.stages, (), self.closing
         merged = type(first)(first.coefficient + last.coefficient)
-        return (first,), self.stages[1:-1], (merged,), (last,)
+        return (*self.opening, first), self.stages[1:-1], (merged,), (last, *self.closing)
 
     def _apply(self, stages: tuple[Stage, ...], state: State, compute_forces: ComputeForces, look_at_last: bool = False) -> None:
         for k, stage in enumerate(stages, start=1):

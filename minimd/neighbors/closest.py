@@ -28,6 +28,8 @@ def closest_pair(system: System) -> ClosestPair | None:
         return None
     part = System(system.positions[finite], cell=system.cell)
     spread = np.ptp(part.positions, axis=0) if not system.cell.is_periodic else system.cell.heights[system.cell.pbc]
+    if not np.any(spread):
+        return ClosestPair(int(finite[0]), int(finite[1]), 0.0)
     largest = 2.0 * float(np.linalg.norm(spread)) + np.finfo(float).tiny
     cutoff = largest / max(2.0, 2.0 * len(part)) ** (1.0 / 3.0)
     while True:

@@ -103,7 +103,7 @@ def find_pairs(
 def _atoms_in_reach(bin_x, bin_y, bin_z, bin_start, counts, forward, crossed, pbc, ranges):
     """Ranges of atoms in the bins ahead of one bin, as rows (first, last, image) of ranges; returns how many.
 
-    The first row is the bin itself and what follows it without a gap. Neighbouring bins of one image are one range.
+    The first row is the bin itself and what follows it without a gap. Neighboring bins of one image are one range.
     """
     rows_y, rows_z = 2 * crossed[1] + 1, 2 * crossed[2] + 1
     own = (bin_x * counts[1] + bin_y) * counts[2] + bin_z
@@ -116,13 +116,13 @@ def _atoms_in_reach(bin_x, bin_y, bin_z, bin_start, counts, forward, crossed, pb
         if (cell_x != 0 and not pbc[0]) or (cell_y != 0 and not pbc[1]) or (cell_z != 0 and not pbc[2]):
             continue
         to_x, to_y, to_z = to_x - cell_x * counts[0], to_y - cell_y * counts[1], to_z - cell_z * counts[2]
-        neighbour = (to_x * counts[1] + to_y) * counts[2] + to_z
+        neighbor = (to_x * counts[1] + to_y) * counts[2] + to_z
         row = ((cell_x + crossed[0]) * rows_y + cell_y + crossed[1]) * rows_z + cell_z + crossed[2]
-        if bin_start[neighbour] == ranges[n, 1] and row == ranges[n, 2]:
-            ranges[n, 1] = bin_start[neighbour + 1]
+        if bin_start[neighbor] == ranges[n, 1] and row == ranges[n, 2]:
+            ranges[n, 1] = bin_start[neighbor + 1]
         else:
             n += 1
-            ranges[n, 0], ranges[n, 1], ranges[n, 2] = bin_start[neighbour], bin_start[neighbour + 1], row
+            ranges[n, 0], ranges[n, 1], ranges[n, 2] = bin_start[neighbor], bin_start[neighbor + 1], row
     return n + 1
 
 

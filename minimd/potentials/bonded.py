@@ -85,7 +85,7 @@ class HarmonicAngle:
     """
 
     def __init__(self, k: ArrayLike, angle: ArrayLike, triples: ArrayLike) -> None:
-        self.triples = np.array(triples, dtype=np.int64).reshape(-1, 3)
+        self.triples = _checked_triples(triples)
         self.k = _one_each("k", k, len(self.triples))
         self.angle = _one_each("angle", angle, len(self.triples))
         if np.any((self.angle < 0.0) | (self.angle > pi)):
@@ -146,6 +146,13 @@ def add_angle_forces(positions, triples, k, angle, detail, forces, energies, vir
             energies[l] += 0.5 * slope * (theta - angle[t]) / 3.0
         elif detail != FORCES:
             energies[j] += 0.5 * slope * (theta - angle[t])
+
+
+def _checked_triples(triples: ArrayLike) -> NDArray[np.int64]:
+    array = np.array(triples)
+    if array.ndim != 2 or array.shape[1] != 3 or not np.issubdtype(array.dtype, np.integer):
+        raise ValueError(f"triples must be an (A, 3) array of atom indices; its shape is {array.shape}, its type {array.dtype}")
+    return array.astype(np.int64)
 
 
 def _one_each(name: str, values: ArrayLike, n: int) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from math import inf, isfinite, pi
+from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,8 @@ from minimd.potentials.mixing import MIXING, Parameters
 from minimd.potentials.truncation import TRUNCATIONS
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
-NODES, WEIGHTS = 0.5 * (np.polynomial.legendre.leggauss(64)[0] + 1.0), 0.5 * np.polynomial.legendre.leggauss(64)[1]
+NODES = (64, 32)  # of two Gauss-Legendre rules; where they differ by more than this, relatively, an integral does not exist
+CONVERGED = 1e-8
 
 Label = str | int
 ByLabel = Mapping[Label, Parameters]
@@ -67,8 +69,11 @@ class PairPotential:
         self.switch_start = self._checked_switch_start(switch_start)
         self.bonded_scale = _checked_scale(bonded_scale)
         self.tail_correction = tail_correction
-        if tail_correction and truncation in ("shifted", "force-shifted"):
-            raise ValueError(f"tail_correction needs truncation 'truncated', 'switched' or 'charmm'; truncation = {truncation!r} has no tail")
+        if tail_correction and (truncation in ("shifted", "force-shifted") or self.cutoff == inf):
+            raise ValueError(
+                f"tail_correction needs a cutoff and truncation 'truncated', 'switched' or 'charmm'; "
+                f"cutoff = {self.cutoff}, truncation = {truncation!r} have no tail"
+            )
 
     def table(self, species_names: Sequence[Label]) -> NDArray[np.float64]:
         """Numbers of the truncated law for each pair of species: (S, S, 1 + P), the squared cutoff first.
@@ -86,6 +91,9 @@ class PairPotential:
     def depends_on_species(self) -> bool:
         """False if one tuple of parameters and one cutoff serve all pairs."""
         return isinstance(self.parameters, dict) or isinstance(self._cutoffs, dict)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.parameters}, cutoff={self._cutoffs}, truncation={self.truncation!r})"
 
     def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
         """u [energy] of two atoms of given species at distances r [length], truncation included; an array of r's shape."""
@@ -106,15 +114,13 @@ class PairPotential:
         energy = virial = 0.0
         for a, n_a in zip(names, numbers, strict=True):
             for b, n_b in zip(names, numbers, strict=True):
-                u, w = self._tail_integrals(a, b)
-                energy += 2.0 * pi * n_a * n_b / volume * u
-                virial += 2.0 * pi * n_a * n_b / volume * w
+                u, w = 2.0 * pi * n_a * n_b / volume * self._tail_integrals(a, b)
+                energy, virial = energy + u, virial + w
         return float(energy), float(virial)
 
     def _numbers(self, a: Label | None, b: Label | None) -> tuple[float, ...]:
         cutoff, parameters = self._cutoff_of(a, b), self._parameters_of(a, b)
-        start = self.switch_start if self.switch_start is not None else SWITCH_FROM * cutoff
-        extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, start)
+        extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, self._switch_start_for(cutoff))
         return (cutoff * cutoff, *extra, *parameters)
 
     def _cutoff_of(self, a: Label | None, b: Label | None) -> float:
@@ -138,31 +144,34 @@ class PairPotential:
             raise ValueError(f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; give them in pairs, or a mixing rule")
         return self.mixing(self.parameters[a], self.parameters[b])
 
-    def _tail_integrals(self, a: Label | None, b: Label | None) -> tuple[float, float]:
+    def _tail_integrals(self, a: Label | None, b: Label | None) -> NDArray[np.float64]:
         """∫ (u − u_truncated) r² dr and ∫ (f − f_truncated) r⁴ dr: beyond the cutoff with x = r_c/r, and where it is switched."""
         cutoff2, *numbers = self._numbers(a, b)
         cutoff, parameters = cutoff2**0.5, self._parameters_of(a, b)
-        energy = virial = 0.0
-        for x, weight in zip(NODES, WEIGHTS, strict=True):
+        start = self._switch_start_for(cutoff)
+
+        def beyond(x: float) -> tuple[float, float]:
             r = cutoff / x
             u, f = evaluate_law(self.plain_law, r * r, parameters)
-            energy += weight * u * cutoff**3 / x**4
-            virial += weight * f * r * r * cutoff**3 / x**4
-        if self.truncation == "truncated":
-            return energy, virial
-        start = self.switch_start if self.switch_start is not None else SWITCH_FROM * cutoff
-        for x, weight in zip(NODES, WEIGHTS, strict=True):
+            return u * cutoff**3 / x**4, f * r * r * cutoff**3 / x**4
+
+        def switched(x: float) -> tuple[float, float]:
             r = start + x * (cutoff - start)
             u, f = evaluate_law(self.plain_law, r * r, parameters)
             u_cut, f_cut = evaluate_law(self.law, r * r, tuple(numbers))
-            energy += weight * (cutoff - start) * (u - u_cut) * r**2
-            virial += weight * (cutoff - start) * (f - f_cut) * r**4
-        return energy, virial
+            return (cutoff - start) * (u - u_cut) * r**2, (cutoff - start) * (f - f_cut) * r**4
+
+        return _integral(beyond) + (0.0 if self.truncation == "truncated" else _integral(switched))
+
+    def _switch_start_for(self, cutoff: float) -> float:
+        return SWITCH_FROM * cutoff if self.switch_start is None else self.switch_start
 
     def _checked_switch_start(self, start: float | None) -> float | None:
         if self.cutoff == inf and self.truncation not in ("truncated", "shifted"):
             raise ValueError(f"cutoff must be given for truncation {self.truncation!r}; it is None")
         smallest = min(self._cutoffs.values()) if isinstance(self._cutoffs, dict) else self.cutoff
+        if start is not None and self.truncation not in ("switched", "charmm"):
+            raise ValueError(f"switch_start is for truncation 'switched' or 'charmm'; truncation = {self.truncation!r}")
         if start is not None and not 0.0 < start < smallest:
             raise ValueError(f"switch_start must lie between 0 and the cutoff {smallest}; switch_start = {start}")
         return start
@@ -196,6 +205,8 @@ class LennardJones(PairPotential):
         bonded_scale: Sequence[float] = (1.0, 1.0, 1.0),
         tail_correction: bool = False,
     ) -> None:
+        if pairs and not isinstance(epsilon, Mapping):
+            raise ValueError("pairs of LennardJones need a mapping from species to (epsilon, sigma) beside them")
         if isinstance(epsilon, Mapping) == (sigma is not None):
             raise ValueError("give LennardJones either epsilon and sigma, or one mapping from species to (epsilon, sigma)")
         by_species = epsilon if isinstance(epsilon, Mapping) else {"all atoms": (epsilon, sigma)}
@@ -211,6 +222,21 @@ class LennardJones(PairPotential):
             bonded_scale=bonded_scale,
             tail_correction=tail_correction,
         )
+
+
+def _integral(function: Callable[[float], tuple[float, float]]) -> NDArray[np.float64]:
+    """∫₀¹ of a function with two values, (2,).
+
+    Raises
+    ------
+    ValueError : if two rules disagree, as they do where the integral does not exist.
+    """
+    finer, coarser = (
+        0.5 * sum(weight * np.array(function(0.5 * (x + 1.0))) for x, weight in zip(*np.polynomial.legendre.leggauss(n), strict=True)) for n in NODES
+    )
+    if not np.all(np.abs(finer - coarser) <= CONVERGED * np.abs(finer)):
+        raise ValueError(f"tail_correction needs a law that falls off faster than 1/r³; its integral is {coarser[0]:.3g} or {finer[0]:.3g}")
+    return finer
 
 
 def _check_lennard_jones(parameters: Mapping) -> None:
@@ -243,8 +269,8 @@ def _checked_cutoff(cutoff: float | Mapping[tuple[Label, Label], float] | None) 
         return inf
     values = list(cutoff.values()) if isinstance(cutoff, Mapping) else [cutoff]
     for value in values:
-        if not (isfinite(value) and value > 0.0):
-            raise ValueError(f"cutoff must be positive and finite; cutoff = {value}; leave it out for none")
+        if not (isinstance(value, Real) and isfinite(value) and value > 0.0):
+            raise ValueError(f"cutoff must be positive and finite; cutoff = {value!r}; leave it out for none")
     return float(max(values))
 
 
@@ -262,6 +288,9 @@ def _choice(name: str, value: str, allowed: Mapping) -> str:
 
 
 def _symmetric(by_pair: Mapping) -> dict:
+    for (a, b), value in by_pair.items():
+        if by_pair.get((b, a), value) != value:
+            raise ValueError(f"the pair {a!r}, {b!r} must be given once; it has {value} and {by_pair[b, a]}")
     return {key: value for (a, b), value in by_pair.items() for key in ((a, b), (b, a))}
 
 

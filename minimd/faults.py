@@ -1,0 +1,48 @@
+"""What can be wrong with a state, said in words: which atoms, how far, which pair is the first suspect."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.neighbors.closest import closest_pair
+from minimd.system import System
+
+
+def fault_of(system: System, timestep: float, longest_stride: float) -> str | None:
+    """What is impossible about positions and velocities; None if they are possible.
+
+    longest_stride : the largest cutoff [length]; an atom that moves farther in one step has passed its neighbors unseen.
+    """
+    for name in ("positions", "velocities"):
+        bad = np.flatnonzero(~np.isfinite(getattr(system, name)).all(axis=1))
+        if bad.size:
+            return f"{name} of {bad.size} atoms are not finite (atom {bad[0]}{' ...' if bad.size > 1 else ''})"
+    strides = _lengths(system.velocities) * abs(timestep)
+    if strides.max() > longest_stride:
+        atom = int(np.argmax(strides))
+        return f"atom {atom} moves {strides[atom]:.3g} {system.units.length} in one step, past every neighbor (cutoff {longest_stride:g})"
+    return None
+
+
+def fault_at_start(system: System, forces: NDArray[np.float64], potential_energy: float, timestep: float, longest_stride: float) -> str | None:
+    """What would go wrong in the first step: forces, (N, 3) [energy/length], that are not finite or throw atoms across the scene."""
+    push = _lengths(forces) / system.masses * timestep**2
+    if not (np.isfinite(push).all() and np.isfinite(potential_energy)):
+        return "forces or energies are not finite"
+    if push.max() > longest_stride:
+        atom = int(np.argmax(push))
+        return f"the force on atom {atom} would move it by {push[atom]:.3g} {system.units.length} in one step"
+    return fault_of(system, timestep, longest_stride)
+
+
+def autopsy(system: System, fault: str, step: int, timestep: float, last_good_step: int) -> str:
+    """The fault with its circumstances, one sentence for an error; system is in the last good state."""
+    units = system.units
+    return (
+        f"{fault}, at step {step}; the closest pair before it is {closest_pair(system)}: overlapping atoms, or timestep "
+        f"{timestep * units.to_picosecond * units.shown_small_time:g} {units.small_time} too large. "
+        f"The system holds the last good state, that of step {last_good_step}"
+    )
+
+
+def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))

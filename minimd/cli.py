@@ -5,15 +5,13 @@ import contextlib
 import io
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from time import time
 
 from minimd import __version__
 from minimd.errors import ConstraintError, NonFiniteError
 
 OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
-CLOCK = 1.0  # seconds by which a file system may date a file too early
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -45,17 +43,17 @@ def _parser() -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="run a scene file", description="Build a scene, run it, and write its files.")
     run.add_argument("scene", help="scene file (TOML)")
     run.add_argument("--steps", type=_number_of_steps, metavar="N", help="instead of the steps in the scene")
-    run.add_argument("--out", type=Path, metavar="FILE", help="one trajectory file instead of those in the scene")
+    run.add_argument("--out", type=Path, metavar="FILE", help="one trajectory file instead of those in the scene; the picture lies beside it")
     run.add_argument("--overwrite", action="store_true", help="replace files that exist")
     resume = commands.add_parser("resume", help="go on with a run", description="Continue the run in an H5MD file and append to it.")
     resume.add_argument("file", type=Path, help="trajectory (.h5md) of a run from a scene file")
-    resume.add_argument("--steps", type=_number_of_steps, metavar="N", required=True, help="how many more steps")
+    resume.add_argument("--steps", type=_number_of_steps, metavar="N", help="how many more steps; up to the end of the scene if not given")
     resume.add_argument("--scene", metavar="TOML", help="take the potentials from this scene file, instead of the one stored in the run")
     for command, function in ((run, _run), (resume, _resume)):
         command.add_argument("--quiet", action="store_true", help="print nothing but errors")
         command.set_defaults(command=function)
     check = commands.add_parser("check", help="check a run for its conservation laws")
-    plot = commands.add_parser("plot", help="draw the energies and the temperature of a run")
+    plot = commands.add_parser("plot", help="draw the energies, the temperature and the structure of a run")
     for command, function in ((check, _check), (plot, _plot)):
         command.add_argument("file", type=Path, help="trajectory (.h5md)")
         command.set_defaults(command=function)
@@ -69,7 +67,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
     scene = load_scene(arguments.scene)
     files = scene.trajectories() if arguments.out is None else [arguments.out]
-    with _silence(arguments.quiet), _kept(files):
+    if not arguments.overwrite:
+        _refuse_existing(files if arguments.out or not scene.names_its_plot else [*files, Path(scene.sections.output.plot)])
+    with _silence(arguments.quiet):
         run_scene(
             scene,
             steps=arguments.steps,
@@ -85,7 +85,7 @@ def _resume(arguments: argparse.Namespace) -> int:
     from minimd.scene import load_scene, resume_run
 
     scene = None if arguments.scene is None else load_scene(arguments.scene)
-    with _silence(arguments.quiet), _kept([arguments.file]):
+    with _silence(arguments.quiet):
         resume_run(arguments.file, arguments.steps, scene=scene, progress=not arguments.quiet)
         _tell_next([arguments.file])
     return OK
@@ -104,6 +104,7 @@ def _plot(arguments: argparse.Namespace) -> int:
 
     picture = arguments.file.with_suffix(".png") if arguments.out is None else arguments.out
     word = "replaced" if picture.exists() else "written"
+    print(f"drawing        {picture} ...", flush=True)
     print(f"{word:<14} {plot_file(arguments.file, picture)}")
     return OK
 
@@ -112,6 +113,13 @@ def _doctor(_arguments: argparse.Namespace) -> int:
     from minimd.doctor import examine
 
     return OK if examine() else FAILED
+
+
+def _refuse_existing(files: Iterable[Path]) -> None:
+    for file in files:
+        if file.exists():
+            resume = f", or go on with the run: minimd resume {file}" if file.suffix.lower() == ".h5md" else ""
+            raise FileExistsError(f"output {str(file)!r} exists; replace it with --overwrite, write elsewhere with --out FILE{resume}")
 
 
 def _tell_next(files: Sequence[Path]) -> None:
@@ -128,20 +136,6 @@ def _silence(quiet: bool) -> Iterator[None]:
             stack.enter_context(contextlib.redirect_stdout(io.StringIO()))
             stack.enter_context(contextlib.redirect_stderr(io.StringIO()))
         yield
-
-
-@contextlib.contextmanager
-def _kept(files: Sequence[Path]) -> Iterator[None]:
-    """If a run fails, add to its message which of its files have been written and are kept."""
-    begun = time() - CLOCK
-    try:
-        yield
-    except (KeyboardInterrupt, NonFiniteError, ConstraintError, OSError) as error:
-        kept = [str(file) for file in files if file.is_file() and file.stat().st_size and file.stat().st_mtime > begun]
-        if kept and not isinstance(error, FileExistsError):
-            message = _about_file(error) if isinstance(error, OSError) else str(error) or "interrupted"
-            raise type(error)(f"{message}; what was written before is kept in {', '.join(kept)}") from None
-        raise
 
 
 def _about_file(error: OSError) -> str:

@@ -6,7 +6,6 @@ and only then does HDF5 append them. (Where HDF5 itself runs out of room it leav
 
 import errno
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -37,7 +36,7 @@ class H5MDWriter:
     """A new H5MD file that takes frames.
 
     After each flush, at least once a second while frames come, and after close the file is valid, whatever ended the run.
-    Its restart is the last frame; or the end of the run, where that lies beyond the last frame and was reached.
+    Its restart is the last frame; or the end of the run, where that lies beyond the last frame and close is told that it was reached.
 
     Parameters
     ----------
@@ -98,8 +97,10 @@ class H5MDWriter:
         if is_full or monotonic() - self._flushed >= SECONDS_BETWEEN_FLUSHES:
             self._flush()
 
-    def close(self) -> None:
+    def close(self, completed: bool) -> None:
         """Write what is left and close the file; do nothing if it is closed or has failed.
+
+        completed : whether the run came to its end; the restart is then that end, else the last frame.
 
         Raises
         ------
@@ -109,8 +110,8 @@ class H5MDWriter:
             return
         try:
             self._flush()
-            simulation, reached_the_end = self._simulation, sys.exception() is None
-            if reached_the_end and simulation.step > self._last_step:
+            simulation = self._simulation
+            if completed and simulation.step > self._last_step:
                 with self._telling(f"take the end of the run, step {simulation.step}"):
                     self._write_restart(simulation.step, simulation.time, simulation.positions, simulation.velocities)
         finally:

@@ -191,8 +191,16 @@ def opened(path: str | Path, mode: Literal["r", "r+", "w"]) -> h5py.File:
     try:
         return h5py.File(path, mode)
     except (OSError, RuntimeError) as error:
-        reason = "another process is writing it" if "lock" in str(error) else str(error).splitlines()[0]
-        raise OSError(f"file {str(path)!r} cannot be opened: {reason}") from error
+        raise OSError(f"file {str(path)!r} cannot be opened: {_reason(str(error))}") from error
+
+
+def _reason(words: str) -> str:
+    """Why HDF5 does not open a file, from its own words."""
+    if "unable to lock file" in words:
+        return "another process is writing it"
+    if "truncated file" in words:
+        return "it is damaged, it ends before its data do; copy it again, or run again"
+    return words.splitlines()[0]
 
 
 def read_file(path: str | Path) -> H5MDContents:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from minimd.simulation import Simulation
 
 VERSION = MDAnalysis.__version__
+FORMATS = {".nc": "NCDF"}  # of suffixes that are not their name
 XTC_DECIMALS = 4  # of nm, one more than usual, because σ is written as 0.1 nm
 RDF_FRAMES, RDF_DISTANCES = 50, 2e7  # at most, so that g(r) takes a few seconds
 MSD_FRAMES, MSD_ATOMS = 200, 400  # at most
@@ -74,7 +75,7 @@ def universe(path: str | Path) -> MDAnalysis.Universe:
 
 
 class MDAnalysisWriter:
-    """Frames to .xtc, .dcd, .trr or .ncdf through MDAnalysis: float32, positions unwrapped, Å and ps or reduced numbers.
+    """Frames to .xtc, .dcd, .trr or .ncdf (.nc) through MDAnalysis: float32, positions unwrapped, Å and ps or reduced numbers.
 
     TRR and NCDF hold velocities; XTC, rounded to 0.001 Å, and DCD do not. A DCD states the time between its frames at
     its beginning, so that it is begun with the second frame.
@@ -86,7 +87,7 @@ class MDAnalysisWriter:
 
     def __init__(self, file: Path, simulation: "Simulation") -> None:
         system = simulation.system
-        self._file, self._format = Path(file), Path(file).suffix[1:].upper()
+        self._file, self._format = Path(file), FORMATS.get(Path(file).suffix.lower(), Path(file).suffix[1:].upper())
         self._angstrom, self._picosecond = system.units.to_angstrom, system.units.to_picosecond
         self._timestep = simulation.method.timestep * self._picosecond
         self._dimensions = _dimensions(system.cell, self._angstrom)
@@ -102,8 +103,8 @@ class MDAnalysisWriter:
         if self._format != "DCD" or self._writer is not None or len(self._waiting) > 1:
             self._write_waiting()
 
-    def close(self) -> None:
-        """Finish the file; do nothing if it has failed."""
+    def close(self, completed: bool) -> None:
+        """Finish the file, the same whether the run was completed or not; do nothing if it has failed."""
         self._write_waiting()
         self._shut()
 

@@ -108,7 +108,7 @@ WRONG_CALLS = {
     "tail correction of what has no tail": (
         lambda: md.LennardJones(1.0, 1.0, 2.5, "shifted", tail_correction=True),
         ValueError,
-        ["tail_correction needs truncation", "'shifted'"],
+        ["tail_correction needs", "have no tail", "'shifted'"],
     ),
     "unknown truncation": (lambda: md.LennardJones(1.0, 1.0, 2.5, "shfted"), ValueError, ["truncation must be one of", "'switched'", "'shfted'"]),
     "unknown mixing rule": (lambda: md.LennardJones(1.0, 1.0, 2.5, mixing="mean"), ValueError, ["mixing must be one of", "'geometric'", "'mean'"]),
@@ -145,7 +145,7 @@ WRONG_CALLS = {
     "angle in degrees": (lambda: md.HarmonicAngle(1.0, 109.5, [[0, 1, 2]]), ValueError, ["between 0 and pi (radians)", "109.5"]),
     "zero time step": (lambda: md.VelocityVerlet(0.0), ValueError, ["timestep must be finite and not zero", "timestep = 0.0"]),
     "NaN time step": (lambda: md.VelocityVerlet(NAN), ValueError, ["timestep must be finite and not zero", "timestep = nan"]),
-    "time step far too large": (lambda: simulate(timestep=5.0, cell=10), md.NonFiniteError, ["force on atom", "timestep 5 too large"]),
+    "time step far too large": (lambda: simulate(timestep=5.0, cell=10), md.NonFiniteError, ["force on atom", "timestep 5 τ too large"]),
     "negative temperature": (lambda: temperature_set_to(-1.0), ValueError, ["temperature must be finite and not negative", "-1.0"]),
     "NaN temperature": (lambda: temperature_set_to(NAN), ValueError, ["temperature must be finite", "nan"]),
     "negative skin": (lambda: md.Simulation(md.System(THREE), LJ, md.VelocityVerlet(0.005), skin=-0.1), ValueError, ["skin", "-0.1"]),
@@ -175,7 +175,7 @@ def test_wrong_call_is_answered_with_one_sentence(wrong):
 
 def test_existing_output_is_refused_and_kept(tmp_path):
     (tmp_path / "a.h5md").write_text("precious")
-    with pytest.raises(FileExistsError, match=r"a\.h5md' exists; choose another name, or say overwrite"):
+    with pytest.raises(FileExistsError, match=r"a\.h5md' exists; choose another name, or pass overwrite=True"):
         simulate(trajectory=tmp_path / "a.h5md")
     assert (tmp_path / "a.h5md").read_text() == "precious"
 
@@ -237,7 +237,7 @@ WRONG_COMMANDS = {
     "wrong unit in a key": (SCENE.replace("timestep", "timestep_ps"), ["run"], 2, ["no key 'timestep_ps'", "did you mean 'timestep'?"]),
     "unknown unit system": (SCENE.replace('"LJ"', '"lj"').replace("[structure]", "[structure]"), ["run"], 2, ["units must be 'ASE' or 'LJ'", '"lj"']),
     "negative steps": (SCENE.replace("steps = 20", "steps = -20"), ["run"], 2, ["dynamics.steps must be greater than or equal to 0", "-20"]),
-    "cell too hot": (SCENE.replace("1.44", "1e8"), ["run"], 3, ["moves", "timestep 0.004 too large"]),
+    "cell too hot": (SCENE.replace("1.44", "1e8"), ["run"], 3, ["moves", "timestep 0.004 τ too large"]),
     "unknown suffix": (SCENE, ["run", "--out", "a.pdf"], 2, ["suffix of a trajectory", "'a.pdf'"]),
     "missing output folder": (SCENE, ["run", "--out", "no/a.h5md"], 2, ["no' does not exist"]),
     "existing output": (SCENE, ["run", "--out", "atoms.xyz"], 2, ["'atoms.xyz' exists"]),
@@ -287,7 +287,7 @@ def test_unwritable_folder_is_told_before_anything_is_computed(folder, capsys, m
 def test_refused_output_leaves_no_empty_files_of_the_others(folder, capsys):
     (folder / "two.toml").write_text(SCENE + 'trajectory = ["new.h5md", "atoms.xyz"]\n')
     assert cli.main(["run", "two.toml"]) == 2
-    assert only_error(capsys) == "output 'atoms.xyz' exists; choose another name, or say overwrite"
+    assert only_error(capsys) == "output 'atoms.xyz' exists; replace it with --overwrite, write elsewhere with --out FILE"
     assert not (folder / "new.h5md").exists()
 
 
@@ -296,7 +296,7 @@ def test_ctrl_c_without_words_says_interrupted_and_what_is_kept(folder, capsys, 
         (folder / "good.h5md").write_text("half a run")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("minimd.scene.run_scene", interrupt)
+    monkeypatch.setattr(md.Simulation, "run", interrupt)
     assert cli.main(["run", "good.toml"]) == 130
     assert only_error(capsys) == "interrupted; what was written before is kept in good.h5md"
 

@@ -1,6 +1,8 @@
 """The command line: what it says, where, with which exit code, and what it leaves behind."""
 
+import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -58,6 +60,18 @@ def answer(*arguments, **keywords):
     return process.returncode, out, err
 
 
+def wait_for_frames(process, file):
+    """Wait until a running process has written more than one frame; between two flushes the file can be copied and read."""
+    deadline = time.monotonic() + 100.0
+    while time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.1)
+        with contextlib.suppress(OSError, ValueError):
+            shutil.copy(file, "copy.h5md")
+            if read_file("copy.h5md").n_frames > 1:
+                return
+    pytest.fail(f"{file} has no frames after 100 s; the process ended with {process.poll()}")
+
+
 def test_version_is_told_quickly_and_without_loading_anything():
     code = (
         "import sys; from minimd.cli import main\ntry: main(['--version'])\n"
@@ -109,7 +123,8 @@ def test_existing_output_is_refused_before_anything_is_computed(folder, capsys, 
     out, err = capsys.readouterr()
     assert out == ""
     assert "'melt.h5md' exists" in err
-    assert "overwrite" in err
+    for words in ("--overwrite", "--out", "minimd resume melt.h5md"):
+        assert words in err
     assert Path("melt.h5md").read_text() == "precious"
 
 
@@ -119,6 +134,20 @@ def test_existing_picture_is_refused_too(folder, capsys):
     assert cli.main(["run", "melt.toml"]) == 2
     assert "'melt.png' exists" in capsys.readouterr().err
     assert not Path("melt.h5md").exists()
+
+
+def test_out_takes_the_picture_along_and_spares_pictures_that_were_not_named(folder, capsys):
+    Path("melt.toml").write_text(SCENE + 'plot = "melt.png"\n')
+    for name in ("melt.png", "second.png"):
+        Path(name).write_text("precious")
+    for name in ("first", "second"):
+        assert cli.main(["run", "melt.toml", "--out", f"{name}.h5md"]) == 0
+    assert Path("first.png").read_bytes().startswith(b"\x89PNG")
+    assert {Path(name).read_text() for name in ("melt.png", "second.png")} == {"precious"}
+    told = capsys.readouterr().out
+    assert "drawing        first.png" in told
+    assert "second.png exists and is kept" in told
+    assert cli.main(["run", "melt.toml", "--out", "third.xyz", "--quiet"]) == 0
 
 
 def test_overwrite_replaces(folder):
@@ -144,6 +173,51 @@ def test_resumed_run_is_the_uninterrupted_one(folder):
     assert parts.record.total_energy == pytest.approx(whole.record.total_energy, rel=1e-13)  # rounding: other list, other sums
     assert np.abs(parts.system.positions - whole.system.positions).max() < 1e-12  # rounding, grown over 30 steps
     assert np.abs(parts.system.positions - load_scene("melt.toml").system().positions).max() > 1e-3  # atoms moved
+
+
+def test_resume_without_steps_goes_on_to_the_end_of_the_scene(folder, capsys):
+    Path("melt.toml").write_text(SCENE + 'trajectory = ["melt.h5md", "melt.xyz"]\n')
+    assert cli.main(["run", "melt.toml", "--quiet", "--steps", "15"]) == 0
+    capsys.readouterr()
+    assert cli.main(["resume", "melt.h5md"]) == 0
+    assert "only melt.h5md is continued" in capsys.readouterr().out
+    assert read_file("melt.h5md").step == 40
+    assert cli.main(["resume", "melt.h5md"]) == 2
+    assert "it stands at step 40, dynamics.steps = 40" in capsys.readouterr().err
+
+
+def test_interrupted_run_says_how_to_go_on(folder, capsys, monkeypatch):
+    from minimd.h5md import H5MDWriter
+
+    write = H5MDWriter.write
+
+    def stopping(writer, frame):
+        write(writer, frame)
+        if frame.step == 20:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(H5MDWriter, "write", stopping)
+    assert cli.main(["run", "melt.toml"]) == 130
+    assert "resume with: minimd resume melt.h5md --steps 20" in capsys.readouterr().err
+    monkeypatch.undo()
+    os.chdir(folder)
+    assert cli.main(["resume", "melt.h5md", "--steps", "20", "--quiet"]) == 0
+    assert read_file("melt.h5md").step == 40
+
+
+def test_interrupted_equilibration_says_that_nothing_was_written(folder, capsys, monkeypatch):
+    Path("melt.toml").write_text(SCENE.replace("[output]", "[equilibration]\nsteps = 40\n[output]"))
+    rescale = md.Simulation.rescale_temperature
+
+    def stopping(run, temperature):
+        rescale(run, temperature)
+        if run.step == 20:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(md.Simulation, "rescale_temperature", stopping)
+    assert cli.main(["run", "melt.toml"]) == 130
+    assert "of the equilibration; nothing was written" in capsys.readouterr().err
+    assert not Path("melt.h5md").exists()
 
 
 def test_resume_without_a_stored_scene_asks_for_one(folder, capsys):
@@ -172,7 +246,14 @@ def test_plot_writes_a_picture_and_says_so(folder, capsys):
     assert cli.main(["plot", "melt.h5md"]) == 0
     assert cli.main(["plot", "melt.h5md"]) == 0
     assert cli.main(["plot", "melt.h5md", "--out", "other.png"]) == 0
-    assert capsys.readouterr().out.splitlines() == ["written        melt.png", "replaced       melt.png", "written        other.png"]
+    assert capsys.readouterr().out.splitlines() == [
+        "drawing        melt.png ...",
+        "written        melt.png",
+        "drawing        melt.png ...",
+        "replaced       melt.png",
+        "drawing        other.png ...",
+        "written        other.png",
+    ]
     assert Path("other.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -182,7 +263,7 @@ def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsy
     err = capsys.readouterr().err
     (line,) = [line for line in err.splitlines() if line.startswith("minimd: error:")]
     assert "at step" in line
-    assert "timestep 0.025 too large" in line
+    assert "timestep 0.025 τ too large" in line
     assert "kept in melt.h5md" in line
     assert "Traceback" not in err
     assert read_file("melt.h5md").n_frames > 0
@@ -191,9 +272,7 @@ def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsy
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_killed_run_can_be_resumed(folder):
     process = command("run", "melt.toml", "--steps", "1000000", "--quiet")
-    deadline = time.monotonic() + 100.0
-    while time.monotonic() < deadline and not (Path("melt.h5md").exists() and Path("melt.h5md").stat().st_size > 10_000_000):
-        time.sleep(0.1)  # more than the room that is reserved for the first frames
+    wait_for_frames(process, "melt.h5md")
     process.kill()
     process.wait(timeout=60)
     contents = read_file("melt.h5md")
@@ -205,9 +284,7 @@ def test_killed_run_can_be_resumed(folder):
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_ctrl_c_ends_with_130_and_a_file_that_can_be_resumed(folder):
     process = command("run", "melt.toml", "--steps", "1000000", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 100.0
-    while time.monotonic() < deadline and not (Path("melt.h5md").exists() and Path("melt.h5md").stat().st_size > 1_000_000):
-        time.sleep(0.1)  # until frames are written, so that the steps are under way
+    wait_for_frames(process, "melt.h5md")
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
@@ -245,9 +322,9 @@ def test_doctor_notices_a_wrong_force(capsys, monkeypatch):
 
 def test_doctor_notices_a_drift(monkeypatch):
     class Leaking(md.VelocityVerlet):
-        def advance(self, state, compute_forces, n_steps):
+        def advance(self, state, compute_forces, n_steps, look=True):
             state.velocities[:] *= 0.9999
-            return super().advance(state, compute_forces, n_steps)
+            return super().advance(state, compute_forces, n_steps, look)
 
     monkeypatch.setattr(doctor.md, "VelocityVerlet", Leaking)
     fine, sentence = doctor.conservation()

@@ -4,6 +4,7 @@ import errno
 import os
 import resource
 import shutil
+import signal
 
 import h5py
 import MDAnalysis
@@ -160,7 +161,7 @@ def test_appended_run_continues_without_doubled_frames(tmp_path, n_steps):
     sim = resumed(path)
     writer = H5MDWriter.append_to(path, sim)
     record = sim.run(20, every=5, observers=[lambda s: writer.write(s.frame())])
-    writer.close()
+    writer.close(completed=True)
     contents = read_file(path)
     expected = [0, 5, 10, 15, 20, *range(n_steps + 5, n_steps + 25, 5)] if n_steps == 20 else [0, 5, 10, 15, 20, *range(23, 48, 5)]
     assert contents.record.step.tolist() == expected
@@ -178,7 +179,7 @@ def test_frames_behind_the_restart_are_dropped(tmp_path):
     simulation().run(20, every=5, trajectory=path)
     with h5py.File(path, "r+") as h5:
         h5["minimd/restart"].attrs["step"] = 10
-    H5MDWriter.append_to(path, resumed(path)).close()
+    H5MDWriter.append_to(path, resumed(path)).close(completed=True)
     assert read_file(path).record.step.tolist() == [0, 5, 10]
     assert len(opened(path).trajectory) == 3
 
@@ -194,7 +195,7 @@ def test_appending_another_run_is_refused(tmp_path, fault, words):
     sim = simulation("triclinic" if fault == "cell" else "cubic", md.units.ASE if fault == "units" else md.units.LJ)
     sim.step = 0 if fault == "step" else 10
     if fault == "masses":
-        sim.system.masses[3] = 7.0
+        sim.system.masses = 7.0 * sim.system.masses
     with pytest.raises(ValueError, match=words):
         H5MDWriter.append_to(path, sim, store_forces=fault == "forces")
     assert path.read_bytes() == before
@@ -213,13 +214,14 @@ def test_exception_in_a_run_leaves_a_valid_file(tmp_path):
 
 def test_interrupted_run_restarts_at_its_last_frame(tmp_path):
     def interrupt(sim):
-        sim.stop_requested = sim.step == 15
+        if sim.step == 15:
+            signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
         simulation().run(100, every=5, trajectory=tmp_path / "a.h5md", observers=[interrupt])
     contents = read_file(tmp_path / "a.h5md")
     assert contents.record.step.tolist() == [0, 5, 10, 15]
-    assert contents.step == 15
+    assert contents.step == 15  # one step is made after it, and is not the end of the run
 
 
 def test_interrupt_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypatch):
@@ -240,7 +242,7 @@ def test_interrupt_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypatch
         writer.write(sim.frame())
     assert {len(series) for series in h5md.layout.all_series(writer._h5)} == {1}
     monkeypatch.setattr(h5md.layout, "series_of", series_of)
-    writer.close()
+    writer.close(completed=True)
     assert read_file(path).record.step.tolist() == [0, 5]
 
 
@@ -294,7 +296,7 @@ def test_full_disk_is_told_once_and_spoils_nothing(tmp_path, monkeypatch, way):
 
     with limited(1_200_000 if way == "limit" else 2**40), pytest.raises(OSError, match=r"a\.h5md.*frame of step") as failure:
         write_until_full()
-    writer.close()
+    writer.close(completed=True)
     assert 5 < written < 2000
     assert f"{written} frames before that are valid" in str(failure.value)
     assert read_file(path).record.step.tolist() == list(range(written))
@@ -336,7 +338,7 @@ def test_readers_trust_the_shortest_series(tmp_path):
         h5["observables/momentum/value"].resize(3, axis=0)
         h5["minimd/restart"].attrs["step"] = 10
     assert len(read_file(path).record.total_energy) == read_file(path).n_frames == 3
-    H5MDWriter.append_to(path, resumed(path)).close()
+    H5MDWriter.append_to(path, resumed(path)).close(completed=True)
     assert len(opened(path).trajectory) == 3
 
 
@@ -370,8 +372,40 @@ def test_files_that_are_no_runs_are_named(tmp_path):
         h5["data"] = [1, 2]
     with pytest.raises(ValueError, match="not written by minimd"):
         read_file(tmp_path / "foreign.h5md")
-    H5MDWriter(tmp_path / "empty.h5md", simulation(), False).close()
+    H5MDWriter(tmp_path / "empty.h5md", simulation(), False).close(completed=True)
     with pytest.raises(ValueError, match="no frame"):
         read_file(tmp_path / "empty.h5md")
     with pytest.raises(OSError, match=r"nowhere.*cannot be opened"):
         H5MDWriter(tmp_path / "nowhere" / "a.h5md", simulation(), False)
+
+
+def test_end_of_a_run_inside_an_except_block_is_the_restart(tmp_path):
+    sim = simulation()
+    try:
+        raise RuntimeError("of the caller, who then runs")
+    except RuntimeError:
+        sim.run(15, every=10, trajectory=tmp_path / "a.h5md")
+    assert read_file(tmp_path / "a.h5md").step == 15
+
+
+def test_refused_or_failed_output_leaves_nothing_of_the_others(tmp_path, monkeypatch):
+    (tmp_path / "b.xyz").write_text("precious")
+    with pytest.raises(FileExistsError, match=r"b\.xyz' exists"):
+        simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "b.xyz"])
+    assert [path.name for path in tmp_path.iterdir()] == ["b.xyz"]
+
+    closed = []
+    monkeypatch.setattr("minimd.h5md.H5MDWriter.close", lambda _self, completed: closed.append(completed))
+    monkeypatch.setattr("minimd.mdanalysis.MDAnalysisWriter.__init__", lambda *_: (_ for _ in ()).throw(OSError("no more files")))
+    with pytest.raises(OSError, match="no more files"):
+        simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "c.xtc"])
+    assert closed == [False]
+    assert [path.name for path in tmp_path.iterdir()] == ["b.xyz"]
+
+
+def test_truncated_file_is_said_to_be_damaged(tmp_path):
+    simulation().run(20, every=5, trajectory=tmp_path / "a.h5md")
+    content = (tmp_path / "a.h5md").read_bytes()
+    (tmp_path / "a.h5md").write_bytes(content[: len(content) // 2])
+    with pytest.raises(OSError, match="it is damaged"):
+        read_file(tmp_path / "a.h5md")

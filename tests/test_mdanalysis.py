@@ -45,7 +45,7 @@ def written(path, made, frames):
     for step, positions in enumerate(frames):
         writer.write(sim.frame()._replace(step=step, time=0.5 * step, positions=positions))
     sim.step = len(frames) - 1
-    writer.close()
+    writer.close(completed=True)
     return path
 
 
@@ -213,7 +213,7 @@ def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(tmp_path)
     writer = H5MDWriter(tmp_path / "a.h5md", sim, False)
     for step in steps:
         writer.write(sim.frame()._replace(step=step, time=0.5 * step, positions=np.eye(3) + 0.5 * step * velocity))
-    writer.close()
+    writer.close(completed=True)
     lags, squares = mdanalysis.mean_square_displacement(tmp_path / "a.h5md")
     np.testing.assert_allclose(lags, 0.5 * np.array([0, 1, 2, 3, 4, 6, 7, 8]))
     np.testing.assert_allclose(squares, 0.09 * lags**2, rtol=1e-6)

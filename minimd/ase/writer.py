@@ -36,6 +36,6 @@ class ASEWriter:
         else:
             ase.io.write(self._output, atoms, format="extxyz")
 
-    def close(self) -> None:
-        """Finish the file."""
+    def close(self, completed: bool) -> None:
+        """Finish the file, the same whether the run was completed or not."""
         self._output.close()

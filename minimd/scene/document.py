@@ -90,6 +90,18 @@ class Scene:
             raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = {list(map(str, trajectories))}")
         return drawn[0].with_suffix(".png") if plot is True else Path(plot)
 
+    def plot_beside(self, trajectory: Path) -> Path | None:
+        """The picture beside a trajectory that replaces those of the scene; None if the scene asks for none or it cannot be drawn."""
+        plot = self.sections.output.plot
+        if plot is False or trajectory.suffix.lower() != ".h5md":
+            return None
+        return trajectory.with_suffix(".png" if plot is True else Path(plot).suffix)
+
+    @property
+    def names_its_plot(self) -> bool:
+        """True if the scene gives its picture a name."""
+        return isinstance(self.sections.output.plot, str)
+
     def _from_lattice(self) -> System:
         structure, unit_system = self.sections.structure, self.units
         mass = 1.0

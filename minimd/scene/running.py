@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from minimd import units
-from minimd.h5md import H5MDWriter, annotate, read_file
+from minimd.h5md import H5MDContents, H5MDWriter, annotate, read_file
 from minimd.potentials import PairPotential
 from minimd.scene.document import Scene, parse_scene
+from minimd.scene.ending import kept, nothing_written
 from minimd.simulation import Observer, Simulation
 from minimd.trajectory import checked_output
 
@@ -29,8 +30,9 @@ def run_scene(
 
     Parameters
     ----------
-    steps : instead of those of the scene.  trajectory : one file instead of those of the scene.
-    overwrite : replace files that exist; without it they are refused before anything is computed.
+    steps : instead of those of the scene.  trajectory : one file instead of those of the scene; the picture lies beside it.
+    overwrite : replace files that exist; without it those that were named are refused before anything is computed, and
+        a picture that was not named is left as it is.
     progress : as for Simulation.run.  tell : gets a line about each thing that is done.
 
     Raises
@@ -39,35 +41,53 @@ def run_scene(
     """
     dynamics, output = scene.sections.dynamics, scene.sections.output
     files = scene.trajectories() if trajectory is None else [trajectory]
-    picture = scene.plot_name(files)
+    picture = scene.plot_name(files) if trajectory is None else scene.plot_beside(trajectory)
     n_steps = dynamics.steps if steps is None else steps
-    check_outputs(files, picture, overwrite)
+    check_outputs(files, picture if scene.names_its_plot and trajectory is None else None, overwrite)
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
     equilibrate(scene, simulation, progress, tell)
-    simulation.run(
-        n_steps,
-        every=output.every,
-        trajectory=files,
-        store_forces=output.forces,
-        overwrite=overwrite,
-        observers=[_scene_keeper(scene, files)],
-        progress=progress,
-    )
+    with kept(files, n_steps):
+        simulation.run(
+            n_steps,
+            every=output.every,
+            trajectory=files,
+            store_forces=output.forces,
+            overwrite=overwrite,
+            observers=[_scene_keeper(scene, files)],
+            progress=progress,
+        )
     tell(str(simulation.report()))
     if picture is not None:
-        from minimd.plot import plot_file
-
-        drawn = next(file for file in files if file.suffix.lower() == ".h5md")
-        files = [*files, plot_file(drawn, picture)]
+        with kept(files, n_steps):
+            files = [*files, *_drawn(files, picture, overwrite, tell)]
     tell(f"written        {', '.join(map(str, files))}")
     return simulation
 
 
-def resume_run(file: Path, steps: int, *, scene: Scene | None = None, progress: bool | None = None, tell: Tell = print) -> Simulation:
-    """Go on with the run in an H5MD file for some more steps, from its restart, and append to it.
+def _drawn(files: Sequence[Path], picture: Path, overwrite: bool, tell: Tell) -> list[Path]:
+    """Draw the picture of a run; none if that would replace one that stands there."""
+    if picture.exists() and not overwrite:
+        tell(f"not drawn      {picture} exists and is kept; draw with: minimd plot")
+        return []
+    tell(f"drawing        {picture} ...")
+    from minimd.plot import plot_file
 
+    return [plot_file(next(file for file in files if file.suffix.lower() == ".h5md"), picture)]
+
+
+def resume_run(
+    file: str | Path, steps: int | None = None, *, scene: Scene | None = None, progress: bool | None = None, tell: Tell = print
+) -> Simulation:
+    """Go on with the run in an H5MD file, from its restart, and append to it; its other trajectories are not continued.
+
+    A run from a script has no scene in its file. There, read_file(file).system of minimd.h5md is the System at the restart, from
+    which a new Simulation starts; with its step and time set to those of the contents, H5MDWriter.append_to continues the file.
+
+    Parameters
+    ----------
+    steps : how many more; up to the end of the scene if not given.
     scene : whose potentials and method are used, instead of those of the scene that is stored in the file.
 
     Raises
@@ -78,20 +98,41 @@ def resume_run(file: Path, steps: int, *, scene: Scene | None = None, progress: 
     contents = read_file(file)
     if scene is None and not contents.scene:
         raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; name the scene file with --scene")
-    scene = scene or parse_scene(contents.scene, file)
+    scene = scene or parse_scene(contents.scene, Path(file))
+    steps = _steps_left(contents, scene, file) if steps is None else steps
     simulation = scene.simulation(contents.system)
     simulation.step, simulation.time = contents.step, contents.time
     for line in description(scene, simulation, steps):
         tell(line)
     tell(f"resumed        at step {contents.step}, {_time(contents.time, scene.units)}, behind {contents.n_frames} frames")
-    writer = H5MDWriter.append_to(file, simulation)
-    try:
-        simulation.run(steps, every=scene.sections.output.every, observers=[lambda run: writer.write(run.frame())], progress=progress)
-    finally:
-        writer.close()
+    if len(scene.trajectories()) > 1:
+        tell(f"               only {file} is continued; the other trajectories of the scene stay as they are")
+    with kept([Path(file)], contents.step + steps):
+        _append(Path(file), simulation, steps, scene.sections.output.every, progress)
     tell(str(simulation.report()))
     tell(f"written        {file}")
     return simulation
+
+
+def _append(file: Path, simulation: Simulation, steps: int, every: int, progress: bool | None) -> None:
+    """Run, and append the frames to a file."""
+    writer, completed = H5MDWriter.append_to(file, simulation), False
+    try:
+        simulation.run(steps, every=every, observers=[lambda run: writer.write(run.frame())], progress=progress)
+        completed = True
+    finally:
+        writer.close(completed)
+
+
+def _steps_left(contents: H5MDContents, scene: Scene, file: str | Path) -> int:
+    """Steps from the restart to the end of the scene.  Raises ValueError if there are none."""
+    left = scene.sections.dynamics.steps - contents.step
+    if left <= 0:
+        raise ValueError(
+            f"the run in {str(file)!r} has come to the end of its scene: it stands at step {contents.step}, dynamics.steps = "
+            f"{scene.sections.dynamics.steps}; say with --steps how many more"
+        )
+    return left
 
 
 def _scene_keeper(scene: Scene, files: Sequence[Path]) -> Observer:
@@ -107,19 +148,11 @@ def _scene_keeper(scene: Scene, files: Sequence[Path]) -> Observer:
 
 
 def check_outputs(trajectories: Sequence[Path], picture: Path | None, overwrite: bool) -> None:
-    """Refuse what cannot be written, and leave nothing behind by trying.
-
-    Raises
-    ------
-    ValueError, OSError : as trajectory.checked_output.
-    """
+    """Refuse what cannot be written.  Raises ValueError, OSError as trajectory.checked_output."""
     for file in trajectories:
-        is_new = not file.exists()
         checked_output(file, overwrite)
-        if is_new:
-            file.unlink()
     if picture is not None and picture.exists() and not overwrite:
-        raise FileExistsError(f"output {str(picture)!r} exists; choose another name, or say overwrite")
+        raise FileExistsError(f"output {str(picture)!r} exists; choose another name, or pass overwrite=True")
     if picture is not None and not picture.absolute().parent.is_dir():
         raise FileNotFoundError(f"output folder {str(picture.absolute().parent)!r} does not exist; make it first")
 
@@ -127,11 +160,12 @@ def check_outputs(trajectories: Sequence[Path], picture: Path | None, overwrite:
 def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:
     """Run the equilibration of the scene, if it has one."""
     plan = scene.sections.equilibration
-    if plan is None or plan.steps == 0:
+    target = (plan and plan.temperature) or scene.sections.dynamics.temperature
+    if plan is None or target is None or plan.steps == 0:  # SceneSections has checked that there is a target
         return
-    target = plan.temperature or scene.sections.dynamics.temperature
     tell(f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {plan.rescale_every}")
-    simulation.equilibrate(plan.steps, target, every=plan.rescale_every, progress=progress)
+    with nothing_written():
+        simulation.equilibrate(plan.steps, target, every=plan.rescale_every, progress=progress)
 
 
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:

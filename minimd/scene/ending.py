@@ -1,0 +1,54 @@
+"""When a run from a scene ends early: what is kept, and how to go on."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from time import time
+
+from minimd.errors import ConstraintError, NonFiniteError
+from minimd.h5md import read_file
+
+CLOCK = 1.0  # seconds by which a file system may date a file too early
+
+
+@contextmanager
+def kept(files: Sequence[Path], end: int) -> Iterator[None]:
+    """If a run fails, add to its message which of its files were written and are kept; after Ctrl-C also how to go on.
+
+    end : the step at which the run was to end.
+    """
+    begun = time() - CLOCK
+    try:
+        yield
+    except (KeyboardInterrupt, NonFiniteError, ConstraintError, OSError) as error:
+        written = [file for file in files if file.is_file() and file.stat().st_size and file.stat().st_mtime > begun]
+        if not written:
+            raise
+        message = f"{_words(error)}; what was written before is kept in {', '.join(map(str, written))}"
+        hint = _how_to_go_on(written, end) if isinstance(error, KeyboardInterrupt) else ""
+        raise type(error)(message + hint) from None
+
+
+@contextmanager
+def nothing_written() -> Iterator[None]:
+    """Say of an interrupted equilibration that it has left nothing."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        raise KeyboardInterrupt(f"{_words(error)} of the equilibration; nothing was written") from None
+
+
+def _how_to_go_on(written: Sequence[Path], end: int) -> str:
+    for file in written:
+        if file.suffix.lower() == ".h5md":
+            with suppress(OSError, ValueError):
+                left = end - read_file(file).step
+                return f"; resume with: minimd resume {file} --steps {left}" if left > 0 else ""
+    return ""
+
+
+def _words(error: BaseException) -> str:
+    """What an error says, without the number of an error of the operating system."""
+    if isinstance(error, OSError) and error.strerror is not None:
+        return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    return str(error) or "interrupted"

@@ -49,7 +49,7 @@ class Forces:
         self._energies = np.zeros(len(system))
         self._virials = np.zeros((len(system), 6))
         self._detail = FORCES
-        self._tail = (None, 0.0, 0.0)
+        self._tail: tuple[float | None, float, float] = (None, 0.0, 0.0)
 
     def _plan(self) -> None:
         """What a scene needs depends on its cell: which list fits, which skin, whether there are images."""

@@ -94,6 +94,7 @@ class Splitting:
     ValueError : if the time step is zero or not finite.
     """
 
+    timestep: float
     name: ClassVar[str]
     stages: ClassVar[tuple[Stage, ...]]
     order: ClassVar[int]

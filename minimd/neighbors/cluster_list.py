@@ -58,7 +58,7 @@ class ClusterList:
         bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
         if bad.size:
             raise NonFiniteError(f"positions of {bad.size} atoms are not finite, the first is atom {bad[0]}")
-        self._cell, self._built_at = cell, positions.copy()
+        self._cell, self._lattice, self._built_at = cell, cell.lattice, positions.copy()
         self.n_builds += 1
         self._build(positions, cell)
         return True
@@ -66,7 +66,7 @@ class ClusterList:
     def gather(self, positions: NDArray[np.float64]) -> None:
         """Copy the positions to where the loop reads them, ghosts included, and clear the forces."""
         gather_clusters(positions, self.atom, self._offsets, self.coordinates)
-        refresh_ghosts(self.coordinates, self.n_clusters, self.ghosts, self._cell.lattice)
+        refresh_ghosts(self.coordinates, self.n_clusters, self.ghosts, self._lattice)
         self.on_clusters[: (self.n_clusters + len(self.ghosts)) * BLOCK] = 0.0
         self.on_atoms[: self.n_clusters * BLOCK] = 0.0
 

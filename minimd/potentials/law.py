@@ -1,7 +1,7 @@
 """How a scalar law u(r) meets the loops: by type, so that the compiled loop is found again by the next process.
 
 A law is one function `law(r2, *parameters)` that returns u [energy] and f = −u′(r)/r [energy/length²]. It is named by a
-marker, a NamedTuple class whose attribute `formula` is that function. A truncation is a marker that holds another one. A
+marker, a NamedTuple class that @marks(law) ties to it. A truncation is a marker that holds another one. A
 marker carries no numbers: they follow in one flat tuple, first those of the truncation, then those of the law.
 """
 
@@ -13,6 +13,16 @@ from numba.core.dispatcher import Dispatcher
 from numba.extending import overload
 
 from minimd.compiling import scalar
+
+
+def marks(formula: Callable) -> Callable[[type], type]:
+    """Decorator of a marker: its instances stand for this compiled formula."""
+
+    def tie(marker: type) -> type:
+        marker.formula = formula  # type: ignore[attr-defined]
+        return marker
+
+    return tie
 
 
 class UserLaw(NamedTuple):
@@ -47,7 +57,7 @@ def evaluate_law(law, r2, parameters):
     """
     if isinstance(law, UserLaw):
         return law.function.py_func(r2, *parameters)
-    formula = type(law).formula.py_func
+    formula = type(law).formula.py_func  # type: ignore[attr-defined]
     return formula(r2, law[0], parameters) if law else formula(r2, *parameters)
 
 

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from minimd.compiling import scalar
-from minimd.potentials.law import evaluate_law
+from minimd.potentials.law import evaluate_law, marks
 
 
 @scalar
@@ -48,20 +48,18 @@ def scaled(r2, law, parameters):
     return parameters[0] * u, parameters[0] * f
 
 
+@marks(lennard_jones)
 class LennardJonesLaw(NamedTuple):
     """Marker of lennard_jones; parameters (epsilon, sigma)."""
 
-    formula = lennard_jones
 
-
+@marks(harmonic)
 class HarmonicLaw(NamedTuple):
     """Marker of harmonic; parameters (k, length)."""
 
-    formula = harmonic
 
-
+@marks(scaled)
 class Scaled(NamedTuple):
     """Marker of scaled around another marker."""
 
     law: Any
-    formula = scaled

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from math import inf, isfinite, pi
 from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -123,14 +124,14 @@ class PairPotential:
         extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, self._switch_start_for(cutoff))
         return (cutoff * cutoff, *extra, *parameters)
 
-    def _cutoff_of(self, a: Label | None, b: Label | None) -> float:
+    def _cutoff_of(self, a: Any, b: Any) -> float:
         if not isinstance(self._cutoffs, dict):
             return self.cutoff
         if (a, b) not in self._cutoffs:
             raise ValueError(f"cutoff has no entry for the pair of species {a!r}, {b!r}; it has {_listed(self._cutoffs)}")
         return self._cutoffs[a, b]
 
-    def _parameters_of(self, a: Label | None, b: Label | None) -> Parameters:
+    def _parameters_of(self, a: Any, b: Any) -> Parameters:
         if not isinstance(self.parameters, dict):
             return self.parameters
         for name in (a, b):
@@ -213,7 +214,7 @@ class LennardJones(PairPotential):
         _check_lennard_jones({**by_species, **(pairs or {})})
         super().__init__(
             LennardJonesLaw(),
-            epsilon if isinstance(epsilon, Mapping) else (epsilon, sigma),
+            epsilon if isinstance(epsilon, Mapping) else (epsilon, float(sigma or 0.0)),
             cutoff,
             truncation,
             mixing=mixing,
@@ -231,12 +232,15 @@ def _integral(function: Callable[[float], tuple[float, float]]) -> NDArray[np.fl
     ------
     ValueError : if two rules disagree, as they do where the integral does not exist.
     """
-    finer, coarser = (
-        0.5 * sum(weight * np.array(function(0.5 * (x + 1.0))) for x, weight in zip(*np.polynomial.legendre.leggauss(n), strict=True)) for n in NODES
-    )
+    finer, coarser = (_gauss_legendre(function, n) for n in NODES)
     if not np.all(np.abs(finer - coarser) <= CONVERGED * np.abs(finer)):
         raise ValueError(f"tail_correction needs a law that falls off faster than 1/r³; its integral is {coarser[0]:.3g} or {finer[0]:.3g}")
     return finer
+
+
+def _gauss_legendre(function: Callable[[float], tuple[float, float]], n: int) -> NDArray[np.float64]:
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    return 0.5 * weights @ np.array([function(0.5 * (x + 1.0)) for x in nodes])
 
 
 def _check_lennard_jones(parameters: Mapping) -> None:

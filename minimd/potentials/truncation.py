@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from minimd.compiling import scalar
-from minimd.potentials.law import evaluate_law
+from minimd.potentials.law import evaluate_law, marks
 
 
 @scalar
@@ -64,32 +64,32 @@ def charmm(r2, law, parameters):
     return c * u, c * f - 2.0 * slope * u
 
 
+@marks(shifted)
 class Shifted(NamedTuple):
     """Marker of shifted around a law."""
 
     law: Any
-    formula = shifted
 
 
+@marks(force_shifted)
 class ForceShifted(NamedTuple):
     """Marker of force_shifted around a law."""
 
     law: Any
-    formula = force_shifted
 
 
+@marks(switched)
 class Switched(NamedTuple):
     """Marker of switched around a law."""
 
     law: Any
-    formula = switched
 
 
+@marks(charmm)
 class CharmmSwitched(NamedTuple):
     """Marker of charmm around a law."""
 
     law: Any
-    formula = charmm
 
 
 def _no_numbers(law: tuple, parameters: tuple, cutoff: float, switch_start: float) -> tuple:

@@ -11,7 +11,7 @@ INT32 = ir.IntType(32)
 class Vector(types.Type):
     """The Numba type of `lanes` numbers of type `element`: float64, float32, int32, or boolean for a mask."""
 
-    def __init__(self, element: types.Type, lanes: int) -> None:
+    def __init__(self, element: types.Integer | types.Float | types.Boolean, lanes: int) -> None:
         self.element, self.lanes = element, lanes
         super().__init__(name=f"Vector({element}, {lanes})")
 
@@ -23,7 +23,7 @@ class Vector(types.Type):
     @property
     def suffix(self) -> str:
         """How LLVM's intrinsic functions name the type, v8f64 for instance."""
-        return f"v{self.lanes}{'f' if isinstance(self.element, types.Float) else 'i'}{self.element.bitwidth}"
+        return f"v{self.lanes}{'f' if isinstance(self.element, types.Float) else 'i'}{self.element.bitwidth}"  # type: ignore[union-attr]
 
 
 @register_model(Vector)

@@ -1,4 +1,4 @@
-"""Liquid argon: how fast do its atoms diffuse, and how far apart are neighbours?
+"""Liquid argon: how fast do its atoms diffuse, and how far apart are neighbors?
 
 A. Rahman, Phys. Rev. 136, A405 (1964): 864 atoms, 94.4 K, 1.374 g/cm³.
 """
@@ -12,7 +12,7 @@ from minimd.units import ASE, fs, ps
 temperature = 94.4  # K
 epsilon, sigma = 120.0 * ASE.k_B, 3.4  # eV, Å
 lattice_constant = 5.780  # Å: four atoms of 39.948 u at 1.374 g/cm³
-n_equilibration, n_steps, every = 3000, 6000, 50
+n_equilibration, n_steps, every = 4000, 16_000, 50
 timestep = 10.0 * fs
 
 atoms = bulk("Ar", "fcc", lattice_constant, cubic=True).repeat(6)
@@ -32,7 +32,7 @@ time = lags * every * timestep / ps
 late = time > 1.0
 diffusion = np.polyfit(time[late], squares[late], 1)[0] / 6.0 * 1e-4  # 1 Å²/ps = 1e-4 cm²/s
 
-# g(r): how many neighbours there are in a shell, beside those of an ideal gas
+# g(r): how many neighbors there are in a shell, beside those of an ideal gas
 edges = np.arange(2.5, 10.0, 0.05)
 radii = 0.5 * (edges[1:] + edges[:-1])
 counts = np.zeros(len(radii))

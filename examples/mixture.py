@@ -1,6 +1,6 @@
-"""Liquid argon and krypton, one to one: does a mixing rule make unlike neighbours sit at the mean distance?
+"""Liquid argon and krypton, one to one: does a mixing rule make unlike neighbors sit at the mean distance?
 
-Lorentz-Berthelot: σ₁₂ = (σ₁ + σ₂)/2, ε₁₂ = √(ε₁ ε₂). Neighbours in a dense liquid stand a little inside the minimum of their
+Lorentz-Berthelot: σ₁₂ = (σ₁ + σ₂)/2, ε₁₂ = √(ε₁ ε₂). Neighbors in a dense liquid stand a little inside the minimum of their
 pair potential, 2^(1/6) σ₁₂, because the others press them together.
 """
 
@@ -29,16 +29,16 @@ edges = np.arange(2.5, 7.0, 0.1)
 counts = {("Ar", "Ar"): 0, ("Ar", "Kr"): 0, ("Kr", "Kr"): 0}
 
 
-def count_neighbours(run):
+def count_neighbors(run):
     i, j, d = md.neighbor_list("ijd", run.system, edges[-1])
     for (a, b), found in counts.items():
         counts[a, b] = found + np.histogram(d[(symbols[i] == a) & (symbols[j] == b)], edges)[0]
 
 
-simulation.run(n_steps, every=50, observers=[count_neighbours])
+simulation.run(n_steps, every=50, observers=[count_neighbors])
 radii = 0.5 * (edges[1:] + edges[:-1])
 for (a, b), found in counts.items():
     peak = radii[np.argmax(found / radii**2)]
     minimum = 2 ** (1 / 6) * (parameters[a][1] + parameters[b][1]) / 2
-    print(f"{a}-{b}: neighbours at {peak:.2f} Å   (minimum of the pair potential: {minimum:.2f} Å)")
+    print(f"{a}-{b}: neighbors at {peak:.2f} Å   (minimum of the pair potential: {minimum:.2f} Å)")
 print(simulation.report())

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from minimd import observables
 from minimd.h5md import H5MDContents, read_file
-from minimd.mdanalysis import VERSION, universe
+from minimd.mdanalysis import VERSION, liquid, universe
 from minimd.record import SERIES, Record
 from minimd.report import Report, conservation_report
 
@@ -38,19 +38,28 @@ class Comparison:
 
 @dataclass(frozen=True)
 class FileCheck:
-    """The outcome of check_file. str() is the text for people; passed is True if nothing failed."""
+    """The outcome of check_file. structure : lines about the liquid. str() is the text for people."""
 
     heading: str
     comparisons: list[Comparison]
     report: Report
+    structure: list[str]
 
     @property
     def passed(self) -> bool:
-        """True if all comparisons agree, and energy and momentum are conserved."""
-        return all(one.passed for one in self.comparisons) and self.report.energy_is_conserved and self.report.momentum_is_conserved
+        """True if all comparisons agree, and energy and momentum are conserved; False also where too few frames do not tell."""
+        conserved = self.report.energy_is_conserved is True and self.report.momentum_is_conserved
+        return conserved and all(one.passed for one in self.comparisons)
+
+    @property
+    def outcome(self) -> str:
+        """One line."""
+        if self.report.energy_is_conserved is None and all(one.passed for one in self.comparisons):
+            return f"NOT PASSED: too few frames to judge the energy ({self.report.n_frames}); observe more often"
+        return "passed" if self.passed else "FAILED"
 
     def __str__(self) -> str:
-        return "\n".join([self.heading, *map(str, self.comparisons), str(self.report), f"check          {'passed' if self.passed else 'FAILED'}"])
+        return "\n".join([self.heading, *map(str, self.comparisons), *self.structure, str(self.report), f"check          {self.outcome}"])
 
 
 def check_file(path: str | Path) -> FileCheck:
@@ -68,6 +77,7 @@ def check_file(path: str | Path) -> FileCheck:
         heading=_heading(Path(path), contents),
         comparisons=comparisons(moved),
         report=conservation_report(record, angular=not contents.system.cell.is_periodic),
+        structure=liquid(path),
     )
 
 

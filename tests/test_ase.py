@@ -24,7 +24,7 @@ from minimd.velocities import maxwell_boltzmann
 
 SIGMA, EPSILON, CUTOFF = 3.405, 0.0103, 8.0
 TIMESTEP = 4.0 * ase.units.fs
-ROUNDING = 1e-12  # of sums over 108 atoms with some 50 neighbours each
+ROUNDING = 1e-12  # of sums over 108 atoms with some 50 neighbors each
 
 
 def argon(n_cells=3, temperature=188.8, seed=1):
@@ -297,7 +297,7 @@ def lattice_constant(cutoff):
 
 
 def test_relaxed_argon_has_the_lattice_constant_of_the_lattice_sums():
-    cutoff = 2.78  # σ, amid the widest gap between shells of neighbours, so that none crosses it on the way
+    cutoff = 2.78  # σ, amid the widest gap between shells of neighbors, so that none crosses it on the way
     atoms = bulk("Ar", "fcc", a=1.56 * SIGMA, cubic=True)
     atoms.rattle(0.05, seed=2)
     atoms.set_cell(atoms.cell.array @ [[1.01, 0.02, 0], [0, 0.99, 0], [0.01, 0, 1.01]], scale_atoms=True)
@@ -416,15 +416,31 @@ def test_another_timestep_takes_effect():
     assert same(atoms.positions, reference.positions)
 
 
-def test_steps_are_made_in_blocks_with_one_force_evaluation_each():
+def test_steps_are_made_in_blocks_with_one_force_evaluation_each(monkeypatch):
+    calls, compute = [], md.Forces.compute
+    monkeypatch.setattr(md.Forces, "compute", lambda forces, detail: calls.append(detail) or compute(forces, detail))
     atoms = with_calculator(argon(), Calculator(lennard_jones(), skin=1.0))
     dynamics = VelocityVerlet(atoms, TIMESTEP)
     dynamics.attach(lambda: None, 10)
     dynamics.run(1)
-    before = dynamics._simulation._forces.n_evaluations
+    calls.clear()
     dynamics.run(50)
-    assert dynamics._simulation._forces.n_evaluations == before + 50
+    assert len(calls) == 50 + 6  # and one at the start of each block: to step 10, 20, 30, 40, 50, 51
     assert atoms.calc.n_builds == 1  # the calculator itself was asked only before the first step
+
+
+def test_exchanged_potentials_are_seen():
+    atoms = with_calculator(argon(), Calculator(lennard_jones()))
+    dynamics = VelocityVerlet(atoms, TIMESTEP)
+    dynamics.run(2)
+    weak = atoms.get_potential_energy()
+    atoms.calc.potentials = md.LennardJones(2.0 * EPSILON, SIGMA, CUTOFF)
+    strong = md.evaluate(system_from_atoms(atoms), atoms.calc.potentials)
+    assert atoms.get_potential_energy() == pytest.approx(strong.potential_energy, rel=1e-12, abs=0.0)  # rounding
+    assert abs(strong.potential_energy - weak) > 0.1 * abs(weak)
+    dynamics.run(1)
+    expected = md.evaluate(system_from_atoms(atoms), atoms.calc.potentials)
+    assert same(atoms.get_forces(), expected.forces)
 
 
 def test_another_calculator_is_referred_to_ase():

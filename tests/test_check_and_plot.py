@@ -148,4 +148,6 @@ def test_picture_of_few_frames_and_of_atoms_at_rest(tmp_path, n_frames):
     sim.velocities[:] = 0.0
     sim.run(5 * n_frames - 5, every=5, trajectory=tmp_path / "a.h5md")
     assert plot_file(tmp_path / "a.h5md").stat().st_size > 10_000
-    assert "too few frames" in str(check_file(tmp_path / "a.h5md"))
+    found = check_file(tmp_path / "a.h5md")
+    assert found.passed is False
+    assert f"NOT PASSED: too few frames to judge the energy ({n_frames})" in str(found)

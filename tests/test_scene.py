@@ -221,14 +221,14 @@ def test_options_of_a_potential_arrive():
 
 
 @pytest.mark.parametrize(
-    ("lattice", "neighbours", "distance"), [("sc", 6, 1), ("bcc", 8, 0.75**0.5), ("fcc", 12, 0.5**0.5), ("diamond", 4, 3**0.5 / 4)]
+    ("lattice", "neighbors", "distance"), [("sc", 6, 1), ("bcc", 8, 0.75**0.5), ("fcc", 12, 0.5**0.5), ("diamond", 4, 3**0.5 / 4)]
 )
-def test_every_lattice_has_its_nearest_neighbours(lattice, neighbours, distance):
+def test_every_lattice_has_its_nearest_neighbors(lattice, neighbors, distance):
     positions, edges = crystal(lattice, (3, 4, 5), 2.0)
     assert len(positions) == 60 * len(BASES[lattice])
     assert edges.tolist() == [6.0, 8.0, 10.0]
     first, d = md.neighbor_list("id", md.System(positions, cell=edges), 2.0 * distance * 1.01)
-    assert np.all(np.bincount(first) == neighbours)
+    assert np.all(np.bincount(first) == neighbors)
     assert d == pytest.approx(2.0 * distance)
 
 
@@ -298,7 +298,7 @@ def test_trajectory_is_named_after_the_scene_by_default():
         ("every = 5", 'plot = true\ntrajectory = "a.xyz"', ["output.plot needs a trajectory that ends in .h5md", "a.xyz"]),
         ('units = "LJ"', 'units = "SI"', ["units must be 'ASE' or 'LJ'", '"SI"']),
         ("[output]", "[equilibration]\nsteps = -1\n[output]", ["equilibration.steps must be greater than or equal to 0", "= -1"]),
-        ("[[potential]]", "[potential]", ["potential must be a list"]),
+        ("[[potential]]", "[potential]", ["potential must be written [[potential]], with two brackets"]),
         ("seed = 3", 'method = "verlet"', ["dynamics.method must be one of", "'velocity-verlet'", '"verlet"']),
     ],
 )
@@ -329,7 +329,16 @@ def test_equilibration_needs_a_temperature_to_start_from():
         scene_of(text)
 
 
-@pytest.mark.parametrize(("content", "words"), [("a = [", "this is no TOML"), ("\ufeff", "this is no TOML"), (b"\xff\xfe", "must be UTF-8 text")])
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("a = [", "this is no TOML"),
+        ("[b]\nkey = 1\nkey = 2", "the key 'key' is given twice"),
+        ("b = 1\nb = 2\nc = 3\n", "the key 'b' is given twice"),
+        ("\ufeff", "this is no TOML"),
+        (b"\xff\xfe", "must be UTF-8 text"),
+    ],
+)
 def test_what_is_no_toml_is_told_in_one_line(tmp_path, content, words):
     (tmp_path / "a.toml").write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(ValueError, match=words) as caught:

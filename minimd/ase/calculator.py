@@ -40,8 +40,19 @@ class Calculator(ASECalculator):
 
     def __init__(self, potentials: Potential | Sequence[Potential], bonds: ArrayLike | None = None, skin: float | None = None) -> None:
         super().__init__()
-        self.potentials, self.bonds, self.skin = potentials, bonds, skin
         self._plan: tuple[Atoms, Forces] | None = None
+        self.potentials, self.bonds, self.skin = potentials, bonds, skin
+
+    @property
+    def potentials(self) -> Potential | Sequence[Potential]:
+        """One potential or several; setting others drops results and lists."""
+        return self._potentials
+
+    @potentials.setter
+    def potentials(self, potentials: Potential | Sequence[Potential]) -> None:
+        self._potentials = potentials
+        self._plan = None
+        self.reset()
 
     @property
     def n_builds(self) -> int:
@@ -69,13 +80,11 @@ class Calculator(ASECalculator):
         self.results = {"energy": potential_energy, "free_energy": potential_energy, "forces": forces.copy()}
 
     def _forces_at(self, atoms: Atoms) -> Forces:
-        """The Forces on these atoms: those of the last call with their pair list, if only positions or an unbonded scene's cell changed."""
-        cell = cell_of(atoms)
+        """The Forces on these atoms: those of the last call, with their pair list, if only positions or cell have changed."""
         if self._plan and same_scene(self._plan[0], atoms):
             forces = self._plan[1]
-            if cell.same_as(forces.system.cell) or not len(forces.system.bonds):  # with bonds the skin may depend on the cell
-                forces.system.positions[:], forces.system.cell = atoms.positions, cell
-                return forces
+            forces.system.positions[:], forces.system.cell = atoms.positions, cell_of(atoms)
+            return forces
         forces = Forces(unchecked_system(atoms, self.bonds), self.potentials, self.skin)
         self._plan = atoms, forces
         return forces

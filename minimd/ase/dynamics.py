@@ -1,5 +1,7 @@
 """Velocity Verlet for ASE's scripts, in compiled steps."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from ase import Atoms
 from ase.md.md import MolecularDynamics
@@ -9,6 +11,7 @@ from minimd import integrators
 from minimd.ase.atoms import cell_of, same_scene, system_from_atoms
 from minimd.ase.calculator import Calculator
 from minimd.simulation import Simulation
+from minimd.terms import Potential
 
 
 class VelocityVerlet(MolecularDynamics):
@@ -27,6 +30,7 @@ class VelocityVerlet(MolecularDynamics):
 
     _simulation: Simulation
     _made_for: Atoms | None = None
+    _made_with: Potential | Sequence[Potential]
 
     def run(self, steps: int = 50) -> bool:
         """Make so many steps; True at their end, False if an observer lowered max_steps."""
@@ -67,10 +71,10 @@ class VelocityVerlet(MolecularDynamics):
         made_for = self._made_for
         if made_for is None or atoms.constraints or not (same_scene(made_for, atoms) and cell_of(made_for).same_as(cell_of(atoms))):
             return self._new_simulation(atoms)
+        if atoms.calc.potentials is not self._made_with:
+            return self._new_simulation(atoms)
         simulation = self._simulation
-        if not np.array_equal(atoms.positions, simulation.positions):
-            simulation.positions[:] = atoms.positions
-            simulation.forces_are_current = False
+        simulation.positions[:] = atoms.positions
         if not np.array_equal(atoms.get_momenta(), _momenta(simulation)):
             simulation.velocities[:] = atoms.get_velocities()
         return simulation
@@ -84,6 +88,7 @@ class VelocityVerlet(MolecularDynamics):
         self._simulation = Simulation(system, calculator.potentials, method, skin=calculator.skin)
         self._made_for = atoms.copy()
         self._made_for.calc = calculator
+        self._made_with = calculator.potentials
         return self._simulation
 
 

@@ -1,5 +1,6 @@
 """A scene file, read and checked, and the simulation that it describes."""
 
+import re
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -162,7 +163,7 @@ def parse_scene(text: str, path: Path) -> Scene:
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: this is no TOML: {error}") from None
+        raise ValueError(f"{path}: this is no TOML: {error}{_named_key(text, str(error))}") from None
     reading = Reading("LJ" if document.get("units") == "LJ" else "ASE")
     try:
         sections = SceneSections.model_validate(document, context=reading)
@@ -172,6 +173,15 @@ def parse_scene(text: str, path: Path) -> Scene:
     if found:
         raise ValueError("\n".join(f"{path}: {sentence}" for sentence in found))
     return Scene(path, text, sections)
+
+
+def _named_key(text: str, message: str) -> str:
+    """The key that is given twice, which tomllib tells by its place only."""
+    if not message.startswith("Cannot overwrite"):
+        return ""
+    place = re.search(r"at line (\d+)", message)
+    line = text.splitlines()[int(place[1]) - 1] if place else text.rstrip().splitlines()[-1]  # it says "at end of document"
+    return f"; the key {line.partition('=')[0].strip()!r} is given twice" if "=" in line else ""
 
 
 @contextmanager

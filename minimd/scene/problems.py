@@ -80,6 +80,8 @@ def _about_value(details: Any, document: dict, reading: Reading) -> tuple[str, s
         return place, None, f"{place}.type is missing; it says what kind of potential this is: 'lennard-jones', 'harmonic-bond' or 'harmonic-angle'"
     if details["type"] == "union_tag_invalid":
         return place, None, f"{place}.type must be one of {details['ctx']['expected_tags']}; {place}.type = {_shown(value['type'])}"
+    if place == "potential" and isinstance(value, dict):
+        return place, None, "potential must be written [[potential]], with two brackets, because a scene can have several; it is [potential]"
     words = details["msg"]
     for theirs, ours in PLAIN.items():
         words = words.replace(theirs, ours)

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from minimd import observables
 from minimd.h5md import H5MDContents, read_file
-from minimd.mdanalysis import VERSION, liquid, universe
+from minimd.mdanalysis import VERSION, diffusion_coefficient, radial_distribution, universe
 from minimd.record import SERIES, Record
 from minimd.report import Report, conservation_report
 
 SINGLE = 6e-8  # 2⁻²⁴, rounding of a velocity to float32, and so at most this part of Σ|mv|
 KINETIC = 1e-6  # K is quadratic in velocities: twice that rounding, and room for the sum
 EXACT = 0.0
+ENOUGH_FRAMES = 20  # for a diffusion coefficient
 
 
 @dataclass(frozen=True)
@@ -147,3 +148,26 @@ def _heading(path: Path, contents: H5MDContents) -> str:
     first, last = contents.record.step[0], contents.record.step[-1]
     frames = f"{contents.n_frames} frames, steps {first} to {last}, {contents.method}, {contents.system.units.name} units"
     return f"file           {path}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"
+
+
+def liquid(path: str | Path) -> list[str]:
+    """Lines about a periodic liquid: the first peak of g(r), and D where there are frames enough and the atoms left their places.
+
+    Atoms have left them if they moved by half the distance of neighbors within the window of the fit. Empty if not periodic.
+
+    Raises
+    ------
+    As universe.
+    """
+    contents = read_file(path)
+    if not contents.system.cell.pbc.all() or len(contents.system) < 2:
+        return []
+    r, g = radial_distribution(path)
+    peak = float(r[np.argmax(g)])
+    lines = [f"g(r)           first peak at {peak:.3g} {contents.system.units.length}"]
+    if contents.n_frames >= ENOUGH_FRAMES:
+        diffusion = diffusion_coefficient(path)
+        moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
+        if moved > 0.5 * peak * contents.system.units.to_angstrom:
+            lines.append(f"diffusion      {diffusion}")
+    return lines

@@ -68,7 +68,8 @@ def _run(arguments: argparse.Namespace) -> int:
     scene = load_scene(arguments.scene)
     files = scene.trajectories() if arguments.out is None else [arguments.out]
     if not arguments.overwrite:
-        _refuse_existing(files if arguments.out or not scene.names_its_plot else [*files, Path(scene.sections.output.plot)])
+        plot = scene.sections.output.plot
+        _refuse_existing([*files, Path(plot)] if isinstance(plot, str) and arguments.out is None else files)
     with _silence(arguments.quiet):
         run_scene(
             scene,

@@ -26,6 +26,7 @@ from minimd.cell import Cell
 from minimd.h5md import read_file
 from minimd.h5md_layout import has_edges
 from minimd.record import Frame
+from minimd.stacklevel import outside_minimd
 from minimd.units import ASE
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ FORMATS = {".nc": "NCDF"}  # of suffixes that are not their name
 XTC_DECIMALS = 4  # of nm, one more than usual, because σ is written as 0.1 nm
 RDF_FRAMES, RDF_DISTANCES = 50, 1e7  # at most, so that g(r) takes half a second
 MSD_FRAMES, MSD_ATOMS = 200, 400  # at most
-ENOUGH_FRAMES = 20  # for a diffusion coefficient
 ROOM = 2**18  # B that must stay free beside a frame, for what C libraries buffer
 FIT_FROM, FIT_TO = 0.1, 0.5  # of the duration: behind the ballistic start, before few pairs of frames are left
 CM2_PER_S = 1e-4  # per Å²/ps
@@ -163,7 +163,7 @@ def _warn_if_turned(file: Path, cell: Cell) -> None:
         warnings.warn(
             f"trajectory {str(file)!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the "
             "xy plane, which they do not; distances across the boundary will be wrong, write .h5md too",
-            stacklevel=2,
+            stacklevel=outside_minimd(),
         )
 
 
@@ -275,26 +275,3 @@ def diffusion_coefficient(path: str | Path, window: tuple[float, float] | None =
     coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
     absolute = coefficient * CM2_PER_S if read_file(path).system.units is ASE else None
     return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares)
-
-
-def liquid(path: str | Path) -> list[str]:
-    """Lines about a periodic liquid: the first peak of g(r), and D where there are frames enough and the atoms left their places.
-
-    Atoms have left them if they moved by half the distance of neighbors within the window of the fit. Empty if not periodic.
-
-    Raises
-    ------
-    As universe.
-    """
-    contents = read_file(path)
-    if not contents.system.cell.pbc.all() or len(contents.system) < 2:
-        return []
-    r, g = radial_distribution(path)
-    peak = float(r[np.argmax(g)])
-    lines = [f"g(r)           first peak at {peak:.3g} {contents.system.units.length}"]
-    if contents.n_frames >= ENOUGH_FRAMES:
-        diffusion = diffusion_coefficient(path)
-        moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
-        if moved > 0.5 * peak * contents.system.units.to_angstrom:
-            lines.append(f"diffusion      {diffusion}")
-    return lines

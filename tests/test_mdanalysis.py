@@ -8,7 +8,7 @@ import pytest
 
 import minimd as md
 from minimd import mdanalysis
-from minimd.check import motion
+from minimd.check import liquid, motion
 from minimd.h5md import H5MDWriter
 from minimd.mdanalysis import diffusion_coefficient, radial_distribution, universe
 
@@ -229,3 +229,25 @@ def test_moments_recomputed_from_velocities_are_those_of_the_record(tmp_path, un
     assert np.linalg.norm(moved.momentum - record.momentum, axis=1).max() < 6e-8 * record.absolute_momentum.max()
     np.testing.assert_array_equal(moved.stored["total_energy"], record.total_energy)
     assert np.ptp(record.kinetic_energy) > 1e-4 * record.kinetic_energy[0]
+
+
+def test_warning_about_a_turned_cell_shows_the_line_of_the_user(tmp_path):
+    made = md.System(np.eye(3), cell=np.array([[0.0, 9.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, 9.0]]))
+    sim = md.Simulation(made, md.LennardJones(1e-12, 1e-6, 1e-3), md.VelocityVerlet(0.5))
+    with pytest.warns(UserWarning, match="knows the cell by lengths and angles") as caught:
+        sim.run(2, every=1, trajectory=tmp_path / "a.nc")
+    assert caught[0].filename == __file__
+    assert len(MDAnalysis.coordinates.TRJ.NCDFReader(str(tmp_path / "a.nc"))) == 3
+
+
+def test_diffusing_liquid_is_told_with_its_peak_and_coefficient(tmp_path):
+    rng = np.random.default_rng(4)
+    sites = np.stack(np.meshgrid(*[np.arange(5.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    steps = np.cumsum(rng.normal(0.0, 0.1, (100, 125, 3)), axis=0)  # D = 0.1² / (2 · 0.5)
+    walk = written(tmp_path / "walk.h5md", md.System(sites, cell=5.0), sites + steps)
+    first, second = liquid(walk)
+    assert first.startswith("g(r)           first peak at ")
+    assert second.startswith("diffusion      D = 0.0")
+    still = written(tmp_path / "still.h5md", md.System(sites, cell=5.0), sites + rng.normal(0.0, 0.01, (100, 125, 3)))
+    (line,) = liquid(still)
+    assert float(line.split()[-2]) == pytest.approx(1.0, abs=0.03)  # σ, next neighbors of the crystal

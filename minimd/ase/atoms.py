@@ -45,7 +45,8 @@ def system_from_file(file: Path) -> System:
     if not file.is_file():
         raise ValueError(f"file {str(file)!r} does not exist")
     try:
-        return system_from_atoms(ase.io.read(file))
+        read = ase.io.read(file)
+        return system_from_atoms(read if isinstance(read, Atoms) else read[-1])
     except Exception as error:
         reason = " ".join(str(error).split()) or "ASE gives no reason"
         raise ValueError(f"file {str(file)!r} cannot be read as a structure: {type(error).__name__}: {reason}") from None

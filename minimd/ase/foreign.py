@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from minimd.ase.atoms import atoms_from_system, volume_of
 from minimd.potentials.pair_loop import FORCES, PER_ATOM
 from minimd.system import System
+from minimd.stacklevel import outside_minimd
 
 
 class ForcesFromCalculator:
@@ -70,5 +71,5 @@ class CalculatorTerm:
         try:
             return -self._atoms.get_stress() * volume_of(self._atoms)
         except NotImplementedError as reason:
-            warnings.warn(f"{type(self._atoms.calc).__name__} gives no stress ({reason}); virial and pressure are NaN", stacklevel=2)
+            warnings.warn(f"{type(self._atoms.calc).__name__} gives no stress ({reason}); virial and pressure are NaN", stacklevel=outside_minimd())
             return np.full(6, np.nan)

@@ -105,21 +105,21 @@ class Scene:
 
     def _from_lattice(self) -> System:
         structure, unit_system = self.sections.structure, self.units
-        mass = 1.0
+        lattice, element, mass = structure.lattice or "", structure.element, 1.0
         if unit_system is units.ASE:
             from minimd.ase import atomic_mass
 
-            mass = atomic_mass(structure.element)
-        edge = structure.lattice_constant or constant_from_density(structure.lattice, structure.density, mass)
-        positions, edges = crystal(structure.lattice, structure.repeat, edge)
-        species = structure.species or (structure.element and [structure.element] * len(positions))
+            mass = atomic_mass(element or "")
+        edge = structure.lattice_constant or constant_from_density(lattice, structure.density or 0.0, mass)
+        positions, edges = crystal(lattice, structure.repeat or [], edge)
+        species = structure.species or (element and [element] * len(positions))
         return System(positions, masses=mass, cell=edges, pbc=structure.pbc, species=species, bonds=structure.bonds, units=unit_system)
 
     def _from_file(self) -> System:
         structure, reduced = self.sections.structure, self.units is units.LJ
         from minimd.ase import system_from_file
 
-        read = system_from_file(self.path.parent / structure.file)
+        read = system_from_file(self.path.parent / (structure.file or ""))
         cell = read.cell
         if structure.cell is not None or structure.pbc is not None:
             cell = Cell.of(read.cell.vectors if structure.cell is None else structure.cell, structure.pbc)

@@ -73,7 +73,7 @@ def _about_value(details: Any, document: dict, reading: Reading) -> tuple[str, s
     place, value, section = _written(details["loc"], document, reading)
     name = details["loc"][-1] if details["loc"] else None
     if details["type"] == "missing":
-        keys = list(section.keys_of(name, reading.units)) if section else [name]
+        keys = list(section.keys_of(str(name), reading.units)) if section else [str(name)]
         path = ".".join(filter(None, (place, keys[0])))
         return path, name, f"{path} is missing" + (f"; give it, or {' or '.join(keys[1:])}" if len(keys) > 1 else "; give it")
     if details["type"] == "union_tag_not_found":

@@ -58,6 +58,13 @@ class Reading:
     unknown: list[Unknown] = field(default_factory=list)
 
 
+def _reading(info: ValidationInfo) -> Reading:
+    """The notes that go with a validation."""
+    if not isinstance(info.context, Reading):
+        raise TypeError("a section is read with context=Reading(units)")
+    return info.context
+
+
 class Section(BaseModel):
     """A table of a scene file. Its fields hold numbers in the units of the engine."""
 
@@ -80,7 +87,7 @@ class Section(BaseModel):
         """The table under the names of the fields, units multiplied into the numbers; unknown keys are noted and dropped."""
         if not isinstance(table, dict):
             return table
-        reading: Reading = info.context
+        reading = _reading(info)
         reading.sections[id(table)] = cls
         keys, fields = cls.keys(reading.units), {}
         for key, value in table.items():
@@ -140,7 +147,7 @@ class StructureSection(Section):
             self._forbid("file", "element", "repeat", "density", "lattice_constant")
             return self
         self._forbid("lattice", "cell")
-        units = info.context.units
+        units = _reading(info).units
         if self.repeat is None or (self.element is None and units == "ASE"):
             raise ValueError("must have repeat beside lattice" if self.repeat is None else "must have element beside lattice")
         if (self.density is None) == (self.lattice_constant is None):
@@ -190,14 +197,14 @@ class LennardJonesSection(Section):
 
     def potential(self) -> LennardJones:
         """The potential that the section describes."""
-        by_species = None if self.species is None else {name: (s.epsilon, s.sigma) for name, s in self.species.items()}
+        by_species: dict[str | int, tuple[float, float]] = {name: (s.epsilon, s.sigma) for name, s in (self.species or {}).items()}
         return LennardJones(
-            self.epsilon if by_species is None else by_species,
+            by_species if self.epsilon is None else self.epsilon,
             self.sigma,
             self.cutoff,
             self.truncation,
             mixing=self.mixing,
-            pairs={tuple(pair.species): (pair.epsilon, pair.sigma) for pair in self.pairs},
+            pairs={(pair.species[0], pair.species[1]): (pair.epsilon, pair.sigma) for pair in self.pairs},
             switch_start=self.switch_start,
             bonded_scale=self.bonded_scale,
             tail_correction=self.tail_correction,
@@ -280,6 +287,6 @@ class SceneSections(Section):
     @model_validator(mode="after")
     def _can_equilibrate(self, info: ValidationInfo) -> Self:
         if self.equilibration is not None and self.dynamics.temperature is None:
-            key = next(iter(DynamicsSection.keys_of("temperature", info.context.units)))
+            key = next(iter(DynamicsSection.keys_of("temperature", _reading(info).units)))
             raise ValueError(f"equilibration needs dynamics.{key}, the temperature of the first velocities")
         return self

@@ -162,8 +162,7 @@ def liquid(path: str | Path) -> list[str]:
     contents = read_file(path)
     if not contents.system.cell.pbc.all() or len(contents.system) < 2:
         return []
-    r, g = radial_distribution(path)
-    peak = float(r[np.argmax(g)])
+    peak = _first_peak(*radial_distribution(path))
     lines = [f"g(r)           first peak at {peak:.3g} {contents.system.units.length}"]
     if contents.n_frames >= ENOUGH_FRAMES:
         diffusion = diffusion_coefficient(path)
@@ -171,3 +170,11 @@ def liquid(path: str | Path) -> list[str]:
         if moved > 0.5 * peak * contents.system.units.to_angstrom:
             lines.append(f"diffusion      {diffusion}")
     return lines
+
+
+def _first_peak(r: NDArray[np.float64], g: NDArray[np.float64]) -> float:
+    """Where g is largest within the first stretch that lies above half of the highest peak."""
+    above = np.append(g >= 0.5 * g.max(), False)
+    first = int(np.argmax(above))
+    end = first + int(np.argmin(above[first:]))
+    return float(r[first + np.argmax(g[first:end])])

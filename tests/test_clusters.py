@@ -8,6 +8,7 @@ from references import liquid, melt
 
 import minimd as md
 from minimd.cell import Cell
+from minimd.potentials.cluster_loop import BLOCK
 from minimd.potentials.pair_loop import FORCES, TOTALS
 from minimd.terms import ClusteredPairs, ListedPairs, PairLaws
 
@@ -102,6 +103,24 @@ def test_list_serves_growing_and_shrinking_crowds():
         a, b = summed(clustered, system), summed(listed, system)
         assert a[1] == pytest.approx(b[1], rel=1e-12)
         assert a[0] == pytest.approx(b[0], rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize("pbc", [True, (True, True, False), False])
+def test_memory_follows_the_number_of_clusters(pbc):
+    """Column by column the padding changes from build to build, and with it the number of clusters and ghosts."""
+    rng = np.random.default_rng(4)
+    system = md.System(rng.uniform(0, 4.4, (64, 3)), cell=4.4, pbc=pbc)
+    laws = PairLaws(system, POTENTIALS["two laws"][1:])
+    clustered, listed = ClusteredPairs(system, laws, SKIN), ListedPairs(system, laws, 0.0)
+    numbers = set()
+    for _ in range(60):
+        system.positions[:] = rng.uniform(0, 4.4, (64, 3)) * rng.uniform(0.3, 1.0, 3)
+        a, b = summed(clustered, system), summed(listed, system)
+        assert a[0] == pytest.approx(b[0], rel=1e-11, abs=1e-11)
+        needed = clustered.list.n_clusters + len(clustered.list.ghosts)
+        assert needed * BLOCK <= min(map(len, (clustered.list.coordinates, clustered.list.on_clusters, clustered.list.on_atoms)))
+        numbers.add(clustered.list.n_clusters)
+    assert len(numbers) > 1
 
 
 def test_excluded_pairs_may_sit_on_each_other_in_clusters_too():

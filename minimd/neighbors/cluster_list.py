@@ -119,9 +119,8 @@ class ClusterList:
         if n_blocks * BLOCK <= len(self.coordinates):
             return
         kept = self.coordinates
-        self.coordinates, self.on_clusters = (aligned_zeros(int(SPARE * n_blocks) * BLOCK) for _ in range(2))
+        self.coordinates, self.on_clusters, self.on_atoms = (aligned_zeros(int(SPARE * n_blocks) * BLOCK) for _ in range(3))
         self.coordinates[: len(kept)] = kept
-        self.on_atoms = aligned_zeros(int(SPARE * self.n_clusters + 1) * BLOCK)
 
     def _exclude(self, positions: NDArray[np.float64], cell: Cell, ghost_of: NDArray[np.int64], start: NDArray[np.int64]) -> None:
         first = np.repeat(np.arange(len(positions)), np.diff(self._excluded_start))

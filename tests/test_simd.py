@@ -74,8 +74,9 @@ def test_functions_lane_by_lane(name):
     a, out, of_math, of_numpy = numbers(np.float64, 8), np.zeros(8), getattr(math, name), getattr(np, name)
     on_vectors(lambda x, y: of_math(x) + of_numpy(y), 8)(a, a, out)
     assert out == pytest.approx(2 * of_numpy(a), rel=1e-15)
-    on_vectors(lambda x, y: x**1.5, 8)(a, a, out)
-    assert out == pytest.approx(a**1.5, rel=1e-15)
+    for power in (0.5, 2, 3, -1, 2.0, 1.5, -3):
+        on_vectors(lambda x, y, power=power: x**power, 8)(a, a, out)
+        assert out == pytest.approx(a**power, rel=1e-15)
 
 
 def test_fused_multiply_add_rounds_once():

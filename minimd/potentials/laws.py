@@ -1,5 +1,6 @@
 """The laws u(r), each written once, as a function of r² and its parameters."""
 
+from math import sqrt
 from typing import Any, NamedTuple
 
 from minimd.compiling import scalar
@@ -33,7 +34,7 @@ def harmonic(r2, k, length):
     r2 : squared distance, > 0 [length²].  k : stiffness [energy/length²].  length : r₀, distance of the minimum [length].
     Returns u [energy], −u′/r [energy/length²].
     """
-    r = r2**0.5
+    r = sqrt(r2)
     stretch = r - length
     return 0.5 * k * stretch * stretch, -k * stretch / r
 

@@ -10,6 +10,7 @@ Beyond the cutoff r_c every truncated law is zero; the loop sees to that. Inside
 """
 
 from collections.abc import Callable
+from math import sqrt
 from typing import Any, NamedTuple
 
 from minimd.compiling import scalar
@@ -30,7 +31,7 @@ def force_shifted(r2, law, parameters):
     M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 5.6-5.8.
     """
     u, f = evaluate_law(law, r2, parameters[3:])
-    r = r2**0.5
+    r = sqrt(r2)
     return u - parameters[0] - (r - parameters[2]) * parameters[1], f + parameters[1] / r
 
 
@@ -41,7 +42,7 @@ def switched(r2, law, parameters):
     parameters : (r_on, r_c, *parameters of law).  D. van der Spoel, P. J. van Maaren, J. Chem. Theory Comput. 2, 1 (2006).
     """
     u, f = evaluate_law(law, r2, parameters[2:])
-    r = r2**0.5
+    r = sqrt(r2)
     width = parameters[1] - parameters[0]
     x = max(0.0, min(1.0, (r - parameters[0]) / width))
     s = 1.0 + x * x * x * (x * (15.0 - 6.0 * x) - 10.0)

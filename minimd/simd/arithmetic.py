@@ -122,17 +122,25 @@ def _smaller(a, b):
 
 @overload(operator.pow)
 def _power(x, exponent):
-    """Lane by lane, as exponents are known only when the program runs; small whole ones are better written as products."""
+    """The powers that laws are written with, which the compiler picks where the exponent is a constant; others lane by lane."""
     if not (is_vector(x) and isinstance(exponent, types.Number)):
         return None
+    lanes = x.lanes
 
-    def each(x, exponent):
-        for k in range(x_lanes):
+    def power(x, exponent):
+        if exponent == 0.5:
+            return _square_root(x)
+        if exponent == 2:
+            return x * x
+        if exponent == 3:
+            return x * x * x
+        if exponent == -1:
+            return 1.0 / x
+        for k in range(lanes):
             x = with_lane(x, k, lane(x, k) ** exponent)
         return x
 
-    x_lanes = x.lanes
-    return each
+    return power
 
 
 def _each_lane(function) -> None:

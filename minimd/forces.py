@@ -124,6 +124,12 @@ class Forces:
         """How often a list was built, since the last reset_counts."""
         return self._builds_before + sum(term.list.n_builds for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs)))
 
+    @property
+    def pair_search(self) -> str:
+        """Which lists this scene got, in words."""
+        words = {ClusteredPairs: "cluster list", ListedPairs: "pair list"}
+        return ", ".join(words[type(term)] for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs))) or "no list"
+
     def skipped(self) -> list[str]:
         """What this scene lacks and therefore does not pay for, in words."""
         absent = [] if self.system.cell.is_periodic else ["periodic images"]

@@ -50,18 +50,19 @@ def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run cost: steps, seconds, list builds, force evaluations, and in words what it did not have to pay for."""
+    """What a run cost: steps, seconds, list builds, force evaluations; in words, the lists it got and what it did not have to pay for."""
 
     n_steps: int
     seconds: float
     list_builds: int
     n_evaluations: int
+    pair_search: str
     skipped: list[str]
 
     def lines(self) -> list[str]:
         """Lines of a report."""
         speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
-        lines = [f"speed          {speed}; {self.n_evaluations} force evaluations, {self.list_builds} list builds"]
+        lines = [f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search} built {self.list_builds} times"]
         return [*lines, f"not needed     {', '.join(self.skipped)}"] if self.skipped else lines
 
 

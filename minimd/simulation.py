@@ -185,7 +185,9 @@ class Simulation:
         """
         if self.record is None:
             raise ValueError("there is nothing to report yet; call run first")
-        cost = Cost(self._run_steps, self._run_seconds, self._forces.n_builds, self._forces.n_evaluations, self._forces.skipped())
+        cost = Cost(
+            self._run_steps, self._run_seconds, self._forces.n_builds, self._forces.n_evaluations, self._forces.pair_search, self._forces.skipped()
+        )
         return conservation_report(self.record, angular=not self.system.cell.is_periodic, cost=cost)
 
     def frame(self) -> Frame:

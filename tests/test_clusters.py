@@ -143,6 +143,13 @@ def test_rule_which_list_a_scene_gets():
     assert kind(md.System(liquid(5).positions), md.LennardJones(1.0, 1.0)) == "ListedPairs"  # no cutoff
 
 
+def test_report_tells_which_list_a_scene_got():
+    for cutoff, words in ((2.5, "cluster list built"), (8.0, "pair list built")):
+        simulation = md.Simulation(liquid(5), md.LennardJones(1.0, 1.0, cutoff), md.VelocityVerlet(0.001))
+        simulation.run(5, every=1)
+        assert words in str(simulation.report())
+
+
 def test_dynamics_on_clusters_is_that_of_pairs(monkeypatch):
     potential = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
     clustered = md.Simulation(liquid(6), potential, md.VelocityVerlet(0.004))

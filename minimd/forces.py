@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from minimd.potentials.pair import PairPotential
 from minimd.potentials.pair_loop import FORCES, PER_ATOM
 from minimd.system import System
 from minimd.terms import ClusteredPairs, FixedPairs, ListedPairs, Potential, plan
+
+if TYPE_CHECKING:
+    import ase
 
 VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # places of xx yy zz yz xz xy in a (3, 3) tensor
 
@@ -165,14 +169,15 @@ class Evaluation:
     energies: NDArray[np.float64]
 
 
-def evaluate(system: System, potentials: Potential | Sequence[Potential]) -> Evaluation:
-    """Potential energy, forces, virial and energies per atom of a system as it stands.
+def evaluate(system: "System | ase.Atoms", potentials: Potential | Sequence[Potential]) -> Evaluation:
+    """Potential energy, forces, virial and energies per atom of a System, or of ase.Atoms, as they stand.
 
     Raises
     ------
     NonFiniteError : if a force or an energy is not finite, as for two atoms on one spot; it names the closest pair.
     ValueError, TypeError : as Forces.
     """
+    system = system if isinstance(system, System) else System.from_ase(system)
     forces = Forces(system, potentials, skin=0.0)
     forces.compute(PER_ATOM)
     result = Evaluation(forces.potential_energy, forces.forces, forces.virial, forces.energies)

@@ -269,6 +269,35 @@ def test_two_atoms_on_one_spot_are_an_error_that_names_them():
         md.evaluate(system, md.LennardJones(1.0, 1.0, 2.0))
 
 
+def test_laws_of_the_user_are_tried_before_they_are_trusted():
+    pair = md.System([[0, 0, 0], [1, 0, 0]])
+
+    def forgets_the_r(r2, a):
+        return a / r2, 2.0 * a / r2**1.5
+
+    def returns_one(r2, a):
+        return a / r2
+
+    def pole(r2, a):
+        return a / (r2 - 1.0), 2.0 * a / (r2 - 1.0) ** 2
+
+    with pytest.raises(ValueError, match=r"at r = 1\.86 it returns 0\.3108\d+ where -u'\(r\)/r is 0\.1671\d+"):
+        md.evaluate(pair, md.PairPotential(forgets_the_r, (1.0,), 2.0))
+    with pytest.raises(TypeError, match=r"the law returns_one must .*return"):
+        md.evaluate(pair, md.PairPotential(returns_one, (1.0,), 2.0))
+    with pytest.raises(TypeError, match="the law pole must take r² and 0 parameters"):
+        md.evaluate(pair, md.PairPotential(pole, (), 2.0))
+    md.PairPotential(pole, (1.0,), 2.0).table(("X",))
+
+
+def test_evaluate_takes_atoms_of_ase():
+    from ase import Atoms
+
+    atoms = Atoms("Ar2", [[0, 0, 0], [4, 0, 0]])
+    expected = md.evaluate(md.System.from_ase(atoms), md.LennardJones(0.01, 3.4)).potential_energy
+    assert md.evaluate(atoms, md.LennardJones(0.01, 3.4)).potential_energy == expected
+
+
 def test_laws_run_as_plain_python_too():
     from minimd.potentials.pair_loop import TOTALS, add_pair_forces, fixed_pairs
     from minimd.potentials.parameters import SameForAll

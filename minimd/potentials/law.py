@@ -5,7 +5,8 @@ marker, a NamedTuple class that @marks(law) ties to it. A truncation is a marker
 marker carries no numbers: they follow in one flat tuple, first those of the truncation, then those of the law.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from math import isfinite, nan
 from typing import Any, NamedTuple
 
 from numba.core import types
@@ -23,6 +24,10 @@ def marks(formula: Callable) -> Callable[[type], type]:
         return marker
 
     return tie
+
+
+STEP = 1e-5  # of a central difference, relative to the distance
+ACCURACY, ROUNDING = 1e-4, 1e-9  # of that difference: relative, and beside the size of u
 
 
 class UserLaw(NamedTuple):
@@ -48,6 +53,40 @@ def user_law(function: Callable) -> UserLaw:
 def is_user_law(law: tuple) -> bool:
     """True if the marker, or the one inside it, was made by user_law."""
     return isinstance(law, UserLaw) or any(is_user_law(inner) for inner in law)
+
+
+def check_user_law(law: UserLaw, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
+    """Try a law of the user's at some distances [length]: does it return u and −u′(r)/r?
+
+    Raises
+    ------
+    TypeError : if it does not take these parameters or does not return two numbers.
+    ValueError : if the second number is not −u′(r)/r, by central differences, at most of the distances where it is finite.
+    """
+    tried, wrong = 0, []
+    for r in distances:
+        u, f = _tried(law, r, parameters)
+        low, high = (_tried(law, r * (1.0 + h), parameters)[0] for h in (-STEP, STEP))
+        slope = (low - high) / (2.0 * STEP * r * r)
+        if isfinite(u) and isfinite(f) and isfinite(slope):
+            tried += 1
+            if abs(f - slope) > ACCURACY * max(abs(f), abs(slope)) + ROUNDING * abs(u) / r**2:
+                wrong.append(f"at r = {r:.4g} it returns {f:.6g} where -u'(r)/r is {slope:.6g}")
+    if 2 * len(wrong) > tried:
+        raise ValueError(f"the law must return u and -u'(r)/r; {wrong[-1]}")
+
+
+def _tried(law: UserLaw, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
+    function = law.function.py_func
+    try:
+        u, f = function(r * r, *parameters)
+        return (nan, nan) if isinstance(u, complex) or isinstance(f, complex) else (float(u), float(f))
+    except (ArithmeticError, ValueError) as error:
+        if "unpack" in str(error):
+            raise TypeError(f"the law {function.__name__} must return two numbers, u and -u'(r)/r: {error}") from None
+        return nan, nan
+    except TypeError as error:
+        raise TypeError(f"the law {function.__name__} must take r² and {len(parameters)} parameters and return u and -u'(r)/r: {error}") from None
 
 
 def evaluate_law(law, r2, parameters):

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.potentials.law import evaluate_law, user_law
+from minimd.potentials.law import UserLaw, check_user_law, evaluate_law, user_law
 from minimd.potentials.mixing import MIXING, Parameters
 from minimd.potentials.truncation import TRUNCATIONS
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
 NODES = (64, 32)  # of two Gauss-Legendre rules; where they differ by more than this, relatively, an integral does not exist
 CONVERGED = 1e-8
+TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where laws of the user's are tried
 
 Label = str | int
 ByLabel = Mapping[Label, Parameters]
@@ -120,6 +121,8 @@ class PairPotential:
 
     def _numbers(self, a: Label | None, b: Label | None) -> tuple[float, ...]:
         cutoff, parameters = self._cutoff_of(a, b), self._parameters_of(a, b)
+        if isinstance(self.plain_law, UserLaw):
+            check_user_law(self.plain_law, parameters, [x * (cutoff if isfinite(cutoff) else 1.0) for x in TRIED_AT])
         extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, self._switch_start_for(cutoff))
         return (cutoff * cutoff, *extra, *parameters)
 

@@ -4,10 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.cell import Cell, minimum_image_translations
-from minimd.errors import NonFiniteError
 from minimd.neighbors.cluster_search import HOME, exclude_lanes, find_rows, fold_ghosts, refresh_ghosts
 from minimd.neighbors.clusters import FAR, bounding_boxes, gather_clusters, make_columns, place_padding, scatter_clusters, sort_into_clusters
-from minimd.neighbors.pair_list import any_moved, partners
+from minimd.neighbors.skin import ListWithSkin
 from minimd.potentials.cluster_loop import BLOCK, LANES, Rows
 
 SPARE = 1.2  # room for this much more than was found
@@ -15,14 +14,14 @@ CACHE_LINE = 64  # bytes; vectors that straddle two cost twice
 IMAGES = 27
 
 
-class ClusterList:
-    """Clusters closer than a cutoff, kept for as long as no atom can have come into reach unseen; see PairList for the rule.
+class ClusterList(ListWithSkin):
+    """Clusters with an atom within cutoff + skin of each atom.
 
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
     Parameters
     ----------
-    cutoff, skin, excluded : as for PairList.
+    cutoff, skin, excluded : see ListWithSkin.
 
     Attributes
     ----------
@@ -31,37 +30,12 @@ class ClusterList:
     """
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
-        self.cutoff, self.skin = cutoff, skin
-        self.n_builds = 0
-        self._excluded_start, self._excluded = partners(excluded, n_atoms)
-        self._cell: Cell | None = None
-        self._built_at = np.empty((0, 3))
+        super().__init__(n_atoms, cutoff, skin, excluded)
+        self._lattice = np.zeros((3, 3))
         self._cluster, self._lanes = np.empty(0, dtype=np.uint32), np.empty(0, dtype=np.uint8)
         self._ghost_room = np.empty((0, 2), dtype=np.int64)
         self._candidates = np.empty((256, 2), dtype=np.int64)
         self.coordinates = self.on_clusters = self.on_atoms = np.empty(0)
-
-    @property
-    def has_excluded(self) -> bool:
-        """True if a pair is left out."""
-        return self._excluded.size > 0
-
-    def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
-        """Build the list anew if it can miss a pair; True if it was built.
-
-        Raises
-        ------
-        NonFiniteError : if a position is not finite.
-        """
-        if self._cell is not None and cell.same_as(self._cell) and not any_moved(positions, self._built_at, 0.25 * self.skin**2):
-            return False
-        bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
-        if bad.size:
-            raise NonFiniteError(f"positions of {bad.size} atoms are not finite, the first is atom {bad[0]}")
-        self._cell, self._lattice, self._built_at = cell, cell.lattice, positions.copy()
-        self.n_builds += 1
-        self._build(positions, cell)
-        return True
 
     def gather(self, positions: NDArray[np.float64]) -> None:
         """Copy the positions to where the loop reads them, ghosts included, and clear the forces."""
@@ -81,7 +55,7 @@ class ClusterList:
         return np.concatenate([real, real[self.ghosts[:, 0]]]).ravel()
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        reach = self.cutoff + self.skin
+        self._lattice, reach = cell.lattice, self.cutoff + self.skin
         columns = make_columns(cell, positions, reach)
         clusters = sort_into_clusters(positions, cell, columns)
         self.atom, self._offsets = clusters.atom, clusters.offsets

@@ -1,29 +1,23 @@
-"""The pair list with a skin: built in linear time, used until an atom has moved half the skin."""
+"""The plain pair list: every pair within reach, with its image."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.cell import Cell
-from minimd.compiling import kernel
-from minimd.errors import NonFiniteError
 from minimd.neighbors.binning import make_grid, sort_into_bins
 from minimd.neighbors.search import find_pairs, forward_bins, image_table
+from minimd.neighbors.skin import ListWithSkin
 from minimd.potentials.pair_loop import Pairs
 
 SPARE = 1.2  # room for this much more than the pairs that were found
 
 
-class PairList:
-    """Pairs closer than a cutoff, kept for as long as no atom can have come into reach unseen.
-
-    All pairs within cutoff + skin are listed; a pair beyond that needs one of its atoms to move more than skin/2 before it
-    can come within the cutoff. The displacements that count are true ones: an atom moved by a lattice vector has moved.
+class PairList(ListWithSkin):
+    """All pairs within cutoff + skin, in any cell, all images of them; built in linear time.
 
     Parameters
     ----------
-    cutoff : [length]; infinite for all pairs, in open scenes.
-    skin : [length], ≥ 0.
-    excluded : (P, 2) int, pairs whose nearest image is left out.
+    cutoff, skin, excluded : see ListWithSkin; an infinite cutoff lists all pairs, in open scenes.
 
     Attributes
     ----------
@@ -32,41 +26,10 @@ class PairList:
     """
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
-        self.cutoff, self.skin = cutoff, skin
-        self.n_builds = 0
-        self._excluded_start, self._excluded = partners(excluded, n_atoms)
-        self._cell: Cell | None = None
-        self._built_at = np.empty((0, 3))
+        super().__init__(n_atoms, cutoff, skin, excluded)
         self._second, self._image = (np.empty(0, dtype=np.uint32) for _ in range(2))
 
-    @property
-    def has_excluded(self) -> bool:
-        """True if a pair is left out."""
-        return self._excluded.size > 0
-
-    def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
-        """Build the list anew if it can miss a pair; True if it was built.
-
-        Raises
-        ------
-        NonFiniteError : if a position is not finite.
-        """
-        if self._cell is not None and cell.same_as(self._cell) and not self._moved_too_far(positions):
-            return False
-        bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
-        if bad.size:
-            raise NonFiniteError(f"positions of {bad.size} atoms are not finite, the first is atom {bad[0]}")
-        self._build(positions, cell)
-        return True
-
-    def _moved_too_far(self, positions: NDArray[np.float64]) -> bool:
-        if self.cutoff == np.inf:
-            return not np.isfinite(positions).all()
-        return bool(any_moved(positions, self._built_at, 0.25 * self.skin**2))
-
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        self._cell, self._built_at = cell, positions.copy()
-        self.n_builds += 1
         if self.cutoff == np.inf:
             self._list_all_pairs(positions)
             return
@@ -97,24 +60,3 @@ class PairList:
         start = np.zeros(n + 1, dtype=np.int64)
         np.cumsum(np.bincount(first, minlength=n), out=start[1:])
         self.pairs = Pairs(start, second.astype(np.uint32), np.empty(0, dtype=np.uint32), np.zeros((0, 3)))
-
-
-@kernel
-def any_moved(positions, reference, limit2):
-    """True if an atom is farther than the square root of limit2 from where it was, or nowhere (NaN)."""
-    for i in range(positions.shape[0]):
-        dx = positions[i, 0] - reference[i, 0]
-        dy = positions[i, 1] - reference[i, 1]
-        dz = positions[i, 2] - reference[i, 2]
-        if not dx * dx + dy * dy + dz * dz <= limit2:
-            return True
-    return False
-
-
-def partners(pairs: NDArray[np.int64], n_atoms: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs as a table: the partners of atom a are values[start[a] : start[a + 1]]."""
-    both = np.concatenate([pairs, pairs[:, ::-1]])
-    both = both[np.argsort(both[:, 0], kind="stable")]
-    start = np.zeros(n_atoms + 1, dtype=np.int64)
-    np.cumsum(np.bincount(both[:, 0], minlength=n_atoms), out=start[1:])
-    return start, np.ascontiguousarray(both[:, 1])

@@ -1,0 +1,83 @@
+"""When a list of neighbors must be built anew: the one rule for all lists."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.cell import Cell
+from minimd.compiling import kernel
+from minimd.errors import NonFiniteError
+
+
+class ListWithSkin(ABC):
+    """A list kept for as long as no atom can have come into reach unseen.
+
+    All pairs within cutoff + skin are listed; a pair beyond that needs one of its atoms to move more than skin/2 before it
+    can come within the cutoff. The displacements that count are true ones: an atom moved by a lattice vector has moved.
+
+    Parameters
+    ----------
+    cutoff : [length].
+    skin : [length], ≥ 0.
+    excluded : (P, 2) int, pairs whose nearest image is left out.
+    """
+
+    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
+        self.cutoff, self.skin = cutoff, skin
+        self.n_builds = 0
+        self._excluded_start, self._excluded = partners(excluded, n_atoms)
+        self._cell: Cell | None = None
+        self._built_at = np.empty((0, 3))
+
+    @abstractmethod
+    def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
+        """List what is within cutoff + skin."""
+
+    @property
+    def has_excluded(self) -> bool:
+        """True if a pair is left out."""
+        return self._excluded.size > 0
+
+    def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
+        """Build the list anew if it can miss a pair; True if it was built.
+
+        Raises
+        ------
+        NonFiniteError : if a position is not finite.
+        """
+        if self._cell is not None and cell.same_as(self._cell) and not self._moved_too_far(positions):
+            return False
+        bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+        if bad.size:
+            raise NonFiniteError(f"positions of {bad.size} atoms are not finite, the first is atom {bad[0]}")
+        self._cell, self._built_at = cell, positions.copy()
+        self.n_builds += 1
+        self._build(positions, cell)
+        return True
+
+    def _moved_too_far(self, positions: NDArray[np.float64]) -> bool:
+        if self.cutoff == np.inf:
+            return not np.isfinite(positions).all()
+        return bool(any_moved(positions, self._built_at, 0.25 * self.skin**2))
+
+
+@kernel
+def any_moved(positions, reference, limit2):
+    """True if an atom is farther than the square root of limit2 from where it was, or nowhere (NaN)."""
+    for i in range(positions.shape[0]):
+        dx = positions[i, 0] - reference[i, 0]
+        dy = positions[i, 1] - reference[i, 1]
+        dz = positions[i, 2] - reference[i, 2]
+        if not dx * dx + dy * dy + dz * dz <= limit2:
+            return True
+    return False
+
+
+def partners(pairs: NDArray[np.int64], n_atoms: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs as a table: the partners of atom a are values[start[a] : start[a + 1]]."""
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    start = np.zeros(n_atoms + 1, dtype=np.int64)
+    np.cumsum(np.bincount(both[:, 0], minlength=n_atoms), out=start[1:])
+    return start, np.ascontiguousarray(both[:, 1])

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.cell import Cell
-from minimd.compiling import kernel
+from minimd.compiling import kernel, scalar
 
 ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
 FLATTEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick
@@ -53,18 +53,20 @@ def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
 
 def sort_into_bins(positions: NDArray[np.float64], cell: Cell, grid: Grid) -> Sorted:
     """The atoms in the order of their bins, the last lattice direction running fastest."""
-    n_atoms = len(positions)
-    sorted_ = Sorted(np.empty(n_atoms, dtype=np.int64), np.empty((n_atoms, 3)), np.zeros(int(grid.counts.prod()) + 1, dtype=np.int64))
-    _fill_bins(positions, cell.lattice, cell.inverse, cell.pbc, grid.counts, grid.origin, grid.extent, *sorted_)
-    return sorted_
+    return Sorted(*_sort(positions, cell.lattice, cell.inverse, cell.pbc, grid.counts, grid.origin, grid.extent))
 
 
-@kernel
-def _fill_bins(positions, lattice, inverse, pbc, counts, origin, extent, order, offsets, bin_start):
-    """Counting sort; order, offsets and bin_start as in Sorted, overwritten."""
+@scalar
+def counting_sort(positions, inverse, pbc, counts, origin, extent):
+    """Atoms into bins, in linear time.
+
+    Returns order and bin_start as in Sorted; cells : (N, 3), lattice vectors that bring each atom into the cell, as numbers;
+    height : (N,) fractional coordinate along the third lattice vector, in the cell.
+    """
     n_atoms = positions.shape[0]
-    bins = np.empty(n_atoms, dtype=np.int64)
-    cells = np.zeros((n_atoms, 3))
+    bins, order = np.empty(n_atoms, dtype=np.int64), np.empty(n_atoms, dtype=np.int64)
+    cells, height = np.zeros((n_atoms, 3)), np.empty(n_atoms)
+    bin_start = np.zeros(counts[0] * counts[1] * counts[2] + 1, dtype=np.int64)
     for i in range(n_atoms):
         index = 0
         for d in range(3):
@@ -74,14 +76,26 @@ def _fill_bins(positions, lattice, inverse, pbc, counts, origin, extent, order, 
                 s += cells[i, d]
             along = int((s - origin[d]) / extent[d] * counts[d])
             index = index * counts[d] + max(0, min(counts[d] - 1, along))
+            if d == 2:
+                height[i] = s
         bins[i] = index
         bin_start[index + 1] += 1
     for b in range(bin_start.size - 1):
         bin_start[b + 1] += bin_start[b]
     place = bin_start[:-1].copy()
     for i in range(n_atoms):
-        k = place[bins[i]]
+        order[place[bins[i]]] = i
         place[bins[i]] += 1
-        order[k] = i
+    return order, bin_start, cells, height
+
+
+@kernel
+def _sort(positions, lattice, inverse, pbc, counts, origin, extent):
+    """order, offsets and bin_start as in Sorted."""
+    order, bin_start, cells, _ = counting_sort(positions, inverse, pbc, counts, origin, extent)
+    offsets = np.empty((order.size, 3))
+    for k in range(order.size):
+        i = order[k]
         for c in range(3):
             offsets[k, c] = cells[i, 0] * lattice[0, c] + cells[i, 1] * lattice[1, c] + cells[i, 2] * lattice[2, c]
+    return order, offsets, bin_start

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from minimd.cell import Cell
 from minimd.compiling import kernel
+from minimd.neighbors.binning import counting_sort
 from minimd.potentials.cluster_loop import BLOCK, LANES
 
 FAR = 1e3  # in units of the scene: where padding stands, each piece farther than the one before
@@ -85,29 +86,7 @@ def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Colu
 @kernel
 def _fill_columns(positions, lattice, inverse, pbc, counts, origin, extent, atom, offsets, column_start, bottom, top):
     """Counting sort into bins of columns, insertion sort within; outputs as in Clusters."""
-    n_atoms = positions.shape[0]
-    bins = np.empty(n_atoms, dtype=np.int64)
-    cells, height = np.zeros((n_atoms, 3)), np.empty(n_atoms)
-    bin_start = np.zeros(counts[0] * counts[1] * counts[2] + 1, dtype=np.int64)
-    for i in range(n_atoms):
-        index = 0
-        for d in range(3):
-            s = positions[i, 0] * inverse[0, d] + positions[i, 1] * inverse[1, d] + positions[i, 2] * inverse[2, d]
-            if pbc[d]:
-                cells[i, d] = -np.floor(s)
-                s += cells[i, d]
-            along = int((s - origin[d]) / extent[d] * counts[d])
-            index = index * counts[d] + max(0, min(counts[d] - 1, along))
-            if d == 2:
-                height[i] = s
-        bins[i] = index
-        bin_start[index + 1] += 1
-    for b in range(bin_start.size - 1):
-        bin_start[b + 1] += bin_start[b]
-    place, order = bin_start[:-1].copy(), np.empty(n_atoms, dtype=np.int64)
-    for i in range(n_atoms):
-        order[place[bins[i]]] = i
-        place[bins[i]] += 1
+    order, bin_start, cells, height = counting_sort(positions, inverse, pbc, counts, origin, extent)
     slot = 0
     for column in range(counts[0] * counts[1]):
         column_start[column] = slot // LANES

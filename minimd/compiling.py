@@ -45,6 +45,16 @@ def kernel(function):
         numba.config.CACHE_DIR = previous
 
 
+def shared_kernel(function):
+    """Compile a kernel that several threads run at once, as minimd.team has them: it does not hold Python's lock."""
+    previous = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(cache_folder())
+    try:
+        return numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+    finally:
+        numba.config.CACHE_DIR = previous
+
+
 def scalar(function):
     """Compile a function of a few numbers that only kernels call; the compiler inlines it."""
     return numba.njit(error_model="numpy")(function)
@@ -53,7 +63,7 @@ def scalar(function):
 @functools.cache
 def without_cache(dispatcher):
     """The same kernel compiled anew in each process: for laws that the user defines, which no cache can recognise."""
-    return numba.njit(error_model="numpy")(dispatcher.py_func)
+    return numba.njit(error_model="numpy", nogil=True)(dispatcher.py_func)
 
 
 class announce_compilation(event.Listener):  # noqa: N801 - used as a context manager

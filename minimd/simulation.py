@@ -60,10 +60,6 @@ class Simulation:
         precision: str = "double",
         skin: float | None = None,
     ) -> None:
-        if threads not in (None, 1):
-            raise ValueError(f"threads must be 1, simulations do not share their work yet; threads = {threads!r}")
-        if precision != "double":
-            raise ValueError(f"precision must be 'double', there is no other yet; precision = {precision!r}")
         if not isinstance(method, Splitting):
             raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {method!r}")
         self.system = system.copy() if isinstance(system, System) else System.from_ase(system)
@@ -72,7 +68,7 @@ class Simulation:
         self.time = 0.0
         self.record: Record | None = None
         self._run_seconds, self._run_steps = 0.0, 0
-        self._forces = Forces(self.system, potentials, skin)
+        self._forces = Forces(self.system, potentials, skin, threads or 1, precision)
         self._state = State(self.system.positions, self.system.velocities, self._forces.forces, 1.0 / self.system.masses)
 
     def __repr__(self) -> str:

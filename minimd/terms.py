@@ -7,21 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.cell import minimum_image_translations
+from minimd.clustered import ClusteredPairs
 from minimd.compiling import kernel
-from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.pair_list import PairList
+from minimd.pair_laws import PairLaws, skin_for
 from minimd.potentials.bonded import BondPotential, HarmonicAngle, Triples, add_angle_forces
-from minimd.potentials.cluster_loop import ByLane, cluster_loop_for, runs_on_vectors
 from minimd.potentials.laws import Scaled
 from minimd.potentials.pair import PairPotential
-from minimd.potentials.pair_loop import FORCES, PER_ATOM, fixed_pairs, pair_loop_for
+from minimd.potentials.pair_loop import FORCES, fixed_pairs, pair_loop_for
 from minimd.potentials.parameters import ByPair, BySpecies, SameForAll, from_table
 from minimd.system import System, checked_pairs
-from minimd.topology import pairs_by_bonds_apart
 
 ALL_PAIRS_UP_TO = 100  # atoms: below, an open scene is faster without a list that has to be rebuilt
-CLUSTERS_FROM = 64  # atoms: below, the pair list is as fast
-SKIN = 0.12  # default skin in units of the cutoff
 
 Potential = Any  # PairPotential, BondPotential, HarmonicAngle, or an object with bind(system) that returns a Term
 
@@ -61,11 +58,11 @@ class FixedPairs:
 class ListedPairs:
     """Laws on all pairs within their cutoffs, found with one pair list."""
 
-    def __init__(self, system: System, laws: "PairLaws", skin: float | None) -> None:
+    def __init__(self, system: System, laws: PairLaws, skin: float | None) -> None:
         cutoff = laws.cutoff
         if not system.cell.is_periodic and len(system) <= ALL_PAIRS_UP_TO:
             cutoff = np.inf
-        self.list = PairList(len(system), cutoff, _skin(system, cutoff, skin, bool(len(laws.excluded))), laws.excluded)
+        self.list = PairList(len(system), cutoff, skin_for(system, laws, skin) if cutoff < np.inf else 0.0, laws.excluded)
         self._laws, self._loops = laws, [pair_loop_for(law) for law in laws.laws]
         self._parameters: list[tuple] = []
         n = len(system)
@@ -102,89 +99,6 @@ class ListedPairs:
         if self._in_users_order:
             yield "neighbor list (all pairs)"
         yield from self._laws.skipped()
-
-
-class ClusteredPairs:
-    """Laws on all pairs within their cutoffs, eight at a time, found with one cluster list.
-
-    Shares of single atoms are asked for rarely; they come from a pair list that is made when they are.
-    """
-
-    def __init__(self, system: System, laws: "PairLaws", skin: float | None) -> None:
-        self.list = ClusterList(len(system), laws.cutoff, _skin(system, laws.cutoff, skin, bool(len(laws.excluded))), laws.excluded)
-        self._laws, self._loops = laws, [cluster_loop_for(law) for law in laws.laws]
-        self._parameters: list[tuple] = []
-        self._plain: ListedPairs | None = None
-        self._skin = skin
-
-    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
-        """See Term."""
-        if detail == PER_ATOM:
-            self._plain = self._plain or ListedPairs(system, self._laws, self._skin)
-            self._plain.add(system, detail, forces, energies, virials)
-            return
-        clusters, look = self.list, detail != FORCES
-        if clusters.update(system.positions, system.cell):
-            self._parameters = [_by_lane(table, system.species_index, clusters) for table in self._laws.tables]
-        clusters.gather(system.positions)
-        n_slots = len(clusters.atom)
-        row_energies, row_virials = np.zeros(n_slots if look else 0), np.zeros((n_slots if look else 0, 6))
-        memory = (clusters.on_clusters, clusters.on_atoms, row_energies, row_virials)
-        for law, loop, parameters in zip(self._laws.laws, self._loops, self._parameters, strict=True):
-            loop(0, n_slots, clusters.rows, clusters.coordinates, law, parameters, look, *memory)
-        clusters.scatter(forces)
-        if look:
-            real = clusters.atom >= 0
-            energies[clusters.atom[real]] += row_energies[real]
-            virials[clusters.atom[real]] += row_virials[real]
-
-    def skipped(self) -> Iterable[str]:
-        """See Term."""
-        return self._laws.skipped()
-
-
-class PairLaws:
-    """What pair potentials with one bonded_scale say about a system: laws, parameter tables, the largest cutoff, excluded pairs.
-
-    Attributes
-    ----------
-    laws, tables : markers, and (S, S, 1 + P) arrays; one for each potential.  cutoff : the largest [length].
-    special : pairs (P, 2) that are scaled, with their factors.  excluded : (P, 2) all of them: no list may hold their nearest image.
-    """
-
-    def __init__(self, system: System, potentials: Sequence[PairPotential]) -> None:
-        _check_cutoffs(system, potentials)
-        by_bonds, scale = pairs_by_bonds_apart(system.bonds, len(system)), potentials[0].bonded_scale
-        self.special = [(pairs, factor) for pairs, factor in zip(by_bonds, scale, strict=True) if factor != 1.0 and len(pairs)]
-        self.excluded = np.concatenate([np.zeros((0, 2), dtype=np.int64), *(pairs for pairs, _ in self.special)])
-        self.potentials = potentials
-        self.laws = [potential.law for potential in potentials]
-        self.tables = [potential.table(system.species_names) for potential in potentials]
-        self.cutoff = max(potential.cutoff for potential in potentials)
-
-    def skipped(self) -> Iterable[str]:
-        """See Term."""
-        if all(len(table) == 1 for table in self.tables):
-            yield "parameter table"
-        if not len(self.excluded):
-            yield "exclusions"
-
-    def scaled(self, system: System) -> "list[Term]":
-        """The laws times their factors on pairs a few bonds apart."""
-        return [
-            _scaled_pairs(system, potential, table, pairs, factor)
-            for potential, table in zip(self.potentials, self.tables, strict=True)
-            for pairs, factor in self.special
-            if factor != 0.0
-        ]
-
-    def fit_clusters(self, system: System, skin: float | None) -> bool:
-        """The rule which list a scene gets: clusters from a few hundred atoms on, in cells at least as high as the list reaches."""
-        if len(system) < CLUSTERS_FROM or self.cutoff == np.inf:
-            return False
-        reach = self.cutoff + _skin(system, self.cutoff, skin, bool(len(self.excluded)))
-        high_enough = bool(np.all(system.cell.heights[system.cell.pbc] >= reach))
-        return high_enough and all(runs_on_vectors(law, table.shape[-1] - 1) for law, table in zip(self.laws, self.tables, strict=True))
 
 
 class Angles:
@@ -229,7 +143,7 @@ def scatter(local_forces, order, forces):
             forces[order[k], c] += local_forces[k, c]
 
 
-def plan(system: System, potentials: Sequence[Potential], skin: float | None) -> list[Term]:
+def plan(system: System, potentials: Sequence[Potential], skin: float | None, threads: int, precision: str) -> list[Term]:
     """The terms of a scene: one pair list for all pair potentials with the same bonded_scale, and each bonded term."""
     sharing: dict[tuple, list[PairPotential]] = {}
     terms: list[Term] = []
@@ -249,25 +163,12 @@ def plan(system: System, potentials: Sequence[Potential], skin: float | None) ->
             raise TypeError(f"potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got {potential!r}")
     for group in sharing.values():
         laws = PairLaws(system, group)
-        list_kind = ClusteredPairs if laws.fit_clusters(system, skin) else ListedPairs
-        terms.extend([list_kind(system, laws, skin), *laws.scaled(system)])
+        if laws.fit_clusters(system, skin):
+            terms.append(ClusteredPairs(system, laws, skin, threads, precision))
+        else:
+            terms.append(ListedPairs(system, laws, skin))
+        terms.extend(_scaled_terms(system, laws))
     return terms
-
-
-def _check_cutoffs(system: System, potentials: Sequence[PairPotential]) -> None:
-    for potential in potentials:
-        if potential.cutoff == np.inf and system.cell.is_periodic:
-            raise ValueError(f"cutoff must be given in a periodic cell; that of {type(potential).__name__} is None")
-        if potential.tail_correction and system.volume is None:
-            raise ValueError("tail_correction needs a density: a cell that is periodic in all three directions")
-
-
-def _skin(system: System, cutoff: float, skin: float | None, special: bool) -> float:
-    """The given or default skin; none where the nearest image of a scaled pair can change while the list is in use."""
-    if cutoff == np.inf:
-        return 0.0
-    skin = SKIN * cutoff if skin is None else skin
-    return 0.0 if special and (cutoff + skin) ** 2 > system.cell.safe_distance2 else skin
 
 
 def _by_species(table: NDArray[np.float64], species: NDArray[np.int64]) -> SameForAll | BySpecies:
@@ -276,12 +177,14 @@ def _by_species(table: NDArray[np.float64], species: NDArray[np.int64]) -> SameF
     return BySpecies(from_table(table), species)
 
 
-def _by_lane(table: NDArray[np.float64], species_index: NDArray[np.int64], clusters: ClusterList) -> SameForAll | ByLane:
-    if len(table) == 1:
-        return SameForAll(tuple(table[0, 0].tolist()))
-    species = clusters.by_slot(species_index)
-    columns = tuple(np.ascontiguousarray(table[:, species, k]).ravel() for k in range(table.shape[-1]))
-    return ByLane(columns, species, len(species))
+def _scaled_terms(system: System, laws: PairLaws) -> list[Term]:
+    """The laws times their factors on pairs a few bonds apart."""
+    return [
+        _scaled_pairs(system, potential, table, pairs, factor)
+        for potential, table in zip(laws.potentials, laws.tables, strict=True)
+        for pairs, factor in laws.special
+        if factor != 0.0
+    ]
 
 
 def _scaled_pairs(system: System, potential: PairPotential, table: NDArray, pairs: NDArray, factor: float) -> FixedPairs:

@@ -1,17 +1,42 @@
 """The cluster list with a skin: rows of clusters for the vector loop, and the memory that the loop works on."""
 
+from typing import Any, NamedTuple
+
 import numpy as np
+from numba import types
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.cell import Cell, minimum_image_translations
-from minimd.neighbors.cluster_search import HOME, exclude_lanes, find_rows, fold_ghosts, refresh_ghosts
-from minimd.neighbors.clusters import FAR, bounding_boxes, gather_clusters, make_columns, place_padding, scatter_clusters, sort_into_clusters
+from minimd.compiling import scalar, shared_kernel
+from minimd.neighbors.chunks import HOME, Chunks, Copies, cut_into_chunks, fill_copies, sort_copies
+from minimd.neighbors.cluster_search import exclude_lanes, find_rows
+from minimd.neighbors.clusters import Clusters, Columns, make_columns, sort_into_clusters
 from minimd.neighbors.skin import ListWithSkin
 from minimd.potentials.cluster_loop import BLOCK, LANES, Rows
+from minimd.simd import broadcast, load, store
+from minimd.team import Team, begin, finish_and_take, take, wait
 
 SPARE = 1.2  # room for this much more than was found
 CACHE_LINE = 64  # bytes; vectors that straddle two cost twice
-IMAGES = 27
+ENTRIES_GUESSED = 12  # for each atom, at first
+GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of the scene to the other
+COARSEST = 1e-6  # of the cutoff: a coarser grid would not be worth the name of single precision
+
+
+class Memory(NamedTuple):
+    """What the loop reads and writes; the coordinates in the precision of the pair arithmetic, see separation in cluster_loop.
+
+    coordinates, on_copies, on_atoms : flat, BLOCK numbers for each copy, each copy, each cluster.
+    shift : (M, 3) of each copy, as the coordinates.  origin : (3,) [length] and unit [length]: coordinate = (x − origin) / unit.
+    """
+
+    coordinates: Any
+    shift: Any
+    origin: Any
+    unit: float
+    on_copies: Any
+    on_atoms: Any
 
 
 class ClusterList(ListWithSkin):
@@ -21,99 +46,167 @@ class ClusterList(ListWithSkin):
 
     Parameters
     ----------
-    cutoff, skin, excluded : see ListWithSkin.
+    cutoff, skin, excluded : see ListWithSkin.  precision : "double" or "mixed", of the pair arithmetic.  team : who builds it.
 
     Attributes
     ----------
-    rows : Rows for the loop.  atom : (slots,) int, user's index in each slot, −1 for padding.
-    coordinates, on_clusters, on_atoms : flat float64, see add_cluster_forces.  n_builds : how often it was built.
+    clusters, chunks, copies, rows, memory : see there.  n_builds : how often it was built.
     """
 
-    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
+    clusters: Clusters
+    chunks: Chunks
+    copies: Copies
+    rows: Rows
+    memory: Memory
+
+    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, team: Team) -> None:
         super().__init__(n_atoms, cutoff, skin, excluded)
-        self._lattice = np.zeros((3, 3))
-        self._cluster, self._lanes = np.empty(0, dtype=np.uint32), np.empty(0, dtype=np.uint8)
-        self._ghost_room = np.empty((0, 2), dtype=np.int64)
-        self._candidates = np.empty((256, 2), dtype=np.int64)
-        self.coordinates = self.on_clusters = self.on_atoms = np.empty(0)
+        self._team, self._is_mixed = team, precision == "mixed"
+        self._columns: Columns | None = None
+        self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
+        self._exact, self._on_copies, self._on_atoms = Buffer(np.float64), Buffer(np.float64), Buffer(np.float64)
+        self._grid = Buffer(np.int32)
 
-    def gather(self, positions: NDArray[np.float64]) -> None:
-        """Copy the positions to where the loop reads them, ghosts included, and clear the forces."""
-        gather_clusters(positions, self.atom, self._offsets, self.coordinates)
-        refresh_ghosts(self.coordinates, self.n_clusters, self.ghosts, self._lattice)
-        self.on_clusters[: (self.n_clusters + len(self.ghosts)) * BLOCK] = 0.0
-        self.on_atoms[: self.n_clusters * BLOCK] = 0.0
-
-    def scatter(self, forces: NDArray[np.float64]) -> None:
-        """Add what the loop found to the forces on the atoms, (N, 3)."""
-        fold_ghosts(self.on_clusters, self.n_clusters, self.ghosts)
-        scatter_clusters(self.on_clusters, self.on_atoms, self.atom, forces)
-
-    def by_slot(self, per_atom: NDArray) -> NDArray:
-        """Values of the atoms, (N,), as (slots,) of real and ghost clusters; padding gets the first atom's."""
-        real = per_atom[np.maximum(self.atom, 0)].reshape(-1, LANES)
-        return np.concatenate([real, real[self.ghosts[:, 0]]]).ravel()
+    def by_lane(self, per_atom: NDArray) -> NDArray:
+        """Values of the atoms, (N,), as (8 M,) of all lanes of all copies."""
+        return per_atom[self.clusters.atom].reshape(-1, LANES)[self.copies.owner].ravel()
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        self._lattice, reach = cell.lattice, self.cutoff + self.skin
-        columns = make_columns(cell, positions, reach)
-        clusters = sort_into_clusters(positions, cell, columns)
-        self.atom, self._offsets = clusters.atom, clusters.offsets
-        self.n_clusters = len(clusters.top)
-        self._make_room(self.n_clusters + len(self._ghost_room))
-        gather_clusters(positions, self.atom, self._offsets, self.coordinates)
-        place_padding(self.atom, FAR * max(reach, float((cell.heights * columns.extent).max())), self.coordinates)
-        boxes = np.empty((self.n_clusters, 6))
-        bounding_boxes(self.coordinates, self.atom, boxes)
-        start, ghost_of = np.empty(len(self.atom) + 1, dtype=np.int64), np.empty((IMAGES, self.n_clusters), dtype=np.int64)
-        shape = (boxes, clusters.bottom, clusters.top, clusters.column_start, columns.counts, columns.reach, columns.along)
+        reach = self.cutoff + self.skin
+        if self._columns is None or not cell.pbc.all() or not cell.same_as(self._columns_of):
+            self._columns, self._columns_of = make_columns(cell, positions, reach), cell
+        columns = self._columns
+        self.clusters = clusters = sort_into_clusters(positions, cell, columns)
+        self.chunks = chunks = cut_into_chunks(clusters, columns, len(positions), cell.pbc)
+        n_chunks, n_clusters, n_copies = len(chunks.run) - 1, len(clusters.filled), int(chunks.copy[-1])
+        self.copies = copies = _empty_copies(n_clusters, n_copies)
+        exact = self._exact.first(n_copies * BLOCK)
+        start, stop = np.empty(n_clusters * LANES, dtype=np.int64), np.empty(n_clusters * LANES, dtype=np.int64)
+        if len(self._entry_start) != n_chunks + 1:
+            self._make_entries(np.diff(chunks.cluster) * LANES * ENTRIES_GUESSED)
+        needed = np.zeros(n_chunks, dtype=np.int64)
         while True:
-            ghost_of[:] = -1
-            room = (ghost_of, self._ghost_room, self._candidates, start, self._cluster, self._lanes)
-            n_entries, n_ghosts, most = find_rows(self.coordinates, self.atom, *shape, reach, cell.pbc, cell.lattice, *room)
-            if n_ghosts <= len(self._ghost_room) and n_entries <= len(self._cluster) and most <= len(self._candidates):
+            self.rows = Rows(start, stop, self._entries)
+            scene = (chunks, clusters, columns, cell.pbc, cell.lattice, copies, exact, reach, self.rows)
+            self._team.run(_build_chunks, *scene, self._entry_start, needed)
+            if np.all(needed <= np.diff(self._entry_start)):
                 break
-            self._grow(n_entries, n_ghosts, most)
-        self.ghosts = self._ghost_room[:n_ghosts]
+            self._make_entries(np.maximum(np.diff(self._entry_start), (SPARE * needed).astype(np.int64)))
+        sort_copies(copies)
+        self.memory = self._make_memory(exact)
         if self.has_excluded:
-            self._exclude(positions, cell, ghost_of, start)
-        self.rows = Rows(start, self._cluster[:n_entries], self._lanes[:n_entries])
+            self._exclude(positions, cell)
 
-    def _grow(self, n_entries: int, n_ghosts: int, most: int) -> None:
-        if most > len(self._candidates):
-            self._candidates = np.empty((int(SPARE * most), 2), dtype=np.int64)
-        if n_ghosts > len(self._ghost_room):
-            self._ghost_room = np.empty((2 * n_ghosts + 64, 2), dtype=np.int64)
-            self._make_room(self.n_clusters + len(self._ghost_room))
-        if n_entries > len(self._cluster):
-            self._cluster, self._lanes = np.empty(int(SPARE * n_entries), dtype=np.uint32), np.empty(int(SPARE * n_entries), dtype=np.uint8)
+    def _make_memory(self, exact: NDArray[np.float64]) -> Memory:
+        copies, n_clusters = self.copies, len(self.clusters.filled)
+        sums = self._on_copies.first(len(exact)), self._on_atoms.first(n_clusters * BLOCK)
+        if not self._is_mixed:
+            return Memory(exact, copies.shift, np.zeros(3), 1.0, *sums)
+        low, high = copies.boxes[:, :3].min(axis=0) - self.skin, copies.boxes[:, 3:].max(axis=0) + self.skin
+        unit = float((high - low).max()) / GRID
+        if unit > COARSEST * self.cutoff:
+            raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {unit * GRID:.3g} wide, too coarse; take precision='double'")
+        origin = 0.5 * (low + high)
+        return Memory(self._grid.first(len(exact)), np.rint(copies.shift / unit).astype(np.int32), origin, unit, *sums)
 
-    def _make_room(self, n_blocks: int) -> None:
-        """Memory for so many clusters, real and ghost; what stands there already is kept."""
-        if n_blocks * BLOCK <= len(self.coordinates):
-            return
-        kept = self.coordinates
-        self.coordinates, self.on_clusters, self.on_atoms = (aligned_zeros(int(SPARE * n_blocks) * BLOCK) for _ in range(3))
-        self.coordinates[: len(kept)] = kept
+    def _make_entries(self, room: NDArray[np.int64]) -> None:
+        """Room for the entries of each chunk."""
+        self._entry_start = np.concatenate([[0], np.cumsum(room)])
+        self._entries = np.empty(self._entry_start[-1], dtype=np.uint32)
 
-    def _exclude(self, positions: NDArray[np.float64], cell: Cell, ghost_of: NDArray[np.int64], start: NDArray[np.int64]) -> None:
+    def _exclude(self, positions: NDArray[np.float64], cell: Cell) -> None:
         first = np.repeat(np.arange(len(positions)), np.diff(self._excluded_start))
-        real = self.atom >= 0
+        real = np.arange(LANES) < self.clusters.filled[:, None]
+        slots = np.flatnonzero(real)
+        atoms = self.clusters.atom[slots]
         slot_of, home = np.empty(len(positions), dtype=np.int64), np.empty_like(positions)
-        slot_of[self.atom[real]] = np.flatnonzero(real)
-        home[self.atom[real]] = positions[self.atom[real]] + self._offsets[real]
+        slot_of[atoms], home[atoms] = slots, positions[atoms] + self.clusters.offsets[slots]
         nearest = np.full(len(first), HOME, dtype=np.int64)
         if cell.is_periodic:
             translations = np.empty((len(first), 3))
             minimum_image_translations(home, first, self._excluded, cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations)
-            steps = np.rint(translations @ cell.inverse).astype(np.int64)
-            nearest += steps @ np.array([9, 3, 1])
-        exclude_lanes(self.atom, slot_of, self._excluded_start, self._excluded, nearest, ghost_of, start, self._cluster, self._lanes)
+            nearest += np.rint(translations @ cell.inverse).astype(np.int64) @ np.array([9, 3, 1])
+        exclude_lanes(self.clusters, self.copies, slot_of, self._excluded_start, self._excluded, nearest, self.rows)
 
 
-def aligned_zeros(n: int) -> NDArray[np.float64]:
-    """n zeros that begin at a cache line."""
-    item = np.dtype(np.float64).itemsize
-    raw = np.zeros(n + CACHE_LINE // item)
-    skip = (-raw.ctypes.data % CACHE_LINE) // item
-    return raw[skip : skip + n]
+@shared_kernel
+def _build_chunks(counters, thread, task, chunks, clusters, columns, pbc, lattice, copies, coordinates, reach, rows, entries, needed):
+    """Copies and rows of all chunks; needed : (K,) int, output, entries of each chunk, which may be more than there is room for."""
+    n = needed.size
+    phase = begin(counters, thread, task)
+    chunk = take(counters, phase, n)
+    while chunk >= 0:
+        fill_copies(chunk, chunks, clusters, columns, pbc, lattice, copies, coordinates)
+        needed[chunk] = find_rows(chunk, chunks, clusters, columns, copies, coordinates, reach, rows, entries[chunk], entries[chunk + 1])
+        chunk = finish_and_take(counters, phase, n)
+    wait(counters, phase)
+
+
+@scalar
+def gather(first, last, clusters, copies, positions, memory):
+    """Positions of the atoms of clusters first to last, to all copies of them; forces there = 0."""
+    nothing = broadcast(0.0, load(memory.on_atoms, 0, LANES))
+    for k in range(first, last):
+        home = copies.home[k] * BLOCK
+        for lane in range(LANES):
+            slot = k * LANES + lane
+            for c in range(3):
+                x = positions[clusters.atom[slot], c] + clusters.offsets[slot, c]
+                memory.coordinates[home + c * LANES + lane] = coordinate(x, memory.origin[c], memory.unit, memory.coordinates)
+        for c in range(0, BLOCK, LANES):
+            store(memory.on_atoms, k * BLOCK + c, nothing)
+        for p in range(copies.start[k], copies.start[k + 1]):
+            m = copies.of[p]
+            for d in range(3):
+                c = d * LANES
+                store(memory.coordinates, m * BLOCK + c, load(memory.coordinates, home + c, LANES) + memory.shift[m, d])
+                store(memory.on_copies, m * BLOCK + c, nothing)
+
+
+def coordinate(x, origin, unit, coordinates):
+    """A coordinate x [length] as an array of coordinates holds it, see Memory."""
+    raise NotImplementedError
+
+
+@overload(coordinate)
+def _coordinate(x, origin, unit, coordinates):
+    if isinstance(coordinates.dtype, types.Float):
+        return lambda x, origin, unit, coordinates: x
+    return lambda x, origin, unit, coordinates: np.int32(np.rint((x - origin) / unit))
+
+
+@scalar
+def scatter(first, last, clusters, copies, memory, forces):
+    """forces (N, 3) += what the loop found for the atoms of clusters first to last, on themselves and on all copies."""
+    for k in range(first, last):
+        for c in range(0, BLOCK, LANES):
+            force = load(memory.on_atoms, k * BLOCK + c, LANES)
+            for p in range(copies.start[k], copies.start[k + 1]):
+                force = force + load(memory.on_copies, copies.of[p] * BLOCK + c, LANES)
+            store(memory.on_atoms, k * BLOCK + c, force)
+        for lane in range(clusters.filled[k]):
+            for c in range(3):
+                forces[clusters.atom[k * LANES + lane], c] += memory.on_atoms[k * BLOCK + c * LANES + lane]
+
+
+class Buffer:
+    """Memory that grows and never shrinks, and begins at a cache line."""
+
+    def __init__(self, dtype: type) -> None:
+        self._all: NDArray[Any] = np.empty(0, dtype)
+
+    def first(self, n: int) -> NDArray[Any]:
+        """The first n elements."""
+        if n > len(self._all):
+            item = self._all.dtype.itemsize
+            raw = np.empty(int(SPARE * n) + CACHE_LINE // item, self._all.dtype)
+            self._all = raw[(-raw.ctypes.data % CACHE_LINE) // item :]
+        return self._all[:n]
+
+
+def _empty_copies(n_clusters: int, n_copies: int) -> Copies:
+    owner, image, of = (np.empty(n_copies, dtype=np.int64) for _ in range(3))
+    bottom, top = np.empty(n_copies), np.empty(n_copies)
+    home, start = np.empty(n_clusters, dtype=np.int64), np.empty(n_clusters + 1, dtype=np.int64)
+    lanes, is_used = np.empty(n_copies, dtype=np.uint8), np.empty(n_copies, dtype=np.bool_)
+    return Copies(owner, image, np.empty((n_copies, 3)), bottom, top, np.empty((n_copies, 6)), lanes, home, is_used, of, start)

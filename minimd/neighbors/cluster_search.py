@@ -1,4 +1,4 @@
-"""Which clusters each atom must meet: columns ahead, bounding boxes, then the atoms themselves; and the ghosts this takes.
+"""Which clusters each atom must meet: columns ahead, bounding boxes, then the atoms themselves.
 
 Every pair of clusters is met once: an atom's row looks at its own cluster (later lanes only), at what stands above it in
 its own column, and at the columns ahead:
@@ -9,207 +9,132 @@ its own column, and at the columns ahead:
     . . . f f
     . . . f f
 
-A cluster seen through a periodic boundary is a ghost: a copy of it, shifted by a lattice vector, made when somebody first
-needs it. The loop over rows then knows nothing of periodicity.
+All of these are runs of copies in the chunk of the atom: the search knows nothing of periodicity, nor does the loop over rows.
 """
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from minimd.compiling import kernel, scalar
-from minimd.potentials.cluster_loop import BLOCK, LANES
-from minimd.simd import bits_from_mask, broadcast, fma, load, store
+from minimd.neighbors.chunks import ALL_LANES
+from minimd.potentials.cluster_loop import BLOCK, COPY_BITS, LANES, LANES_FROM
+from minimd.simd import bits_from_mask, broadcast, fma, load
 
-HOME = 13  # row of image (0, 0, 0) among the 27 images
-ALL_LANES = 255
+FIRST_ROOM = 256  # candidates
 
 
-@kernel
-def find_rows(
-    coordinates,
-    atom,
-    boxes,
-    bottom,
-    top,
-    column_start,
-    counts,
-    reach_columns,
-    along,
-    reach,
-    pbc,
-    lattice,
-    ghost_of,
-    ghosts,
-    candidates,
-    start,
-    cluster,
-    lanes,
-):
-    """Write the rows of all slots; return how many entries and ghosts there are, which may be more than there is room for.
+class Work(NamedTuple):
+    """Room for the candidates of one cluster: their copies, the entries they become, and the atoms they are near to, as bits."""
 
-    coordinates : flat, of real clusters; those of ghosts are appended.  atom, bottom, top, column_start : of Clusters.
-    boxes : (clusters, 6).  counts, reach_columns, along : of Columns.  reach : [length].
-    ghost_of : (27, clusters) int, −1 on entry; the number of the ghost of each image and cluster.
-    ghosts : (G, 2) int, output: owner and image of each ghost.  candidates : (C, 2) int, work space.
-    start, cluster, lanes : outputs, see potentials.cluster_loop.Rows.
-    """
-    n_clusters = boxes.shape[0]
-    n_entries, n_ghosts, most = 0, 0, 0
-    columns = np.empty((3 * (reach_columns[0] + 1) * (2 * reach_columns[1] + 1), 3), dtype=np.int64)
-    shifts = np.empty((columns.shape[0], 3))
-    for column_x in range(counts[0]):
-        for column_y in range(counts[1]):
-            own = column_x * counts[1] + column_y
-            if column_start[own] == column_start[own + 1]:
-                continue
-            n_columns = _columns_ahead(column_x, column_y, column_start, counts, reach_columns, pbc, lattice, columns, shifts)
-            for i in range(column_start[own], column_start[own + 1]):
-                n = _candidates(i, n_columns, columns, shifts, boxes, bottom, top, along, reach, candidates)
-                most = max(most, n)
-                n = min(n, candidates.shape[0])
-                n_ghosts = _as_blocks(n, n_clusters, coordinates, lattice, candidates, ghost_of, ghosts, n_ghosts)
-                if n_ghosts > ghosts.shape[0]:
-                    return n_entries, n_ghosts, most
-                n_entries = _prune(i, n, coordinates, atom, reach, candidates, start, cluster, lanes, n_entries)
-    start[n_clusters * LANES] = n_entries
-    return n_entries, n_ghosts, most
+    candidates: Any
+    entries: Any
+    near: Any
 
 
 @scalar
-def _columns_ahead(column_x, column_y, column_start, counts, reach_columns, pbc, lattice, columns, shifts):
-    """The column itself, what is above it, and the columns ahead, with their images; returns how many.
+def _make_work(n):
+    return Work(np.empty(n, dtype=np.int64), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.int64))
 
-    columns : rows (first cluster, last cluster + 1, image).  shifts : lattice vector of each image.
+
+@scalar
+def find_rows(chunk, chunks, clusters, columns, copies, coordinates, reach, rows, first, last):
+    """Write the rows of one chunk, their entries from first to last; return how many entries there are, maybe more than fit.
+
+    Too many: the number returned is an upper bound.  reach : [length].
     """
+    width, depth = columns.counts[1] + 2 * columns.reach[1], columns.reach[1]
+    ahead = np.empty(((columns.reach[0] + 1) * (2 * depth + 1), 2), dtype=np.int64)
+    work = _make_work(FIRST_ROOM)
+    n_entries = first
+    for x in range(chunks.column[chunk], chunks.column[chunk + 1]):
+        for y in range(columns.counts[1]):
+            column = x * columns.counts[1] + y
+            n_ahead = 0
+            for run_x in range(columns.reach[0] + 1):
+                for run_y in range(-depth if run_x > 0 else 0, depth + 1):
+                    run = chunks.run[chunk] + (x - chunks.column[chunk] + run_x) * width + y + run_y + depth
+                    ahead[n_ahead, 0], ahead[n_ahead, 1] = chunks.copy[run], chunks.copy[run + 1]
+                    n_ahead += ahead[n_ahead, 0] < ahead[n_ahead, 1]
+            for k in range(clusters.column_start[column], clusters.column_start[column + 1]):
+                home = copies.home[k]
+                ahead[0, 0] = home + 1
+                n = _candidates(home, n_ahead, ahead, copies, columns.along, reach, work.candidates)
+                if n > work.candidates.size:
+                    work = _make_work(2 * n)
+                    n = _candidates(home, n_ahead, ahead, copies, columns.along, reach, work.candidates)
+                n_entries = _prune(k, home, n, work, clusters, copies, coordinates, reach, rows, n_entries, last)
+    return n_entries - first
+
+
+@scalar
+def _candidates(i, n_ahead, ahead, copies, along, reach, candidates):
+    """Copies ahead of copy i whose boxes are within reach; returns how many. The first column of each run moves up with i."""
+    boxes, bottom, top = copies.boxes, copies.bottom, copies.top
+    low, high = bottom[i] - along, top[i] + along
+    x_low, y_low, z_low, x_high, y_high, z_high = boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3], boxes[i, 4], boxes[i, 5]
     n = 0
-    for ahead_x in range(reach_columns[0] + 1):
-        for ahead_y in range(-reach_columns[1] if ahead_x > 0 else 0, reach_columns[1] + 1):
-            to_x, to_y = column_x + ahead_x, column_y + ahead_y
-            cell_x, cell_y = to_x // counts[0], to_y // counts[1]
-            if (cell_x != 0 and not pbc[0]) or (cell_y != 0 and not pbc[1]):
-                continue
-            column = (to_x - cell_x * counts[0]) * counts[1] + to_y - cell_y * counts[1]
-            lowest = 0 if ahead_x == 0 and ahead_y == 0 else -1
-            for cell_z in range(lowest if pbc[2] else 0, 2 if pbc[2] else 1):
-                columns[n, 0], columns[n, 1] = column_start[column], column_start[column + 1]
-                columns[n, 2] = (cell_x + 1) * 9 + (cell_y + 1) * 3 + cell_z + 1
-                for d in range(3):
-                    shifts[n, d] = cell_x * lattice[0, d] + cell_y * lattice[1, d] + cell_z * lattice[2, d]
-                n += 1
+    for run in range(n_ahead):
+        j, last = ahead[run, 0], ahead[run, 1]
+        while j < last and top[j] < low:
+            j += 1
+        ahead[run, 0] = j
+        if n + last - j > candidates.size:
+            n += last - j
+            continue
+        while j < last and bottom[j] <= high:
+            gap_x = max(0.0, max(boxes[j, 0] - x_high, x_low - boxes[j, 3]))
+            gap_y = max(0.0, max(boxes[j, 1] - y_high, y_low - boxes[j, 4]))
+            gap_z = max(0.0, max(boxes[j, 2] - z_high, z_low - boxes[j, 5]))
+            candidates[n] = j
+            n += gap_x * gap_x + gap_y * gap_y + gap_z * gap_z < reach * reach
+            j += 1
     return n
 
 
 @scalar
-def _candidates(i, n_columns, columns, shifts, boxes, bottom, top, along, reach, candidates):
-    """Clusters ahead of cluster i whose boxes are within reach: rows (cluster, image) of candidates; returns how many."""
-    n = 0
-    for k in range(n_columns):
-        first, last, image = columns[k, 0], columns[k, 1], columns[k, 2]
-        cell_z = image % 3 - 1
-        low, high = bottom[i] - along - cell_z, top[i] + along - cell_z
-        if first == last or top[last - 1] < low or bottom[first] > high:
-            continue
-        if k == 0:
-            first = i + 1
-        x, y, z = shifts[k, 0], shifts[k, 1], shifts[k, 2]
-        for j in range(first, last):
-            if top[j] < low:
-                continue
-            if bottom[j] > high:
-                break
-            gap_x = max(0.0, max(boxes[j, 0] + x - boxes[i, 3], boxes[i, 0] - boxes[j, 3] - x))
-            gap_y = max(0.0, max(boxes[j, 1] + y - boxes[i, 4], boxes[i, 1] - boxes[j, 4] - y))
-            gap_z = max(0.0, max(boxes[j, 2] + z - boxes[i, 5], boxes[i, 2] - boxes[j, 5] - z))
-            if gap_x * gap_x + gap_y * gap_y + gap_z * gap_z < reach * reach:
-                if n < candidates.shape[0]:
-                    candidates[n, 0], candidates[n, 1] = j, image
-                n += 1
-    return n
-
-
-@scalar
-def _as_blocks(n, n_clusters, coordinates, lattice, candidates, ghost_of, ghosts, n_ghosts):
-    """Turn (cluster, image) into the number of the cluster or its ghost; make ghosts that do not exist yet; returns how many exist."""
-    for k in range(n):
-        owner, image = candidates[k, 0], candidates[k, 1]
-        if image == HOME:
-            continue
-        if ghost_of[image, owner] < 0:
-            if n_ghosts < ghosts.shape[0]:
-                ghost_of[image, owner] = n_clusters + n_ghosts
-                ghosts[n_ghosts, 0], ghosts[n_ghosts, 1] = owner, image
-                copy_shifted(coordinates, owner, n_clusters + n_ghosts, image, lattice)
-            n_ghosts += 1
-        candidates[k, 0] = ghost_of[image, owner]
-    return n_ghosts
-
-
-@scalar
-def _prune(i, n, coordinates, atom, reach, candidates, start, cluster, lanes, n_entries):
-    """The rows of the eight atoms of cluster i: its own cluster first, then each candidate with an atom within reach."""
-    zero = load(coordinates, 0, LANES) * 0.0
-    for k in range(LANES):
-        slot = i * LANES + k
-        start[slot] = n_entries
-        if atom[slot] < 0:
-            continue
-        x = broadcast(coordinates[i * BLOCK + k], zero)
-        y = broadcast(coordinates[i * BLOCK + LANES + k], zero)
-        z = broadcast(coordinates[i * BLOCK + 2 * LANES + k], zero)
-        if n_entries + n + 1 > cluster.size:  # no room: an upper bound tells how much is missing
-            n_entries += n + 1
-            continue
-        cluster[n_entries], lanes[n_entries] = i, (ALL_LANES << (k + 1)) & ALL_LANES
-        n_entries += k < LANES - 1
-        for c in range(n):
-            j = candidates[c, 0] * BLOCK
-            dx = load(coordinates, j, LANES) - x
-            dy = load(coordinates, j + LANES, LANES) - y
-            dz = load(coordinates, j + 2 * LANES, LANES) - z
-            near = bits_from_mask(fma(dx, dx, fma(dy, dy, dz * dz)) < reach * reach)
-            cluster[n_entries], lanes[n_entries] = candidates[c, 0], ALL_LANES  # overwritten by the next unless near
-            n_entries += near != 0
-    return n_entries
-
-
-@scalar
-def copy_shifted(coordinates, owner, ghost, image, lattice):
-    """Coordinates of a ghost = those of its owner + the lattice vector of its image."""
-    a, b, c = image // 9 - 1, image // 3 % 3 - 1, image % 3 - 1
-    for d in range(3):
-        shift = a * lattice[0, d] + b * lattice[1, d] + c * lattice[2, d]
-        store(coordinates, ghost * BLOCK + d * LANES, load(coordinates, owner * BLOCK + d * LANES, LANES) + shift)
+def _prune(k, home, n, work, clusters, copies, coordinates, reach, rows, n_entries, last):
+    """The rows of the atoms of cluster k: its own cluster first, then each of n candidates with an atom within reach."""
+    if n_entries + LANES * (n + 1) > last:  # no room: an upper bound tells how much is missing
+        return n_entries + LANES * (n + 1)
+    own = home * BLOCK
+    x, y, z = load(coordinates, own, LANES), load(coordinates, own + LANES, LANES), load(coordinates, own + 2 * LANES, LANES)
+    for c in range(n):
+        copy = work.candidates[c]
+        nearest = broadcast(np.inf, x)
+        for lane in range(LANES):  # eight atoms of k at a time against one of the candidate's
+            other = copy * BLOCK + lane
+            dx, dy, dz = x - coordinates[other], y - coordinates[other + LANES], z - coordinates[other + 2 * LANES]
+            nearest = min(nearest, fma(dx, dx, fma(dy, dy, dz * dz)))
+        near = bits_from_mask(nearest < reach * reach)
+        work.near[c], work.entries[c] = near, copy | copies.lanes[copy] << LANES_FROM
+        copies.is_used[copy] |= near != 0
+    end = np.uintp(n_entries)  # unsigned: no check for indices that count from the end
+    for lane in range(LANES):
+        rows.start[k * LANES + lane] = end
+        if lane < clusters.filled[k]:
+            rows.entries[end] = home | ((ALL_LANES << (lane + 1)) & copies.lanes[home]) << LANES_FROM
+            end += np.uintp(lane < clusters.filled[k] - 1)
+            for c in range(n):
+                rows.entries[end] = work.entries[c]  # overwritten by the next unless near
+                end += np.uintp(work.near[c] >> lane & 1)
+        rows.stop[k * LANES + lane] = end
+    return np.int64(end)
 
 
 @kernel
-def refresh_ghosts(coordinates, n_clusters, ghosts, lattice):
-    """Move all ghosts to where their owners are now."""
-    for g in range(ghosts.shape[0]):
-        copy_shifted(coordinates, ghosts[g, 0], n_clusters + g, ghosts[g, 1], lattice)
-
-
-@kernel
-def fold_ghosts(on_clusters, n_clusters, ghosts):
-    """Forces on ghosts are forces on their owners."""
-    for g in range(ghosts.shape[0]):
-        for d in range(3):
-            owner = ghosts[g, 0] * BLOCK + d * LANES
-            store(on_clusters, owner, load(on_clusters, owner, LANES) + load(on_clusters, (n_clusters + g) * BLOCK + d * LANES, LANES))
-
-
-@kernel
-def exclude_lanes(atom, slot_of, excluded_start, excluded, nearest, ghost_of, start, cluster, lanes):
+def exclude_lanes(clusters, copies, slot_of, excluded_start, excluded, nearest, rows):
     """Clear the lane of each excluded partner, at its nearest image, in the row where the pair is listed.
 
     slot_of : (N,) int, slot of each atom.  excluded_start, excluded : see find_pairs.
     nearest : (P,) int, image of each partner that is nearest to the atom.
     """
-    for slot in range(atom.size):
-        i = atom[slot]
-        if i < 0:
-            continue
-        for p in range(excluded_start[i], excluded_start[i + 1]):
-            other = slot_of[excluded[p]]
-            where = other // LANES if nearest[p] == HOME else ghost_of[nearest[p], other // LANES]
-            for entry in range(start[slot], start[slot + 1]):
-                if cluster[entry] == where:
-                    lanes[entry] = lanes[entry] & np.uint8(ALL_LANES - (1 << (other % LANES)))
+    for cluster in range(clusters.filled.size):
+        for slot in range(cluster * LANES, cluster * LANES + clusters.filled[cluster]):
+            i = clusters.atom[slot]
+            for p in range(excluded_start[i], excluded_start[i + 1]):
+                other = slot_of[excluded[p]]
+                for entry in range(rows.start[slot], rows.stop[slot]):
+                    copy = rows.entries[entry] & COPY_BITS
+                    if copies.owner[copy] == other // LANES and copies.image[copy] == nearest[p]:
+                        rows.entries[entry] &= ~np.uint32(1 << (LANES_FROM + other % LANES))

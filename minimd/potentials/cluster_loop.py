@@ -8,27 +8,32 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+from numba import types
 from numba.core.errors import NumbaError
 from numba.extending import overload
 
-from minimd.compiling import kernel, without_cache
+from minimd.compiling import scalar
 from minimd.potentials.law import evaluate_law, is_user_law
+from minimd.potentials.pair_loop import FORCES, PER_ATOM
 from minimd.potentials.parameters import SameForAll
-from minimd.simd import broadcast, fma, load, mask_from_bits, select, store, total
+from minimd.simd import broadcast, convert, fma, load, mask_from_bits, select, store, total
 
 LANES = 8
 BLOCK = 3 * LANES  # numbers of one cluster in memory: eight x, eight y, eight z
+LANES_FROM = 24  # bits of an entry that number a copy
+COPY_BITS = (1 << LANES_FROM) - 1
+SHARES = 7  # numbers of an atom with PER_ATOM: energy, and six of the virial
 
 
 class Rows(NamedTuple):
-    """Clusters within reach of each atom: those of the atom in slot s are cluster[start[s] : start[s + 1]].
+    """Clusters within reach of each atom: those of the atom in slot s are entries[start[s] : stop[s]].
 
-    start : (slots + 1,) int.  cluster : (E,) int.  lanes : (E,) uint8, bit k is set if the atom in lane k counts.
+    start, stop : (slots,) int.  entries : (E,) uint32, a copy's number, and above its 24 bits one for each lane that counts.
     """
 
     start: Any
-    cluster: Any
-    lanes: Any
+    stop: Any
+    entries: Any
 
 
 class ByLane(NamedTuple):
@@ -67,58 +72,110 @@ def _loaded_overload(columns, start):
     return lambda columns, start: (load(columns[0], start, LANES),) + _loaded(columns[1:], start)
 
 
-@kernel
-def add_cluster_forces(first, last, rows, coordinates, law, parameters, look, on_clusters, on_atoms, energies, virials):
-    """Forces between the atoms in slots first to last and the clusters of their rows.
+class Sums(NamedTuple):
+    """Where the loop adds what it finds.
 
-        r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij into on_clusters,   F_i −= Σ f r_ij into on_atoms
-
-    coordinates, on_clusters, on_atoms : flat, BLOCK numbers for each cluster [length], [energy/length].
-    look : also add to energies (slots,) and virials (slots, 6) as xx yy zz yz xz xy; each pair is booked on its atom i.
+    on_copies : flat float64, BLOCK numbers for each copy: forces on the lanes of a row's clusters [energy/length].
+    on_atoms : flat float64, BLOCK numbers for each cluster: forces on the atoms of the rows.
+    energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows; empty with FORCES.
+    shares : flat, SHARES · LANES numbers for each copy: energies and virials of the lanes; empty unless PER_ATOM.
     """
-    zero = load(coordinates, 0, LANES) * 0.0
-    for slot in range(first, last):
-        block = slot // LANES * BLOCK + slot % LANES
-        x = broadcast(coordinates[block], zero)
-        y = broadcast(coordinates[block + LANES], zero)
-        z = broadcast(coordinates[block + 2 * LANES], zero)
+
+    on_copies: Any
+    on_atoms: Any
+    energies: Any
+    virials: Any
+    shares: Any
+
+
+@scalar
+def add_cluster_forces(first, last, home, rows, coordinates, unit, law, parameters, detail, sums):
+    """Forces between the atoms of clusters first to last and the clusters of their rows.
+
+        r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= Σ f r_ij,   W += f r_ij ⊗ r_ij
+
+    home : (C,) int, where each cluster stands among the copies.  coordinates, unit : see separation.
+    detail : see pair_loop; with TOTALS each pair is booked on its atom i, with PER_ATOM half of it on each.
+    """
+    like = separation(coordinates, 0, load(coordinates, 0, LANES), unit)
+    zero = broadcast(0.0, convert(like, 0.0))
+    own_share = 0.5 if detail == PER_ATOM else 1.0
+    for slot in range(first * LANES, last * LANES):
+        own, lane = slot // LANES, slot % LANES
+        x, y, z = position(coordinates, home[own] * BLOCK + lane)
         fx = fy = fz = energy = xx = yy = zz = yz = xz = xy = zero
-        for entry in range(rows.start[slot], rows.start[slot + 1]):
-            cluster = rows.cluster[entry]
+        for entry in range(rows.start[slot], rows.stop[slot]):
+            cluster = rows.entries[entry] & COPY_BITS
             j = cluster * BLOCK
-            dx = load(coordinates, j, LANES) - x
-            dy = load(coordinates, j + LANES, LANES) - y
-            dz = load(coordinates, j + 2 * LANES, LANES) - z
+            dx = separation(coordinates, j, x, unit)
+            dy = separation(coordinates, j + LANES, y, unit)
+            dz = separation(coordinates, j + 2 * LANES, z, unit)
             r2 = fma(dx, dx, fma(dy, dy, dz * dz))
-            numbers = parameters_of_lanes(parameters, slot, cluster)
-            near = (r2 < numbers[0]) & mask_from_bits(rows.lanes[entry], zero)
+            numbers = parameters_of_lanes(parameters, home[own] * LANES + lane, cluster)
+            near = (r2 < numbers[0]) & mask_from_bits(rows.entries[entry] >> LANES_FROM, like)
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
-            gx, gy, gz = f * dx, f * dy, f * dz
+            gx, gy, gz = convert(f * dx, 0.0), convert(f * dy, 0.0), convert(f * dz, 0.0)
             fx, fy, fz = fx - gx, fy - gy, fz - gz
-            store(on_clusters, j, load(on_clusters, j, LANES) + gx)
-            store(on_clusters, j + LANES, load(on_clusters, j + LANES, LANES) + gy)
-            store(on_clusters, j + 2 * LANES, load(on_clusters, j + 2 * LANES, LANES) + gz)
-            if look:
-                energy = energy + select(near, u, 0.0)
+            add(sums.on_copies, j, gx)
+            add(sums.on_copies, j + LANES, gy)
+            add(sums.on_copies, j + 2 * LANES, gz)
+            if detail != FORCES:
+                u = convert(select(near, u, 0.0), 0.0)
+                dx, dy, dz = convert(dx, 0.0), convert(dy, 0.0), convert(dz, 0.0)
+                energy = energy + u
                 xx, yy, zz = fma(gx, dx, xx), fma(gy, dy, yy), fma(gz, dz, zz)
                 yz, xz, xy = fma(gy, dz, yz), fma(gx, dz, xz), fma(gx, dy, xy)
-        on_atoms[block] += total(fx)
-        on_atoms[block + LANES] += total(fy)
-        on_atoms[block + 2 * LANES] += total(fz)
-        if look:
-            energies[slot] += total(energy)
-            virials[slot, 0] += total(xx)
-            virials[slot, 1] += total(yy)
-            virials[slot, 2] += total(zz)
-            virials[slot, 3] += total(yz)
-            virials[slot, 4] += total(xz)
-            virials[slot, 5] += total(xy)
+                if detail == PER_ATOM:
+                    add_shares(sums.shares, cluster, (u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy))
+        block = own * BLOCK + lane
+        sums.on_atoms[block] += total(fx)
+        sums.on_atoms[block + LANES] += total(fy)
+        sums.on_atoms[block + 2 * LANES] += total(fz)
+        if detail != FORCES:
+            sums.energies[slot] += own_share * total(energy)
+            sums.virials[slot, 0] += own_share * total(xx)
+            sums.virials[slot, 1] += own_share * total(yy)
+            sums.virials[slot, 2] += own_share * total(zz)
+            sums.virials[slot, 3] += own_share * total(yz)
+            sums.virials[slot, 4] += own_share * total(xz)
+            sums.virials[slot, 5] += own_share * total(xy)
 
 
-def cluster_loop_for(law: tuple):
-    """add_cluster_forces, compiled so that the cache serves all laws it can recognise."""
-    return without_cache(add_cluster_forces) if is_user_law(law) else add_cluster_forces
+@scalar
+def position(coordinates, place):
+    """x, y and z of one atom, each in all lanes."""
+    like = load(coordinates, 0, LANES)
+    return broadcast(coordinates[place], like), broadcast(coordinates[place + LANES], like), broadcast(coordinates[place + 2 * LANES], like)
+
+
+def separation(coordinates, place, x, unit):
+    """Eight coordinates from a place on, minus x [length].
+
+    In double precision coordinates are float64 [length]. In mixed precision they are int32 in units of a length; their
+    difference has no rounding error, however far the atoms are from the origin, and becomes float32.
+    """
+    raise NotImplementedError
+
+
+@overload(separation)
+def _separation(coordinates, place, x, unit):
+    if isinstance(coordinates.dtype, types.Float):
+        return lambda coordinates, place, x, unit: load(coordinates, place, LANES) - x
+    return lambda coordinates, place, x, unit: convert(load(coordinates, place, LANES) - x, np.float32(0.0)) * unit
+
+
+@scalar
+def add(sums, place, vector):
+    """Add eight numbers to those from a place on."""
+    store(sums, place, load(sums, place, LANES) + vector)
+
+
+@scalar
+def add_shares(shares, copy, values):
+    """Half of each of SHARES vectors, to the lanes of a copy."""
+    for k in range(SHARES):
+        add(shares, (copy * SHARES + k) * LANES, 0.5 * values[k])
 
 
 def runs_on_vectors(law: tuple, n_parameters: int) -> bool:

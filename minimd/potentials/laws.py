@@ -18,10 +18,10 @@ def lennard_jones(r2, epsilon, sigma):
     sigma : distance where u = 0 [length].  Returns u [energy], −u′/r [energy/length²].
     J. E. Lennard-Jones, Proc. Phys. Soc. 43, 461 (1931).
     """
-    reciprocal = 1.0 / r2
-    s2 = sigma * sigma * reciprocal
+    s2 = sigma * sigma / r2
     s6 = s2 * s2 * s2
-    return 4.0 * epsilon * s6 * (s6 - 1.0), 24.0 * epsilon * s6 * (2.0 * s6 - 1.0) * reciprocal
+    scale = 24.0 * epsilon / (sigma * sigma)  # taken out of the loop where all pairs share it
+    return 4.0 * epsilon * s6 * (s6 - 1.0), (2.0 * scale * s6 - scale) * (s6 * s2)
 
 
 @scalar

@@ -76,13 +76,16 @@ def bits_from_mask(_context, mask):
 
 @intrinsic
 def convert(_context, vector, like):
-    """A vector of float64 or float32 with the element type of like."""
-    kind = Vector(like.element, vector.lanes)
+    """A vector of float64, float32 or int32 with the element type of like, a vector or a number of float64 or float32."""
+    element = like.element if is_vector(like) else like
+    kind = Vector(element, vector.lanes)
 
     def generate(context, builder, signature, arguments):
-        if vector.element == like.element:
+        if vector.element == element:
             return arguments[0]
-        change = builder.fpext if like.element.bitwidth > vector.element.bitwidth else builder.fptrunc
+        if isinstance(vector.element, types.Integer):
+            return builder.sitofp(arguments[0], context.get_value_type(kind))
+        change = builder.fpext if element.bitwidth > vector.element.bitwidth else builder.fptrunc
         return change(arguments[0], context.get_value_type(kind))
 
     return kind(vector, like), generate

@@ -1,0 +1,101 @@
+"""Pair laws on the cluster list: one term of a scene, evaluated by a team of threads."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from minimd.compiling import shared_kernel, without_cache
+from minimd.neighbors.cluster_list import ClusterList, gather, scatter
+from minimd.pair_laws import PairLaws, skin_for
+from minimd.potentials.cluster_loop import LANES, SHARES, ByLane, Sums, add_cluster_forces
+from minimd.potentials.law import is_user_law
+from minimd.potentials.pair_loop import FORCES, PER_ATOM
+from minimd.potentials.parameters import SameForAll
+from minimd.system import System
+from minimd.team import begin, finish_and_take, take, team_of, wait
+
+
+@shared_kernel
+def evaluate_clusters(
+    counters, thread, task, positions, clusters, chunk_start, copies, rows, memory, laws, parameters, detail, sums, forces
+):
+    """forces (N, 3) += those of all laws; each chunk is a share of work."""
+    n = chunk_start.size - 1
+    phase = begin(counters, thread, task)
+    chunk = take(counters, phase, n)
+    while chunk >= 0:
+        gather(chunk_start[chunk], chunk_start[chunk + 1], clusters, copies, positions, memory)
+        chunk = finish_and_take(counters, phase, n)
+    phase = wait(counters, phase)
+    chunk = take(counters, phase, n)
+    while chunk >= 0:
+        place = (chunk_start[chunk], chunk_start[chunk + 1], copies.home, rows, memory.coordinates, memory.unit)
+        _add_all_laws(place, laws, parameters, (detail, sums))
+        chunk = finish_and_take(counters, phase, n)
+    phase = wait(counters, phase)
+    chunk = take(counters, phase, n)
+    while chunk >= 0:
+        scatter(chunk_start[chunk], chunk_start[chunk + 1], clusters, copies, memory, forces)
+        chunk = finish_and_take(counters, phase, n)
+    wait(counters, phase)
+
+
+def _add_all_laws(place, laws, parameters, sums):
+    """add_cluster_forces for each law, unrolled by the compiler."""
+    raise NotImplementedError
+
+
+@overload(_add_all_laws)
+def _add_all_laws_overload(place, laws, parameters, sums):
+    if len(laws) == 1:
+        return lambda place, laws, parameters, sums: add_cluster_forces(*place, laws[0], parameters[0], *sums)
+
+    def add(place, laws, parameters, sums):
+        add_cluster_forces(*place, laws[0], parameters[0], *sums)
+        _add_all_laws(place, laws[1:], parameters[1:], sums)
+
+    return add
+
+
+class ClusteredPairs:
+    """Laws on all pairs within their cutoffs, eight at a time, found with one cluster list."""
+
+    def __init__(self, system: System, laws: PairLaws, skin: float | None, threads: int = 1, precision: str = "double") -> None:
+        self._team = team_of(threads)
+        self.list = ClusterList(len(system), laws.cutoff, skin_for(system, laws, skin), laws.excluded, precision, self._team)
+        self._laws, self._number = laws, np.float32 if precision == "mixed" else np.float64
+        is_known = not any(is_user_law(law) for law in laws.laws)
+        self._evaluate = evaluate_clusters if is_known else without_cache(evaluate_clusters)
+        self._parameters: tuple = ()
+
+    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+        """See Term."""
+        if self.list.update(system.positions, system.cell):
+            self._parameters = tuple(self._by_lane(table, system.species_index) for table in self._laws.tables)
+        clusters, copies, memory = self.list.clusters, self.list.copies, self.list.memory
+        n_slots = len(clusters.atom) if detail != FORCES else 0
+        shares = np.zeros(len(copies.owner) * LANES * SHARES if detail == PER_ATOM else 0)
+        sums = Sums(memory.on_copies, memory.on_atoms, np.zeros(n_slots), np.zeros((n_slots, 6)), shares)
+        scene = (system.positions, clusters, self.list.chunks.cluster, copies, self.list.rows, memory)
+        self._team.run(self._evaluate, *scene, tuple(self._laws.laws), self._parameters, detail, sums, forces)
+        if detail != FORCES:
+            real = (np.arange(LANES) < clusters.filled[:, None]).ravel()
+            energies[clusters.atom[real]] += sums.energies[real]
+            virials[clusters.atom[real]] += sums.virials[real]
+        if detail == PER_ATOM:
+            atoms, of_lanes = clusters.atom.reshape(-1, LANES)[copies.owner], shares.reshape(-1, SHARES, LANES)
+            np.add.at(energies, atoms, of_lanes[:, 0])
+            np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
+
+    def skipped(self) -> Iterable[str]:
+        """See Term."""
+        return self._laws.skipped()
+
+    def _by_lane(self, table: NDArray[np.float64], species_index: NDArray[np.int64]) -> SameForAll | ByLane:
+        if len(table) == 1:
+            return SameForAll(tuple(table[0, 0].tolist()))
+        species = self.list.by_lane(species_index)
+        columns = tuple(np.ascontiguousarray(table[:, species, k], dtype=self._number).ravel() for k in range(table.shape[-1]))
+        return ByLane(columns, species, len(species))

@@ -1,0 +1,62 @@
+"""What the pair potentials of a scene say about it: laws, parameters, reach, excluded pairs; and the rule which list it gets."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from minimd.potentials.cluster_loop import runs_on_vectors
+from minimd.potentials.pair import PairPotential
+from minimd.system import System
+from minimd.topology import pairs_by_bonds_apart
+
+CLUSTERS_FROM = 64  # atoms: below, the pair list is as fast
+SKIN = 0.12  # default skin in units of the cutoff
+
+
+class PairLaws:
+    """What pair potentials with one bonded_scale say about a system: laws, parameter tables, the largest cutoff, excluded pairs.
+
+    Attributes
+    ----------
+    laws, tables : markers, and (S, S, 1 + P) arrays; one for each potential.  cutoff : the largest [length].
+    special : pairs (P, 2) that are scaled, with their factors.  excluded : (P, 2) all of them: no list may hold their nearest image.
+    """
+
+    def __init__(self, system: System, potentials: Sequence[PairPotential]) -> None:
+        _check_cutoffs(system, potentials)
+        by_bonds, scale = pairs_by_bonds_apart(system.bonds, len(system)), potentials[0].bonded_scale
+        self.special = [(pairs, factor) for pairs, factor in zip(by_bonds, scale, strict=True) if factor != 1.0 and len(pairs)]
+        self.excluded = np.concatenate([np.zeros((0, 2), dtype=np.int64), *(pairs for pairs, _ in self.special)])
+        self.potentials = potentials
+        self.laws = [potential.law for potential in potentials]
+        self.tables = [potential.table(system.species_names) for potential in potentials]
+        self.cutoff = max(potential.cutoff for potential in potentials)
+
+    def skipped(self) -> Iterable[str]:
+        """See Term."""
+        if all(len(table) == 1 for table in self.tables):
+            yield "parameter table"
+        if not len(self.excluded):
+            yield "exclusions"
+
+    def fit_clusters(self, system: System, skin: float | None) -> bool:
+        """The rule which list a scene gets: clusters from a few hundred atoms on, in cells at least as high as the list reaches."""
+        if len(system) < CLUSTERS_FROM or self.cutoff == np.inf:
+            return False
+        reach = self.cutoff + skin_for(system, self, skin)
+        high_enough = bool(np.all(system.cell.heights[system.cell.pbc] >= reach))
+        return high_enough and all(runs_on_vectors(law, table.shape[-1] - 1) for law, table in zip(self.laws, self.tables, strict=True))
+
+
+def _check_cutoffs(system: System, potentials: Sequence[PairPotential]) -> None:
+    for potential in potentials:
+        if potential.cutoff == np.inf and system.cell.is_periodic:
+            raise ValueError(f"cutoff must be given in a periodic cell; that of {type(potential).__name__} is None")
+        if potential.tail_correction and system.volume is None:
+            raise ValueError("tail_correction needs a density: a cell that is periodic in all three directions")
+
+
+def skin_for(system: System, laws: PairLaws, skin: float | None) -> float:
+    """The given or default skin; none where the nearest image of a scaled pair can change while the list is in use."""
+    skin = SKIN * laws.cutoff if skin is None else skin
+    return 0.0 if len(laws.excluded) and (laws.cutoff + skin) ** 2 > system.cell.safe_distance2 else skin

@@ -1,5 +1,5 @@
 """Run time beside other engines: the same scene, in turn, in one process."""
 
-from minimd.bench.melt import run_melt
+from minimd.bench.lj import Options, run_lj
 
-__all__ = ["run_melt"]
+__all__ = ["Options", "run_lj"]

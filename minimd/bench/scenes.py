@@ -1,0 +1,142 @@
+"""The scenes of the benchmark, in reduced Lennard-Jones units: a melt, a mixture, a melt of chains.
+
+Each takes a number n and has 4 n³ atoms, or nearly as many.
+"""
+
+from collections.abc import Callable, Mapping
+from itertools import combinations_with_replacement
+from math import cbrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+import minimd as md
+from minimd.forces import Potential
+from minimd.lattice import constant_from_density, crystal
+from minimd.potentials.pair import Label
+from minimd.velocities import maxwell_boltzmann
+
+SEED = 87287
+TIMESTEP = 0.005  # τ
+CUTOFF = 2.5  # σ of the pair
+EQUILIBRATION = 500  # steps
+
+MELT_DENSITY, MELT_TEMPERATURE = 0.8442, 1.44  # LAMMPS' benchmark
+
+MIXTURE_DENSITY, MIXTURE_TEMPERATURE = 1.2, 1.0
+MIXTURE: Mapping[Label, tuple[float, float]] = {"A": (1.0, 1.0), "B": (0.5, 0.88)}  # ε, σ
+UNLIKE = (1.5, 0.8)
+SMALL_FRACTION = 0.2  # of species B
+
+CHAIN_DENSITY, CHAIN_TEMPERATURE = 0.85, 1.0
+BEADS = 100  # in a chain
+BOND_CONSTANT, BOND_LENGTH = 400.0, 1.0
+
+
+class Scene(NamedTuple):
+    """A system with its potentials.
+
+    cutoffs : r_c for each pair of species [σ].  text : what it is, in one line.
+    """
+
+    name: str
+    text: str
+    system: md.System
+    potentials: tuple[Potential, ...]
+    cutoffs: Mapping[tuple[Label, Label], float]
+    temperature: float
+
+    @property
+    def edges(self) -> NDArray[np.float64]:
+        """(3,) of the cell, which is rectangular [σ]."""
+        return np.diag(self.system.cell.vectors)
+
+
+def melt(n: int) -> Scene:
+    """4 n³ atoms on the fcc lattice, with the velocities of the melt that they will be: LAMMPS' benchmark."""
+    positions, edges = crystal("fcc", [n] * 3, constant_from_density("fcc", MELT_DENSITY))
+    text = "Lennard-Jones melt: fcc at ρ* 0.8442, T* 1.44, r_c 2.5 σ, truncated, Δt* 0.005, NVE"
+    system = _warm(md.System(positions, cell=edges, species=["A"] * len(positions)), MELT_TEMPERATURE)
+    return Scene("melt", text, system, (md.LennardJones(1.0, 1.0, CUTOFF, "truncated"),), {("A", "A"): CUTOFF}, MELT_TEMPERATURE)
+
+
+def kob_andersen(n: int) -> Scene:
+    """4 n³ atoms of two kinds on the fcc lattice, drawn at random.
+
+    W. Kob, H. C. Andersen, Phys. Rev. E 51, 4626 (1995).
+    """
+    positions, edges = crystal("fcc", [n] * 3, constant_from_density("fcc", MIXTURE_DENSITY))
+    species = np.full(len(positions), "A")
+    species[np.random.default_rng(SEED).permutation(len(positions))[: round(SMALL_FRACTION * len(positions))]] = "B"
+    sigmas = {("A", "A"): MIXTURE["A"][1], ("A", "B"): UNLIKE[1], ("B", "B"): MIXTURE["B"][1]}
+    cutoffs: dict[tuple[Label, Label], float] = {pair: CUTOFF * sigma for pair, sigma in sigmas.items()}
+    law = md.LennardJones(MIXTURE, cutoff=cutoffs, pairs={("A", "B"): UNLIKE})
+    text = "Kob-Andersen mixture: 80 % A and 20 % B, ρ* 1.2, T* 1.0, r_c 2.5 σ of each pair, shifted, Δt* 0.005, NVE"
+    system = _warm(md.System(positions, cell=edges, species=species), MIXTURE_TEMPERATURE)
+    return Scene("kob-andersen", text, system, (law,), cutoffs, MIXTURE_TEMPERATURE)
+
+
+def chains(n: int) -> Scene:
+    """Nearly 4 n³ beads in chains of 100, along a path that winds through a simple cubic lattice.
+
+    After the bead-spring model of K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990), with harmonic springs.
+    """
+    width = round(cbrt(4 * n**3))  # lattice sites along an edge
+    n_beads = width**3 // BEADS * BEADS
+    if n_beads == 0:
+        raise ValueError(f"chains need room for one of {BEADS} beads; {width**3} sites are too few")
+    edge = cbrt(n_beads / CHAIN_DENSITY)
+    first = np.arange(n_beads - 1)
+    first = first[(first + 1) % BEADS != 0]
+    positions, bonds = _winding_path(width)[:n_beads] * (edge / width), np.column_stack([first, first + 1])
+    system = md.System(positions, cell=edge, species=["A"] * n_beads, bonds=bonds)
+    law = md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 1.0, 1.0))
+    text = "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c 2.5 σ, shifted, Δt* 0.005, NVE"
+    potentials = (law, md.HarmonicBond(BOND_CONSTANT, BOND_LENGTH))
+    return Scene("chains", text, _warm(system, CHAIN_TEMPERATURE), potentials, {("A", "A"): CUTOFF}, CHAIN_TEMPERATURE)
+
+
+SCENES: dict[str, Callable[[int], Scene]] = {"melt": melt, "kob-andersen": kob_andersen, "chains": chains}
+
+
+def equilibrated(scene: Scene) -> Scene:
+    """The scene after a short run at its temperature."""
+    simulation = md.Simulation(scene.system, scene.potentials, md.VelocityVerlet(TIMESTEP))
+    simulation.equilibrate(EQUILIBRATION, scene.temperature, progress=False)
+    return scene._replace(system=simulation.system)
+
+
+def pairs_in_range(scene: Scene, positions: NDArray[np.float64]) -> int:
+    """Pairs of atoms closer than their cutoff that are not bonded, so that the pair potential acts on them.
+
+    positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff.
+    """
+    wrapped = positions % scene.edges
+    wrapped[wrapped >= scene.edges] = 0.0  # rounding of small negative numbers
+    species = scene.system.species
+    trees = {name: cKDTree(wrapped[species == name], boxsize=scene.edges) for name in scene.system.species_names}
+    count = 0
+    for a, b in combinations_with_replacement(trees, 2):
+        both_ways = trees[a].count_neighbors(trees[b], _cutoff(scene, a, b))
+        count += (both_ways - trees[a].n) // 2 if a == b else both_ways
+    return int(count) - len(scene.system.bonds)
+
+
+def _cutoff(scene: Scene, a: Label, b: Label) -> float:
+    return scene.cutoffs[(a, b) if (a, b) in scene.cutoffs else (b, a)]
+
+
+def _warm(system: md.System, temperature: float) -> md.System:
+    """The system itself, with velocities drawn at a temperature."""
+    system.velocities[:] = maxwell_boltzmann(system.masses, temperature, system.units.k_B, SEED)
+    return system
+
+
+def _winding_path(width: int) -> NDArray[np.float64]:
+    """(width³, 3) sites of a simple cubic lattice, each the nearest neighbor of the one before."""
+    z, y, x = np.unravel_index(np.arange(width**3), (width,) * 3)
+    y = np.where(z % 2 == 0, y, width - 1 - y)
+    row = np.arange(width**3) // width
+    return np.column_stack([np.where(row % 2 == 0, x, width - 1 - x), y, z]).astype(np.float64)

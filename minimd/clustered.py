@@ -19,27 +19,27 @@ from minimd.team import begin, finish_and_take, take, team_of, wait
 
 @shared_kernel
 def evaluate_clusters(
-    counters, thread, task, positions, clusters, chunk_start, copies, rows, memory, laws, parameters, detail, sums, forces
+    me, task, positions, clusters, chunk_start, copies, rows, memory, laws, parameters, detail, sums, forces
 ):
     """forces (N, 3) += those of all laws; each chunk is a share of work."""
     n = chunk_start.size - 1
-    phase = begin(counters, thread, task)
-    chunk = take(counters, phase, n)
+    phase = begin(me, task)
+    chunk = take(me, phase, n)
     while chunk >= 0:
         gather(chunk_start[chunk], chunk_start[chunk + 1], clusters, copies, positions, memory)
-        chunk = finish_and_take(counters, phase, n)
-    phase = wait(counters, phase)
-    chunk = take(counters, phase, n)
+        chunk = finish_and_take(me, phase, n)
+    phase = wait(me, phase)
+    chunk = take(me, phase, n)
     while chunk >= 0:
         place = (chunk_start[chunk], chunk_start[chunk + 1], copies.home, rows, memory.coordinates, memory.unit)
         _add_all_laws(place, laws, parameters, (detail, sums))
-        chunk = finish_and_take(counters, phase, n)
-    phase = wait(counters, phase)
-    chunk = take(counters, phase, n)
+        chunk = finish_and_take(me, phase, n)
+    phase = wait(me, phase)
+    chunk = take(me, phase, n)
     while chunk >= 0:
         scatter(chunk_start[chunk], chunk_start[chunk + 1], clusters, copies, memory, forces)
-        chunk = finish_and_take(counters, phase, n)
-    wait(counters, phase)
+        chunk = finish_and_take(me, phase, n)
+    wait(me, phase)
 
 
 def _add_all_laws(place, laws, parameters, sums):
@@ -77,7 +77,7 @@ class ClusteredPairs:
         clusters, copies, memory = self.list.clusters, self.list.copies, self.list.memory
         n_slots = len(clusters.atom) if detail != FORCES else 0
         shares = np.zeros(len(copies.owner) * LANES * SHARES if detail == PER_ATOM else 0)
-        sums = Sums(memory.on_copies, memory.on_atoms, np.zeros(n_slots), np.zeros((n_slots, 6)), shares)
+        sums = Sums(memory.forces, np.zeros(n_slots), np.zeros((n_slots, 6)), shares)
         scene = (system.positions, clusters, self.list.chunks.cluster, copies, self.list.rows, memory)
         self._team.run(self._evaluate, *scene, tuple(self._laws.laws), self._parameters, detail, sums, forces)
         if detail != FORCES:

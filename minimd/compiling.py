@@ -55,9 +55,14 @@ def shared_kernel(function):
         numba.config.CACHE_DIR = previous
 
 
+def inlined(function):
+    """Compile a part of a kernel that makes arrays of its own; the compiler puts it into the kernel."""
+    return numba.njit(error_model="numpy", forceinline=True)(function)
+
+
 def scalar(function):
     """Compile a function of a few numbers that only kernels call; the compiler inlines it."""
-    return numba.njit(error_model="numpy")(function)
+    return numba.njit(error_model="numpy", forceinline=True, _nrt=False)(function)
 
 
 @functools.cache

@@ -1,37 +1,48 @@
 """Threads that work on one task together: each takes the next share of it until none is left.
 
-    phase = begin(team, thread, task)
-    share = take(team, phase, n)
+    phase = begin(me, task)
+    share = take(me, phase, n)
     while share >= 0:
         ...                                    # the work of this share
-        share = finish_and_take(team, phase, n)
-    phase = wait(team, phase)                  # until all n shares are finished, by whomever
+        share = finish_and_take(me, phase, n)
+    phase = wait(me, phase)                    # until all n shares are finished, by whomever
 
 A task is cut into shares by its size, never by the number of threads, and no two shares of a phase write to the same
 memory: so the result has the same bits however many threads there are, and whoever did what.
 
 Nobody waits for a thread, only for shares. The thread that calls starts at once; the others sleep between tasks and join when they
 are awake (some 20 µs), or not at all if the machine has other things to do: they can make a task faster, never hold it up.
+Each begins with shares of its own, the same ones every time, whose memory is near it, and then helps the others.
 """
 
 import functools
 import os
 import threading
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from minimd.compiling import scalar
+from minimd.compiling import scalar, shared_kernel
 
-TICKET, FINISHED, PLACES = 0, 8, 16  # two shared counters, each on a cache line of its own
-SHARE_BITS = 16  # a ticket is phase · 2¹⁶ + the next share
+OPEN, FINISHED, CLAIMS = 0, 8, 16  # shared counters: the phase at work, its finished shares, and for each share the last phase it was taken in
+MOST_SHARES = 1024
 PHASES = 8  # at most, in one task
-PATIENCE = 2000  # looks at a ticket before a waiting thread lets others run
+PATIENCE = 2000  # looks at a counter before a waiting thread lets others run
+LINGERING = 100_000  # looks, about 100 µs, before a helper goes to sleep: waking it takes as long as a small task
 
 _let_others_run = types.ExternalFunction("SwitchToThread" if os.name == "nt" else "sched_yield", types.int32())
+
+
+class Member(NamedTuple):
+    """One of a team. counters : shared.  thread : its number; 0 is the caller.  n_threads : of the team."""
+
+    counters: Any
+    thread: int
+    n_threads: int
 
 
 class Team:
@@ -39,7 +50,7 @@ class Team:
 
     def __init__(self, n_threads: int) -> None:
         self.n_threads = n_threads
-        self._counters = np.zeros(PLACES, dtype=np.int64)
+        self._counters = np.zeros(CLAIMS + MOST_SHARES, dtype=np.int64)
         self._busy = threading.Lock()
         self._n_tasks = 0
         self._task: tuple = ()
@@ -49,7 +60,7 @@ class Team:
             threading.Thread(target=self._help, args=(thread, wake), name=f"minimd-{thread}", daemon=True).start()
 
     def run(self, kernel: Callable, *arguments: object) -> None:
-        """kernel(counters, thread, task, *arguments) on this thread, and on the others as soon as they are awake.
+        """kernel(me, task, *arguments) on this thread, and on the others as soon as they are awake.
 
         The kernel must begin, take, finish and wait as described above, and release Python's lock (compiling.shared_kernel).
         """
@@ -59,14 +70,16 @@ class Team:
             for wake in self._wake:
                 if wake.locked():
                     wake.release()
-            kernel(self._counters, 0, self._n_tasks, *arguments)
+            kernel(Member(self._counters, 0, self.n_threads), self._n_tasks, *arguments)
 
     def _help(self, thread: int, wake: threading.Lock) -> None:
+        me = Member(self._counters, thread, self.n_threads)
         while True:
             wake.acquire()
             task, kernel, arguments = self._task
-            kernel(self._counters, thread, task, *arguments)
+            kernel(me, task, *arguments)
             del kernel, arguments
+            _linger(self._counters, task)
 
 
 @functools.cache
@@ -85,41 +98,42 @@ def available_cores() -> int:
 
 
 @scalar
-def begin(counters, thread, task):
-    """The first phase of a task; the calling thread, number 0, opens it."""
+def begin(me, task):
+    """The first phase of a task; the calling thread opens it."""
     phase = task * PHASES
-    if thread == 0:
-        _exchange(counters, TICKET, phase << SHARE_BITS)
+    if me.thread == 0:
+        _exchange(me.counters, OPEN, phase)
     return phase
 
 
 @scalar
-def take(counters, phase, n):
-    """The number of the next share of a phase, −1 if all n are taken."""
-    ticket = _read(counters, TICKET)
-    while ticket >> SHARE_BITS == phase and ticket & ((1 << SHARE_BITS) - 1) < n:
-        found = _replace(counters, TICKET, ticket, ticket + 1)
-        if found == ticket:
-            return ticket & ((1 << SHARE_BITS) - 1)
-        ticket = found
+def take(me, phase, n):
+    """The number of a share of a phase that nobody has taken yet; −1 if there is none."""
+    first = me.thread * n // me.n_threads
+    if _read(me.counters, OPEN) == phase:
+        for k in range(n):
+            share = first + k if first + k < n else first + k - n
+            taken = _read(me.counters, CLAIMS + share)
+            if taken < phase and _replace(me.counters, CLAIMS + share, taken, phase) == taken:
+                return share
     return -1
 
 
 @scalar
-def finish_and_take(counters, phase, n):
+def finish_and_take(me, phase, n):
     """Tell that a share is done, and take the next. Whoever finishes the last of a phase opens the next phase."""
-    if _add(counters, FINISHED, 1) == n - 1:
-        _exchange(counters, FINISHED, 0)
-        _exchange(counters, TICKET, (phase + 1) << SHARE_BITS)
+    if _add(me.counters, FINISHED, 1) == n - 1:
+        _exchange(me.counters, FINISHED, 0)
+        _exchange(me.counters, OPEN, phase + 1)
         return -1
-    return take(counters, phase, n)
+    return take(me, phase, n)
 
 
 @scalar
-def wait(counters, phase):
+def wait(me, phase):
     """Wait until a phase is over; returns the next."""
     looks = 0
-    while _read(counters, TICKET) >> SHARE_BITS == phase:
+    while _read(me.counters, OPEN) == phase:
         looks += 1
         if looks > PATIENCE:
             _let_others_run()
@@ -166,3 +180,11 @@ def _replace(_context, counters, place, expected, value):
 def _address(context, builder, signature, arguments) -> ir.Value:
     data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
     return builder.gep(data, [arguments[1]])
+
+
+@shared_kernel
+def _linger(counters, task):
+    """Stay awake for a moment after a task: in a run of steps the next one begins soon."""
+    looks = 0
+    while looks < LINGERING and _read(counters, OPEN) < (task + 1) * PHASES:
+        looks += 1

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.cell import Cell
-from minimd.compiling import kernel, scalar
+from minimd.compiling import inlined, kernel
 
 ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
 FLATTEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick
@@ -56,7 +56,7 @@ def sort_into_bins(positions: NDArray[np.float64], cell: Cell, grid: Grid) -> So
     return Sorted(*_sort(positions, cell.lattice, cell.inverse, cell.pbc, grid.counts, grid.origin, grid.extent))
 
 
-@scalar
+@inlined
 def counting_sort(positions, inverse, pbc, counts, origin, extent):
     """Atoms into bins, in linear time.
 

@@ -24,6 +24,7 @@ from minimd.compiling import kernel, scalar
 from minimd.neighbors.clusters import Clusters, Columns
 from minimd.potentials.cluster_loop import BLOCK, LANES
 from minimd.simd import load, store
+from minimd.team import MOST_SHARES
 
 ALL_LANES = 255
 HOME = 13  # code of image (0, 0, 0) among the 27 images
@@ -69,7 +70,7 @@ class Copies(NamedTuple):
 def cut_into_chunks(clusters: Clusters, columns: Columns, n_atoms: int, pbc: Any) -> Chunks:
     """As many chunks as give each enough atoms and make it at least as wide as it sees; the same for any number of threads."""
     across = int(columns.counts[0]) // max(1, int(columns.reach[0]))
-    n_chunks = max(1, min(n_atoms // ATOMS_IN_A_CHUNK, across))
+    n_chunks = max(1, min(n_atoms // ATOMS_IN_A_CHUNK, across, MOST_SHARES))
     n_runs = int((columns.counts[0] + n_chunks * columns.reach[0]) * (columns.counts[1] + 2 * columns.reach[1]))
     column, cluster, run = (np.empty(n_chunks + 1, dtype=np.int64) for _ in range(3))
     chunks = Chunks(column, cluster, run, np.zeros(n_runs + 1, dtype=np.int64))

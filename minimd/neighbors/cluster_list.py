@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from minimd.cell import Cell, minimum_image_translations
 from minimd.compiling import scalar, shared_kernel
 from minimd.neighbors.chunks import HOME, Chunks, Copies, cut_into_chunks, fill_copies, sort_copies
-from minimd.neighbors.cluster_search import exclude_lanes, find_rows
+from minimd.neighbors.cluster_search import exclude_lanes, find_rows, make_work
 from minimd.neighbors.clusters import Clusters, Columns, make_columns, sort_into_clusters
 from minimd.neighbors.skin import ListWithSkin
 from minimd.potentials.cluster_loop import BLOCK, LANES, Rows
@@ -27,7 +27,7 @@ COARSEST = 1e-6  # of the cutoff: a coarser grid would not be worth the name of 
 class Memory(NamedTuple):
     """What the loop reads and writes; the coordinates in the precision of the pair arithmetic, see separation in cluster_loop.
 
-    coordinates, on_copies, on_atoms : flat, BLOCK numbers for each copy, each copy, each cluster.
+    coordinates, forces : flat, BLOCK numbers for each copy.
     shift : (M, 3) of each copy, as the coordinates.  origin : (3,) [length] and unit [length]: coordinate = (x − origin) / unit.
     """
 
@@ -35,8 +35,7 @@ class Memory(NamedTuple):
     shift: Any
     origin: Any
     unit: float
-    on_copies: Any
-    on_atoms: Any
+    forces: Any
 
 
 class ClusterList(ListWithSkin):
@@ -64,8 +63,7 @@ class ClusterList(ListWithSkin):
         self._team, self._is_mixed = team, precision == "mixed"
         self._columns: Columns | None = None
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
-        self._exact, self._on_copies, self._on_atoms = Buffer(np.float64), Buffer(np.float64), Buffer(np.float64)
-        self._grid = Buffer(np.int32)
+        self._exact, self._forces, self._grid = Buffer(np.float64), Buffer(np.float64), Buffer(np.int32)
 
     def by_lane(self, per_atom: NDArray) -> NDArray:
         """Values of the atoms, (N,), as (8 M,) of all lanes of all copies."""
@@ -98,16 +96,15 @@ class ClusterList(ListWithSkin):
             self._exclude(positions, cell)
 
     def _make_memory(self, exact: NDArray[np.float64]) -> Memory:
-        copies, n_clusters = self.copies, len(self.clusters.filled)
-        sums = self._on_copies.first(len(exact)), self._on_atoms.first(n_clusters * BLOCK)
+        copies, forces = self.copies, self._forces.first(len(exact))
         if not self._is_mixed:
-            return Memory(exact, copies.shift, np.zeros(3), 1.0, *sums)
+            return Memory(exact, copies.shift, np.zeros(3), 1.0, forces)
         low, high = copies.boxes[:, :3].min(axis=0) - self.skin, copies.boxes[:, 3:].max(axis=0) + self.skin
         unit = float((high - low).max()) / GRID
         if unit > COARSEST * self.cutoff:
             raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {unit * GRID:.3g} wide, too coarse; take precision='double'")
         origin = 0.5 * (low + high)
-        return Memory(self._grid.first(len(exact)), np.rint(copies.shift / unit).astype(np.int32), origin, unit, *sums)
+        return Memory(self._grid.first(len(exact)), np.rint(copies.shift / unit).astype(np.int32), origin, unit, forces)
 
     def _make_entries(self, room: NDArray[np.int64]) -> None:
         """Room for the entries of each chunk."""
@@ -130,22 +127,24 @@ class ClusterList(ListWithSkin):
 
 
 @shared_kernel
-def _build_chunks(counters, thread, task, chunks, clusters, columns, pbc, lattice, copies, coordinates, reach, rows, entries, needed):
+def _build_chunks(me, task, chunks, clusters, columns, pbc, lattice, copies, coordinates, reach, rows, entries, needed):
     """Copies and rows of all chunks; needed : (K,) int, output, entries of each chunk, which may be more than there is room for."""
     n = needed.size
-    phase = begin(counters, thread, task)
-    chunk = take(counters, phase, n)
+    phase = begin(me, task)
+    chunk = take(me, phase, n)
     while chunk >= 0:
         fill_copies(chunk, chunks, clusters, columns, pbc, lattice, copies, coordinates)
-        needed[chunk] = find_rows(chunk, chunks, clusters, columns, copies, coordinates, reach, rows, entries[chunk], entries[chunk + 1])
-        chunk = finish_and_take(counters, phase, n)
-    wait(counters, phase)
+        work = make_work(chunk, chunks, columns)
+        room = (entries[chunk], entries[chunk + 1])
+        needed[chunk] = find_rows(chunk, chunks, clusters, columns, copies, coordinates, reach, rows, room, work)
+        chunk = finish_and_take(me, phase, n)
+    wait(me, phase)
 
 
 @scalar
 def gather(first, last, clusters, copies, positions, memory):
     """Positions of the atoms of clusters first to last, to all copies of them; forces there = 0."""
-    nothing = broadcast(0.0, load(memory.on_atoms, 0, LANES))
+    nothing = broadcast(0.0, load(memory.forces, 0, LANES))
     for k in range(first, last):
         home = copies.home[k] * BLOCK
         for lane in range(LANES):
@@ -153,14 +152,12 @@ def gather(first, last, clusters, copies, positions, memory):
             for c in range(3):
                 x = positions[clusters.atom[slot], c] + clusters.offsets[slot, c]
                 memory.coordinates[home + c * LANES + lane] = coordinate(x, memory.origin[c], memory.unit, memory.coordinates)
-        for c in range(0, BLOCK, LANES):
-            store(memory.on_atoms, k * BLOCK + c, nothing)
         for p in range(copies.start[k], copies.start[k + 1]):
             m = copies.of[p]
             for d in range(3):
                 c = d * LANES
                 store(memory.coordinates, m * BLOCK + c, load(memory.coordinates, home + c, LANES) + memory.shift[m, d])
-                store(memory.on_copies, m * BLOCK + c, nothing)
+                store(memory.forces, m * BLOCK + c, nothing)
 
 
 def coordinate(x, origin, unit, coordinates):
@@ -177,16 +174,17 @@ def _coordinate(x, origin, unit, coordinates):
 
 @scalar
 def scatter(first, last, clusters, copies, memory, forces):
-    """forces (N, 3) += what the loop found for the atoms of clusters first to last, on themselves and on all copies."""
+    """forces (N, 3) += what the loop found for the atoms of clusters first to last, on all copies of them."""
     for k in range(first, last):
+        home = copies.home[k] * BLOCK
         for c in range(0, BLOCK, LANES):
-            force = load(memory.on_atoms, k * BLOCK + c, LANES)
-            for p in range(copies.start[k], copies.start[k + 1]):
-                force = force + load(memory.on_copies, copies.of[p] * BLOCK + c, LANES)
-            store(memory.on_atoms, k * BLOCK + c, force)
+            force = load(memory.forces, copies.of[copies.start[k]] * BLOCK + c, LANES)
+            for p in range(copies.start[k] + 1, copies.start[k + 1]):
+                force = force + load(memory.forces, copies.of[p] * BLOCK + c, LANES)
+            store(memory.forces, home + c, force)
         for lane in range(clusters.filled[k]):
             for c in range(3):
-                forces[clusters.atom[k * LANES + lane], c] += memory.on_atoms[k * BLOCK + c * LANES + lane]
+                forces[clusters.atom[k * LANES + lane], c] += memory.forces[home + c * LANES + lane]
 
 
 class Buffer:

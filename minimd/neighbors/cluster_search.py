@@ -16,36 +16,38 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from minimd.compiling import kernel, scalar
+from minimd.compiling import inlined, kernel, scalar
 from minimd.neighbors.chunks import ALL_LANES
 from minimd.potentials.cluster_loop import BLOCK, COPY_BITS, LANES, LANES_FROM
 from minimd.simd import bits_from_mask, broadcast, fma, load
 
-FIRST_ROOM = 256  # candidates
-
 
 class Work(NamedTuple):
-    """Room for the candidates of one cluster: their copies, the entries they become, and the atoms they are near to, as bits."""
+    """Room for one cluster: the copies first to last of each run ahead; candidates, the entries they become, whom they are near to."""
 
+    ahead: Any
     candidates: Any
     entries: Any
     near: Any
 
 
-@scalar
-def _make_work(n):
-    return Work(np.empty(n, dtype=np.int64), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.int64))
+@inlined
+def make_work(chunk, chunks, columns):
+    """Enough for any cluster of a chunk."""
+    n_runs = (columns.reach[0] + 1) * (2 * columns.reach[1] + 1)
+    n = chunks.copy[chunks.run[chunk + 1]] - chunks.copy[chunks.run[chunk]]
+    return Work(np.empty((n_runs, 2), dtype=np.int64), np.empty(n, dtype=np.int64), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint8))
 
 
 @scalar
-def find_rows(chunk, chunks, clusters, columns, copies, coordinates, reach, rows, first, last):
-    """Write the rows of one chunk, their entries from first to last; return how many entries there are, maybe more than fit.
+def find_rows(chunk, chunks, clusters, columns, copies, coordinates, reach, rows, room, work):
+    """Write the rows of one chunk; return how many entries there are, or more than that if there is not enough room.
 
-    Too many: the number returned is an upper bound.  reach : [length].
+    reach : [length].  room : first and last of the chunk's entries.
     """
     width, depth = columns.counts[1] + 2 * columns.reach[1], columns.reach[1]
-    ahead = np.empty(((columns.reach[0] + 1) * (2 * depth + 1), 2), dtype=np.int64)
-    work = _make_work(FIRST_ROOM)
+    ahead = work.ahead
+    first, last = room
     n_entries = first
     for x in range(chunks.column[chunk], chunks.column[chunk + 1]):
         for y in range(columns.counts[1]):
@@ -60,9 +62,6 @@ def find_rows(chunk, chunks, clusters, columns, copies, coordinates, reach, rows
                 home = copies.home[k]
                 ahead[0, 0] = home + 1
                 n = _candidates(home, n_ahead, ahead, copies, columns.along, reach, work.candidates)
-                if n > work.candidates.size:
-                    work = _make_work(2 * n)
-                    n = _candidates(home, n_ahead, ahead, copies, columns.along, reach, work.candidates)
                 n_entries = _prune(k, home, n, work, clusters, copies, coordinates, reach, rows, n_entries, last)
     return n_entries - first
 
@@ -79,9 +78,6 @@ def _candidates(i, n_ahead, ahead, copies, along, reach, candidates):
         while j < last and top[j] < low:
             j += 1
         ahead[run, 0] = j
-        if n + last - j > candidates.size:
-            n += last - j
-            continue
         while j < last and bottom[j] <= high:
             gap_x = max(0.0, max(boxes[j, 0] - x_high, x_low - boxes[j, 3]))
             gap_y = max(0.0, max(boxes[j, 1] - y_high, y_low - boxes[j, 4]))
@@ -94,7 +90,7 @@ def _candidates(i, n_ahead, ahead, copies, along, reach, candidates):
 
 @scalar
 def _prune(k, home, n, work, clusters, copies, coordinates, reach, rows, n_entries, last):
-    """The rows of the atoms of cluster k: its own cluster first, then each of n candidates with an atom within reach."""
+    """The rows of the atoms of cluster k: each of n candidates with an atom within reach, its own cluster last."""
     if n_entries + LANES * (n + 1) > last:  # no room: an upper bound tells how much is missing
         return n_entries + LANES * (n + 1)
     own = home * BLOCK
@@ -113,11 +109,11 @@ def _prune(k, home, n, work, clusters, copies, coordinates, reach, rows, n_entri
     for lane in range(LANES):
         rows.start[k * LANES + lane] = end
         if lane < clusters.filled[k]:
-            rows.entries[end] = home | ((ALL_LANES << (lane + 1)) & copies.lanes[home]) << LANES_FROM
-            end += np.uintp(lane < clusters.filled[k] - 1)
             for c in range(n):
                 rows.entries[end] = work.entries[c]  # overwritten by the next unless near
                 end += np.uintp(work.near[c] >> lane & 1)
+            rows.entries[end] = home | ((ALL_LANES << (lane + 1)) & copies.lanes[home]) << LANES_FROM
+            end += np.uintp(lane < clusters.filled[k] - 1)
         rows.stop[k * LANES + lane] = end
     return np.int64(end)
 

@@ -75,14 +75,12 @@ def _loaded_overload(columns, start):
 class Sums(NamedTuple):
     """Where the loop adds what it finds.
 
-    on_copies : flat float64, BLOCK numbers for each copy: forces on the lanes of a row's clusters [energy/length].
-    on_atoms : flat float64, BLOCK numbers for each cluster: forces on the atoms of the rows.
+    forces : flat float64, BLOCK numbers for each copy [energy/length].
     energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows; empty with FORCES.
     shares : flat, SHARES · LANES numbers for each copy: energies and virials of the lanes; empty unless PER_ATOM.
     """
 
-    on_copies: Any
-    on_atoms: Any
+    forces: Any
     energies: Any
     virials: Any
     shares: Any
@@ -101,8 +99,9 @@ def add_cluster_forces(first, last, home, rows, coordinates, unit, law, paramete
     zero = broadcast(0.0, convert(like, 0.0))
     own_share = 0.5 if detail == PER_ATOM else 1.0
     for slot in range(first * LANES, last * LANES):
-        own, lane = slot // LANES, slot % LANES
-        x, y, z = position(coordinates, home[own] * BLOCK + lane)
+        own, lane = home[slot // LANES], slot % LANES
+        place = own * BLOCK + lane
+        x, y, z = position(coordinates, place)
         fx = fy = fz = energy = xx = yy = zz = yz = xz = xy = zero
         for entry in range(rows.start[slot], rows.stop[slot]):
             cluster = rows.entries[entry] & COPY_BITS
@@ -111,15 +110,15 @@ def add_cluster_forces(first, last, home, rows, coordinates, unit, law, paramete
             dy = separation(coordinates, j + LANES, y, unit)
             dz = separation(coordinates, j + 2 * LANES, z, unit)
             r2 = fma(dx, dx, fma(dy, dy, dz * dz))
-            numbers = parameters_of_lanes(parameters, home[own] * LANES + lane, cluster)
+            numbers = parameters_of_lanes(parameters, own * LANES + lane, cluster)
             near = (r2 < numbers[0]) & mask_from_bits(rows.entries[entry] >> LANES_FROM, like)
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
             gx, gy, gz = convert(f * dx, 0.0), convert(f * dy, 0.0), convert(f * dz, 0.0)
             fx, fy, fz = fx - gx, fy - gy, fz - gz
-            add(sums.on_copies, j, gx)
-            add(sums.on_copies, j + LANES, gy)
-            add(sums.on_copies, j + 2 * LANES, gz)
+            add(sums.forces, j, gx)
+            add(sums.forces, j + LANES, gy)
+            add(sums.forces, j + 2 * LANES, gz)
             if detail != FORCES:
                 u = convert(select(near, u, 0.0), 0.0)
                 dx, dy, dz = convert(dx, 0.0), convert(dy, 0.0), convert(dz, 0.0)
@@ -128,10 +127,9 @@ def add_cluster_forces(first, last, home, rows, coordinates, unit, law, paramete
                 yz, xz, xy = fma(gy, dz, yz), fma(gx, dz, xz), fma(gx, dy, xy)
                 if detail == PER_ATOM:
                     add_shares(sums.shares, cluster, (u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy))
-        block = own * BLOCK + lane
-        sums.on_atoms[block] += total(fx)
-        sums.on_atoms[block + LANES] += total(fy)
-        sums.on_atoms[block + 2 * LANES] += total(fz)
+        sums.forces[place] += total(fx)
+        sums.forces[place + LANES] += total(fy)
+        sums.forces[place + 2 * LANES] += total(fz)
         if detail != FORCES:
             sums.energies[slot] += own_share * total(energy)
             sums.virials[slot, 0] += own_share * total(xx)

@@ -1,4 +1,8 @@
-"""What can be measured on a state: energies, temperature, pressure, linear and angular momentum."""
+"""What can be measured on a state: energies, temperature, pressure, linear and angular momentum.
+
+Sums are written with einsum: matrix products would wake the threads of BLAS, which then spin for a while on the cores that
+the forces need.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,20 +48,28 @@ def pressure(kinetic: float, virial: Array, volume: float) -> float:
 
 def momentum(velocities: Array, masses: Array) -> Array:
     """P = Σ m v [mass length/time], (3,)."""
-    return masses @ velocities
+    return _weighted(masses, velocities)
 
 
 def absolute_momentum(velocities: Array, masses: Array) -> float:
     """Σ |m v| [mass length/time]: the scale against which a change of the total momentum is seen."""
-    return float(masses @ np.sqrt(np.einsum("ij,ij->i", velocities, velocities)))
+    return float(np.einsum("i,i->", masses, _lengths(velocities)))
 
 
 def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
     """Σ m |r − r_cm| |v| [mass length²/time]: the scale against which a change of the angular momentum is seen."""
-    centered = positions - masses @ positions / masses.sum()
-    return float(masses @ np.sqrt(np.einsum("ij,ij->i", centered, centered) * np.einsum("ij,ij->i", velocities, velocities)))
+    centered = positions - _weighted(masses, positions) / masses.sum()
+    return float(np.einsum("i,i,i->", masses, _lengths(centered), _lengths(velocities)))
 
 
 def angular_momentum(positions: Array, velocities: Array, masses: Array) -> Array:
     """L = Σ m r × v about the origin [mass length²/time], (3,); a constant only where nothing is periodic."""
-    return masses @ np.cross(positions, velocities)
+    return _weighted(masses, np.cross(positions, velocities))
+
+
+def _weighted(weights: Array, vectors: Array) -> Array:
+    return np.einsum("i,ij->j", weights, vectors)
+
+
+def _lengths(vectors: Array) -> Array:
+    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))

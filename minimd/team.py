@@ -26,7 +26,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from minimd.compiling import scalar, shared_kernel
+from minimd.compiling import kernel, scalar, shared_kernel
 
 OPEN, FINISHED, CLAIMS = 0, 8, 16  # shared counters: the phase at work, its finished shares, and for each share the last phase it was taken in
 MOST_SHARES = 1024
@@ -34,6 +34,7 @@ PHASES = 8  # at most, in one task
 PATIENCE = 2000  # looks at a counter before a waiting thread lets others run
 LINGERING = 100_000  # looks, about 100 µs, before a helper goes to sleep: waking it takes as long as a small task
 
+HAS_AFFINITY = hasattr(os, "sched_setaffinity")
 _let_others_run = types.ExternalFunction("SwitchToThread" if os.name == "nt" else "sched_yield", types.int32())
 
 
@@ -54,10 +55,12 @@ class Team:
         self._busy = threading.Lock()
         self._n_tasks = 0
         self._task: tuple = ()
+        self._core = -1
         self._wake = [threading.Lock() for _ in range(n_threads - 1)]
-        for thread, wake in enumerate(self._wake, start=1):
+        self._helpers = [threading.Thread(target=self._help, args=(k, wake), daemon=True) for k, wake in enumerate(self._wake, start=1)]
+        for wake, helper in zip(self._wake, self._helpers, strict=True):
             wake.acquire()
-            threading.Thread(target=self._help, args=(thread, wake), name=f"minimd-{thread}", daemon=True).start()
+            helper.start()
 
     def run(self, kernel: Callable, *arguments: object) -> None:
         """kernel(me, task, *arguments) on this thread, and on the others as soon as they are awake.
@@ -67,10 +70,20 @@ class Team:
         with self._busy:
             self._n_tasks += 1
             self._task = (self._n_tasks, kernel, arguments)
+            if self._helpers and HAS_AFFINITY:
+                self._keep_off_callers_core()
             for wake in self._wake:
                 if wake.locked():
                     wake.release()
             kernel(Member(self._counters, 0, self.n_threads), self._n_tasks, *arguments)
+
+    def _keep_off_callers_core(self) -> None:
+        """Linux likes to wake a thread on the core of the one that wakes it, where it would wait for the end of the task."""
+        core = _current_core()
+        if core != self._core:
+            self._core, cores = core, os.sched_getaffinity(0)
+            for helper in self._helpers:
+                os.sched_setaffinity(helper.native_id or 0, cores - {core} or cores)
 
     def _help(self, thread: int, wake: threading.Lock) -> None:
         me = Member(self._counters, thread, self.n_threads)
@@ -188,3 +201,12 @@ def _linger(counters, task):
     looks = 0
     while looks < LINGERING and _read(counters, OPEN) < (task + 1) * PHASES:
         looks += 1
+
+
+_sched_getcpu = types.ExternalFunction("sched_getcpu", types.int32())
+
+
+@kernel
+def _current_core():
+    """The number of the core that runs this."""
+    return _sched_getcpu()

@@ -39,7 +39,7 @@ class Sorted(NamedTuple):
 
 def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
     """A grid whose bins are about half the reach wide, wider where there would be many more bins than atoms."""
-    fractional = positions @ cell.inverse
+    fractional = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
     origin = np.where(cell.pbc, 0.0, fractional.min(axis=0))
     extent = np.where(cell.pbc, 1.0, np.maximum(fractional.max(axis=0) - origin, np.finfo(float).tiny))
     widths = cell.heights * extent

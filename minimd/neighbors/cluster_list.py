@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from minimd.cell import Cell, minimum_image_translations
 from minimd.compiling import scalar, shared_kernel
+from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.chunks import HOME, Chunks, Copies, cut_into_chunks, fill_copies, sort_copies
 from minimd.neighbors.cluster_search import exclude_lanes, find_rows, make_work
 from minimd.neighbors.clusters import Clusters, Columns, make_columns, sort_into_clusters
@@ -18,7 +19,6 @@ from minimd.simd import broadcast, load, store
 from minimd.team import Team, begin, finish_and_take, take, wait
 
 SPARE = 1.2  # room for this much more than was found
-CACHE_LINE = 64  # bytes; vectors that straddle two cost twice
 ENTRIES_GUESSED = 12  # for each atom, at first
 GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of the scene to the other
 COARSEST = 1e-6  # of the cutoff: a coarser grid would not be worth the name of single precision
@@ -63,7 +63,7 @@ class ClusterList(ListWithSkin):
         self._team, self._is_mixed = team, precision == "mixed"
         self._columns: Columns | None = None
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
-        self._exact, self._forces, self._grid = Buffer(np.float64), Buffer(np.float64), Buffer(np.int32)
+        self._memory = Buffers()
 
     def by_lane(self, per_atom: NDArray) -> NDArray:
         """Values of the atoms, (N,), as (8 M,) of all lanes of all copies."""
@@ -74,12 +74,12 @@ class ClusterList(ListWithSkin):
         if self._columns is None or not cell.pbc.all() or not cell.same_as(self._columns_of):
             self._columns, self._columns_of = make_columns(cell, positions, reach), cell
         columns = self._columns
-        self.clusters = clusters = sort_into_clusters(positions, cell, columns)
+        self.clusters = clusters = sort_into_clusters(positions, cell, columns, self._memory)
         self.chunks = chunks = cut_into_chunks(clusters, columns, len(positions), cell.pbc)
         n_chunks, n_clusters, n_copies = len(chunks.run) - 1, len(clusters.filled), int(chunks.copy[-1])
-        self.copies = copies = _empty_copies(n_clusters, n_copies)
-        exact = self._exact.first(n_copies * BLOCK)
-        start, stop = np.empty(n_clusters * LANES, dtype=np.int64), np.empty(n_clusters * LANES, dtype=np.int64)
+        self.copies = copies = _make_copies(n_clusters, n_copies, self._memory)
+        exact = self._memory.array("coordinates", np.float64, n_copies * BLOCK)
+        start, stop = (self._memory.array(name, np.int64, n_clusters * LANES) for name in ("row start", "row stop"))
         if len(self._entry_start) != n_chunks + 1:
             self._make_entries(np.diff(chunks.cluster) * LANES * ENTRIES_GUESSED)
         needed = np.zeros(n_chunks, dtype=np.int64)
@@ -96,7 +96,7 @@ class ClusterList(ListWithSkin):
             self._exclude(positions, cell)
 
     def _make_memory(self, exact: NDArray[np.float64]) -> Memory:
-        copies, forces = self.copies, self._forces.first(len(exact))
+        copies, forces = self.copies, self._memory.array("forces", np.float64, len(exact))
         if not self._is_mixed:
             return Memory(exact, copies.shift, np.zeros(3), 1.0, forces)
         low, high = copies.boxes[:, :3].min(axis=0) - self.skin, copies.boxes[:, 3:].max(axis=0) + self.skin
@@ -104,7 +104,7 @@ class ClusterList(ListWithSkin):
         if unit > COARSEST * self.cutoff:
             raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {unit * GRID:.3g} wide, too coarse; take precision='double'")
         origin = 0.5 * (low + high)
-        return Memory(self._grid.first(len(exact)), np.rint(copies.shift / unit).astype(np.int32), origin, unit, forces)
+        return Memory(self._memory.array("grid", np.int32, len(exact)), np.rint(copies.shift / unit).astype(np.int32), origin, unit, forces)
 
     def _make_entries(self, room: NDArray[np.int64]) -> None:
         """Room for the entries of each chunk."""
@@ -122,7 +122,7 @@ class ClusterList(ListWithSkin):
         if cell.is_periodic:
             translations = np.empty((len(first), 3))
             minimum_image_translations(home, first, self._excluded, cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations)
-            nearest += np.rint(translations @ cell.inverse).astype(np.int64) @ np.array([9, 3, 1])
+            nearest += np.rint(np.einsum("ij,jk->ik", translations, cell.inverse)).astype(np.int64) @ np.array([9, 3, 1])
         exclude_lanes(self.clusters, self.copies, slot_of, self._excluded_start, self._excluded, nearest, self.rows)
 
 
@@ -187,24 +187,17 @@ def scatter(first, last, clusters, copies, memory, forces):
                 forces[clusters.atom[k * LANES + lane], c] += memory.forces[home + c * LANES + lane]
 
 
-class Buffer:
-    """Memory that grows and never shrinks, and begins at a cache line."""
-
-    def __init__(self, dtype: type) -> None:
-        self._all: NDArray[Any] = np.empty(0, dtype)
-
-    def first(self, n: int) -> NDArray[Any]:
-        """The first n elements."""
-        if n > len(self._all):
-            item = self._all.dtype.itemsize
-            raw = np.empty(int(SPARE * n) + CACHE_LINE // item, self._all.dtype)
-            self._all = raw[(-raw.ctypes.data % CACHE_LINE) // item :]
-        return self._all[:n]
-
-
-def _empty_copies(n_clusters: int, n_copies: int) -> Copies:
-    owner, image, of = (np.empty(n_copies, dtype=np.int64) for _ in range(3))
-    bottom, top = np.empty(n_copies), np.empty(n_copies)
-    home, start = np.empty(n_clusters, dtype=np.int64), np.empty(n_clusters + 1, dtype=np.int64)
-    lanes, is_used = np.empty(n_copies, dtype=np.uint8), np.empty(n_copies, dtype=np.bool_)
-    return Copies(owner, image, np.empty((n_copies, 3)), bottom, top, np.empty((n_copies, 6)), lanes, home, is_used, of, start)
+def _make_copies(n_clusters: int, n_copies: int, memory: Buffers) -> Copies:
+    return Copies(
+        owner=memory.array("owner", np.int64, n_copies),
+        image=memory.array("image", np.int64, n_copies),
+        shift=memory.array("shift", np.float64, n_copies, 3),
+        bottom=memory.array("copy bottom", np.float64, n_copies),
+        top=memory.array("copy top", np.float64, n_copies),
+        boxes=memory.array("copy boxes", np.float64, n_copies, 6),
+        lanes=memory.array("lanes", np.uint8, n_copies),
+        home=memory.array("home", np.int64, n_clusters),
+        is_used=memory.array("is_used", np.bool_, n_copies),
+        of=memory.array("of", np.int64, n_copies),
+        start=memory.array("start", np.int64, n_clusters + 1),
+    )

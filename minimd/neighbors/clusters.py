@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from minimd.cell import Cell
 from minimd.compiling import kernel
 from minimd.neighbors.binning import ROUNDING, counting_sort
+from minimd.neighbors.buffers import Buffers
 from minimd.potentials.cluster_loop import BLOCK, LANES
 
 THINNEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick
@@ -64,7 +65,7 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Co
     """Columns so wide that eight atoms fill about a cube of them."""
     origin, extent = np.zeros(3), np.ones(3)
     for k in np.flatnonzero(~cell.pbc):
-        along = positions @ cell.inverse[:, k]
+        along = np.einsum("ij,j->i", positions, cell.inverse[:, k])  # not @: see observables
         origin[k], extent[k] = along.min(), max(np.ptp(along), THINNEST * reach / cell.heights[k])
     widths = cell.heights * extent
     cube = (LANES * widths.prod() / len(positions)) ** (1.0 / 3.0)
@@ -76,23 +77,22 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Co
     return Columns(counts, needed.astype(np.int64), ROUNDING * reach / cell.heights[2], origin, extent)
 
 
-def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Columns) -> Clusters:
+def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Columns, memory: Buffers) -> Clusters:
     """The clusters of all columns, the second lattice direction running faster than the first."""
     n_columns = int(columns.counts[0] * columns.counts[1])
     room = ceil((len(positions) + n_columns * (LANES - 1)) / LANES)
     clusters = Clusters(
-        np.empty(room * LANES, dtype=np.int64),
-        np.empty(room, dtype=np.int64),
-        np.empty((room * LANES, 3)),
-        np.empty(n_columns + 1, dtype=np.int64),
-        np.empty(room),
-        np.empty(room),
-        np.empty(room * BLOCK),
-        np.empty((room, 6)),
+        atom=memory.array("atom", np.int64, room * LANES),
+        filled=memory.array("filled", np.int64, room),
+        offsets=memory.array("offsets", np.float64, room * LANES, 3),
+        column_start=memory.array("column_start", np.int64, n_columns + 1),
+        bottom=memory.array("bottom", np.float64, room),
+        top=memory.array("top", np.float64, room),
+        coordinates=memory.array("home coordinates", np.float64, room * BLOCK),
+        boxes=memory.array("boxes", np.float64, room, 6),
     )
     n = _fill_columns(positions, cell.lattice, cell.inverse, cell.pbc, columns.counts, columns.origin, columns.extent, clusters)
-    whole = clusters._replace(atom=clusters.atom[: n * LANES], filled=clusters.filled[:n], bottom=clusters.bottom[:n], top=clusters.top[:n])
-    return whole
+    return clusters._replace(atom=clusters.atom[: n * LANES], filled=clusters.filled[:n])
 
 
 @kernel

@@ -48,10 +48,13 @@ class ListWithSkin(ABC):
         """
         if self._cell is not None and cell.same_as(self._cell) and not self._moved_too_far(positions):
             return False
-        bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
-        if bad.size:
-            raise NonFiniteError(f"positions of {bad.size} atoms are not finite, the first is atom {bad[0]}")
-        self._cell, self._built_at = cell, positions.copy()
+        if self._built_at.shape != positions.shape:
+            self._built_at = np.empty_like(positions)
+        n_bad, first = copy_finite(positions, self._built_at)
+        if n_bad:
+            self._cell = None
+            raise NonFiniteError(f"positions of {n_bad} atoms are not finite, the first is atom {first}")
+        self._cell = cell
         self.n_builds += 1
         self._build(positions, cell)
         return True
@@ -72,6 +75,18 @@ def any_moved(positions, reference, limit2):
         if not dx * dx + dy * dy + dz * dz <= limit2:
             return True
     return False
+
+
+@kernel
+def copy_finite(positions, copy):
+    """Copy positions, (N, 3); returns how many atoms have one that is not finite, and the first of them."""
+    n_bad, first = 0, -1
+    for i in range(positions.shape[0]):
+        copy[i, 0], copy[i, 1], copy[i, 2] = positions[i, 0], positions[i, 1], positions[i, 2]
+        if not np.isfinite(positions[i, 0] + positions[i, 1] + positions[i, 2]):
+            first = i if n_bad == 0 else first
+            n_bad += 1
+    return n_bad, first
 
 
 def partners(pairs: NDArray[np.int64], n_atoms: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from minimd.compiling import shared_kernel, without_cache
 from minimd.neighbors.cluster_list import ClusterList, gather, scatter
 from minimd.pair_laws import PairLaws, skin_for
-from minimd.potentials.cluster_loop import LANES, SHARES, ByLane, Sums, add_cluster_forces
+from minimd.potentials.cluster_loop import BLOCK, LANES, SHARES, ByLane, Sums, add_cluster_forces
 from minimd.potentials.law import is_user_law
 from minimd.potentials.pair_loop import FORCES, PER_ATOM
 from minimd.potentials.parameters import SameForAll
@@ -22,7 +22,7 @@ def evaluate_clusters(
     me, task, positions, clusters, chunk_start, copies, rows, memory, laws, parameters, detail, sums, forces
 ):
     """forces (N, 3) += those of all laws; each chunk is a share of work."""
-    n = chunk_start.size - 1
+    n, work = chunk_start.size - 1, np.empty(BLOCK)
     phase = begin(me, task)
     chunk = take(me, phase, n)
     while chunk >= 0:
@@ -37,7 +37,7 @@ def evaluate_clusters(
     phase = wait(me, phase)
     chunk = take(me, phase, n)
     while chunk >= 0:
-        scatter(chunk_start[chunk], chunk_start[chunk + 1], clusters, copies, memory, forces)
+        scatter(chunk_start[chunk], chunk_start[chunk + 1], clusters, copies, memory, forces, work)
         chunk = finish_and_take(me, phase, n)
     wait(me, phase)
 

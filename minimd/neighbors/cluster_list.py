@@ -15,7 +15,7 @@ from minimd.neighbors.cluster_search import exclude_lanes, find_rows, make_work
 from minimd.neighbors.clusters import Clusters, Columns, make_columns, sort_into_clusters
 from minimd.neighbors.skin import ListWithSkin
 from minimd.potentials.cluster_loop import BLOCK, LANES, Rows
-from minimd.simd import broadcast, load, store
+from minimd.simd import broadcast, convert, load, store
 from minimd.team import Team, begin, finish_and_take, take, wait
 
 SPARE = 1.2  # room for this much more than was found
@@ -96,7 +96,8 @@ class ClusterList(ListWithSkin):
             self._exclude(positions, cell)
 
     def _make_memory(self, exact: NDArray[np.float64]) -> Memory:
-        copies, forces = self.copies, self._memory.array("forces", np.float64, len(exact))
+        copies, number = self.copies, np.float32 if self._is_mixed else np.float64
+        forces = self._memory.array("forces", number, len(exact))
         if not self._is_mixed:
             return Memory(exact, copies.shift, np.zeros(3), 1.0, forces)
         low, high = copies.boxes[:, :3].min(axis=0) - self.skin, copies.boxes[:, 3:].max(axis=0) + self.skin
@@ -173,18 +174,17 @@ def _coordinate(x, origin, unit, coordinates):
 
 
 @scalar
-def scatter(first, last, clusters, copies, memory, forces):
-    """forces (N, 3) += what the loop found for the atoms of clusters first to last, on all copies of them."""
+def scatter(first, last, clusters, copies, memory, forces, work):
+    """forces (N, 3) += what the loop found for the atoms of clusters first to last, on all copies of them. work : (BLOCK,) float64."""
     for k in range(first, last):
-        home = copies.home[k] * BLOCK
         for c in range(0, BLOCK, LANES):
-            force = load(memory.forces, copies.of[copies.start[k]] * BLOCK + c, LANES)
+            force = convert(load(memory.forces, copies.of[copies.start[k]] * BLOCK + c, LANES), 0.0)
             for p in range(copies.start[k] + 1, copies.start[k + 1]):
-                force = force + load(memory.forces, copies.of[p] * BLOCK + c, LANES)
-            store(memory.forces, home + c, force)
+                force = force + convert(load(memory.forces, copies.of[p] * BLOCK + c, LANES), 0.0)
+            store(work, c, force)
         for lane in range(clusters.filled[k]):
             for c in range(3):
-                forces[clusters.atom[k * LANES + lane], c] += memory.forces[home + c * LANES + lane]
+                forces[clusters.atom[k * LANES + lane], c] += work[c * LANES + lane]
 
 
 def _make_copies(n_clusters: int, n_copies: int, memory: Buffers) -> Copies:

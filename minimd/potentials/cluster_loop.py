@@ -75,7 +75,7 @@ def _loaded_overload(columns, start):
 class Sums(NamedTuple):
     """Where the loop adds what it finds.
 
-    forces : flat float64, BLOCK numbers for each copy [energy/length].
+    forces : flat, BLOCK numbers for each copy, of the type of the pair arithmetic [energy/length].
     energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows; empty with FORCES.
     shares : flat, SHARES · LANES numbers for each copy: energies and virials of the lanes; empty unless PER_ATOM.
     """
@@ -95,14 +95,15 @@ def add_cluster_forces(first, last, home, rows, coordinates, unit, law, paramete
     home : (C,) int, where each cluster stands among the copies.  coordinates, unit : see separation.
     detail : see pair_loop; with TOTALS each pair is booked on its atom i, with PER_ATOM half of it on each.
     """
-    like = separation(coordinates, 0, load(coordinates, 0, LANES), unit)
-    zero = broadcast(0.0, convert(like, 0.0))
+    nothing = broadcast(0.0, load(sums.forces, 0, LANES))
+    zero = convert(nothing, 0.0)
     own_share = 0.5 if detail == PER_ATOM else 1.0
     for slot in range(first * LANES, last * LANES):
         own, lane = home[slot // LANES], slot % LANES
         place = own * BLOCK + lane
         x, y, z = position(coordinates, place)
-        fx = fy = fz = energy = xx = yy = zz = yz = xz = xy = zero
+        fx = fy = fz = nothing
+        energy = xx = yy = zz = yz = xz = xy = zero
         for entry in range(rows.start[slot], rows.stop[slot]):
             cluster = rows.entries[entry] & COPY_BITS
             j = cluster * BLOCK
@@ -111,10 +112,10 @@ def add_cluster_forces(first, last, home, rows, coordinates, unit, law, paramete
             dz = separation(coordinates, j + 2 * LANES, z, unit)
             r2 = fma(dx, dx, fma(dy, dy, dz * dz))
             numbers = parameters_of_lanes(parameters, own * LANES + lane, cluster)
-            near = (r2 < numbers[0]) & mask_from_bits(rows.entries[entry] >> LANES_FROM, like)
+            near = (r2 < numbers[0]) & mask_from_bits(rows.entries[entry] >> LANES_FROM, nothing)
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
-            gx, gy, gz = convert(f * dx, 0.0), convert(f * dy, 0.0), convert(f * dz, 0.0)
+            gx, gy, gz = f * dx, f * dy, f * dz
             fx, fy, fz = fx - gx, fy - gy, fz - gz
             add(sums.forces, j, gx)
             add(sums.forces, j + LANES, gy)
@@ -122,6 +123,7 @@ def add_cluster_forces(first, last, home, rows, coordinates, unit, law, paramete
             if detail != FORCES:
                 u = convert(select(near, u, 0.0), 0.0)
                 dx, dy, dz = convert(dx, 0.0), convert(dy, 0.0), convert(dz, 0.0)
+                gx, gy, gz = convert(gx, 0.0), convert(gy, 0.0), convert(gz, 0.0)
                 energy = energy + u
                 xx, yy, zz = fma(gx, dx, xx), fma(gy, dy, yy), fma(gz, dz, zz)
                 yz, xz, xy = fma(gy, dz, yz), fma(gx, dz, xz), fma(gx, dy, xy)

@@ -6,8 +6,10 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.compiling import shared_kernel, without_cache
+from minimd.compiling import kernel, shared_kernel, without_cache
+from minimd.neighbors.chunks import ATOMS_IN_A_CHUNK
 from minimd.neighbors.cluster_list import ClusterList, gather, scatter
+from minimd.options import Options
 from minimd.pair_laws import PairLaws, skin_for
 from minimd.potentials.cluster_loop import BLOCK, LANES, SHARES, ByLane, Sums, add_cluster_forces
 from minimd.potentials.law import is_user_law
@@ -18,9 +20,7 @@ from minimd.team import begin, finish_and_take, take, team_of, wait
 
 
 @shared_kernel
-def evaluate_clusters(
-    me, task, positions, clusters, chunk_start, copies, rows, memory, laws, parameters, detail, sums, forces
-):
+def evaluate_clusters(me, task, positions, clusters, chunk_start, copies, rows, memory, laws, parameters, detail, sums, forces):
     """forces (N, 3) += those of all laws; each chunk is a share of work."""
     n, work = chunk_start.size - 1, np.empty(BLOCK)
     phase = begin(me, task)
@@ -62,10 +62,12 @@ def _add_all_laws_overload(place, laws, parameters, sums):
 class ClusteredPairs:
     """Laws on all pairs within their cutoffs, eight at a time, found with one cluster list."""
 
-    def __init__(self, system: System, laws: PairLaws, skin: float | None, threads: int = 1, precision: str = "double") -> None:
-        self._team = team_of(threads)
-        self.list = ClusterList(len(system), laws.cutoff, skin_for(system, laws, skin), laws.excluded, precision, self._team)
-        self._laws, self._number = laws, np.float32 if precision == "mixed" else np.float64
+    def __init__(self, system: System, laws: PairLaws, options: Options, stride: float = 0.0) -> None:
+        self._team = team_of(max(1, min(options.most_threads, len(system) // ATOMS_IN_A_CHUNK)))
+        self._is_mixed = options.precision == "mixed"
+        skin = skin_for(system, laws, options, stride)
+        self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, self._is_mixed, self._team)
+        self._laws, self._number = laws, np.float32 if self._is_mixed else np.float64
         is_known = not any(is_user_law(law) for law in laws.laws)
         self._evaluate = evaluate_clusters if is_known else without_cache(evaluate_clusters)
         self._parameters: tuple = ()
@@ -79,7 +81,10 @@ class ClusteredPairs:
         shares = np.zeros(len(copies.owner) * LANES * SHARES if detail == PER_ATOM else 0)
         sums = Sums(memory.forces, np.zeros(n_slots), np.zeros((n_slots, 6)), shares)
         scene = (system.positions, clusters, self.list.chunks.cluster, copies, self.list.rows, memory)
+        before = net_force(forces) if self._is_mixed else None
         self._team.run(self._evaluate, *scene, tuple(self._laws.laws), self._parameters, detail, sums, forces)
+        if before is not None:
+            take_out(net_force(forces) - before, forces)
         if detail != FORCES:
             real = (np.arange(LANES) < clusters.filled[:, None]).ravel()
             energies[clusters.atom[real]] += sums.energies[real]
@@ -88,6 +93,12 @@ class ClusteredPairs:
             atoms, of_lanes = clusters.atom.reshape(-1, LANES)[copies.owner], shares.reshape(-1, SHARES, LANES)
             np.add.at(energies, atoms, of_lanes[:, 0])
             np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
+
+    @property
+    def words(self) -> str:
+        """The list, for the report."""
+        threads = f"{self._team.n_threads} thread{'s' if self._team.n_threads > 1 else ''}"
+        return f"cluster list (skin {self.list.skin:.3g}, {threads}, {'mixed' if self._is_mixed else 'double'} precision)"
 
     def skipped(self) -> Iterable[str]:
         """See Term."""
@@ -99,3 +110,21 @@ class ClusteredPairs:
         species = self.list.by_lane(species_index)
         columns = tuple(np.ascontiguousarray(table[:, species, k], dtype=self._number).ravel() for k in range(table.shape[-1]))
         return ByLane(columns, species, len(species))
+
+
+@kernel
+def net_force(forces):
+    """Σ F, (3,) [energy/length]."""
+    net = np.zeros(3)
+    for i in range(forces.shape[0]):
+        for c in range(3):
+            net[c] += forces[i, c]
+    return net
+
+
+@kernel
+def take_out(net, forces):
+    """forces −= net / N: pairs push each other alike, so what they push all atoms is rounding, and momentum is to be conserved."""
+    for i in range(forces.shape[0]):
+        for c in range(3):
+            forces[i, c] -= net[c] / forces.shape[0]

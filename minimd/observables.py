@@ -56,6 +56,11 @@ def absolute_momentum(velocities: Array, masses: Array) -> float:
     return float(np.einsum("i,i->", masses, _lengths(velocities)))
 
 
+def largest_speed(velocities: Array) -> float:
+    """max |v| [length/time]."""
+    return float(_lengths(velocities).max())
+
+
 def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
     """Σ m |r − r_cm| |v| [mass length²/time]: the scale against which a change of the angular momentum is seen."""
     centered = positions - _weighted(masses, positions) / masses.sum()

@@ -4,13 +4,15 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from minimd.neighbors.skin import LEAST_SKIN, best_skin
+from minimd.options import Options
 from minimd.potentials.cluster_loop import runs_on_vectors
 from minimd.potentials.pair import PairPotential
-from minimd.system import System
+from minimd.system import System, number_density
 from minimd.topology import pairs_by_bonds_apart
 
 CLUSTERS_FROM = 64  # atoms: below, the pair list is as fast
-SKIN = 0.12  # default skin in units of the cutoff
+ROUNDED_DOWN = 1.0 - 1e-9
 
 
 class PairLaws:
@@ -39,11 +41,11 @@ class PairLaws:
         if not len(self.excluded):
             yield "exclusions"
 
-    def fit_clusters(self, system: System, skin: float | None) -> bool:
+    def fit_clusters(self, system: System, options: Options, stride: float) -> bool:
         """The rule which list a scene gets: clusters from a few hundred atoms on, in cells at least as high as the list reaches."""
         if len(system) < CLUSTERS_FROM or self.cutoff == np.inf:
             return False
-        reach = self.cutoff + skin_for(system, self, skin)
+        reach = self.cutoff + skin_for(system, self, options, stride)
         high_enough = bool(np.all(system.cell.heights[system.cell.pbc] >= reach))
         return high_enough and all(runs_on_vectors(law, table.shape[-1] - 1) for law, table in zip(self.laws, self.tables, strict=True))
 
@@ -56,7 +58,17 @@ def _check_cutoffs(system: System, potentials: Sequence[PairPotential]) -> None:
             raise ValueError("tail_correction needs a density: a cell that is periodic in all three directions")
 
 
-def skin_for(system: System, laws: PairLaws, skin: float | None) -> float:
-    """The given or default skin; none where the nearest image of a scaled pair can change while the list is in use."""
-    skin = SKIN * laws.cutoff if skin is None else skin
-    return 0.0 if len(laws.excluded) and (laws.cutoff + skin) ** 2 > system.cell.safe_distance2 else skin
+def skin_for(system: System, laws: PairLaws, options: Options, stride: float) -> float:
+    """The skin that the user gave, or the best one that the cell has room for [length].
+
+    stride : how far the fastest atom moves in a step [length], 0 if unknown. There is no skin where the nearest image of a
+    scaled pair can change while the list is in use.
+    """
+    cutoff, cell = laws.cutoff, system.cell
+    safe = float(np.sqrt(cell.safe_distance2)) if len(laws.excluded) else np.inf
+    skin = options.skin
+    if skin is None:
+        skin = best_skin(cutoff, number_density(system, cutoff), stride)
+        for room in (safe - cutoff, cell.heights[cell.pbc].min(initial=np.inf) - cutoff):
+            skin = min(skin, ROUNDED_DOWN * room) if room > LEAST_SKIN * cutoff else skin
+    return 0.0 if cutoff + skin > safe else skin

@@ -62,7 +62,7 @@ class Cost:
     def lines(self) -> list[str]:
         """Lines of a report."""
         speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
-        lines = [f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search} built {self.list_builds} times"]
+        lines = [f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"]
         return [*lines, f"not needed     {', '.join(self.skipped)}"] if self.skipped else lines
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from minimd.faults import autopsy, fault_at_start, fault_of
 from minimd.forces import Forces, Potential
 from minimd.integrators.splitting import Splitting, State
 from minimd.interrupt import stop_on_interrupt
+from minimd.options import Options
 from minimd.potentials.pair_loop import FORCES, TOTALS
 from minimd.progress import Progress
 from minimd.record import Frame, Record
@@ -37,9 +38,7 @@ class Simulation:
     system : System, or ase.Atoms. The simulation works on a copy; sim.system is always the current state.
     potentials : one potential or several.
     method : a splitting with its time step, such as VelocityVerlet(0.005).
-    threads : how many; one, so far.
-    precision : "double": all arithmetic in float64.
-    skin : of the pair lists [length]; chosen if not given.
+    threads, precision, skin : see Options.
 
     Attributes
     ----------
@@ -57,7 +56,7 @@ class Simulation:
         method: Splitting,
         *,
         threads: int | None = None,
-        precision: str = "double",
+        precision: Literal["double", "mixed"] = "double",
         skin: float | None = None,
     ) -> None:
         if not isinstance(method, Splitting):
@@ -68,7 +67,7 @@ class Simulation:
         self.time = 0.0
         self.record: Record | None = None
         self._run_seconds, self._run_steps = 0.0, 0
-        self._forces = Forces(self.system, potentials, skin, threads or 1, precision)
+        self._forces = Forces(self.system, potentials, Options(threads, precision, skin))
         self._state = State(self.system.positions, self.system.velocities, self._forces.forces, 1.0 / self.system.masses)
 
     def __repr__(self) -> str:
@@ -274,6 +273,7 @@ class Simulation:
     def _check_start(self) -> None:
         """Look at the state anew, and raise NonFiniteError if the first step would throw atoms across the scene."""
         self._state.forces_are_current = False
+        self._forces.fit_skin(observables.largest_speed(self.velocities) * abs(self.method.timestep))
         self._look()
         fault = fault_at_start(self.system, self.forces, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
         if fault:

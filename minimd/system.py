@@ -193,3 +193,11 @@ def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int) -> NDArray[np.int64
 
 def _and_others(bad: NDArray) -> str:
     return f", and {bad.size - 1} more" if bad.size > 1 else ""
+
+
+def number_density(system: System, thickness: float) -> float:
+    """N / V [1/length³]; in open directions the width of the scene counts, or a thickness [length] if that is more."""
+    cell = system.cell
+    fractional = np.einsum("ij,jk->ik", system.positions, cell.inverse)  # not @: see observables
+    widths = np.where(cell.pbc, cell.heights, np.maximum(thickness, np.ptp(fractional, axis=0) * cell.heights))
+    return len(system) / float(widths.prod())

@@ -10,6 +10,7 @@ from minimd.cell import minimum_image_translations
 from minimd.clustered import ClusteredPairs
 from minimd.compiling import kernel
 from minimd.neighbors.pair_list import PairList
+from minimd.options import Options
 from minimd.pair_laws import PairLaws, skin_for
 from minimd.potentials.bonded import BondPotential, HarmonicAngle, Triples, add_angle_forces
 from minimd.potentials.laws import Scaled
@@ -58,15 +59,20 @@ class FixedPairs:
 class ListedPairs:
     """Laws on all pairs within their cutoffs, found with one pair list."""
 
-    def __init__(self, system: System, laws: PairLaws, skin: float | None) -> None:
+    def __init__(self, system: System, laws: PairLaws, options: Options, stride: float = 0.0) -> None:
         cutoff = laws.cutoff
         if not system.cell.is_periodic and len(system) <= ALL_PAIRS_UP_TO:
             cutoff = np.inf
-        self.list = PairList(len(system), cutoff, skin_for(system, laws, skin) if cutoff < np.inf else 0.0, laws.excluded)
+        self.list = PairList(len(system), cutoff, skin_for(system, laws, options, stride) if cutoff < np.inf else 0.0, laws.excluded)
         self._laws, self._loops = laws, [pair_loop_for(law) for law in laws.laws]
         self._parameters: list[tuple] = []
         n = len(system)
         self._local = (np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((n, 6)))
+
+    @property
+    def words(self) -> str:
+        """The list, for the report."""
+        return "all pairs" if self._in_users_order else f"pair list (skin {self.list.skin:.3g})"
 
     @property
     def _in_users_order(self) -> bool:
@@ -143,7 +149,7 @@ def scatter(local_forces, order, forces):
             forces[order[k], c] += local_forces[k, c]
 
 
-def plan(system: System, potentials: Sequence[Potential], skin: float | None, threads: int, precision: str) -> list[Term]:
+def plan(system: System, potentials: Sequence[Potential], options: Options, stride: float) -> list[Term]:
     """The terms of a scene: one pair list for all pair potentials with the same bonded_scale, and each bonded term."""
     sharing: dict[tuple, list[PairPotential]] = {}
     terms: list[Term] = []
@@ -163,10 +169,8 @@ def plan(system: System, potentials: Sequence[Potential], skin: float | None, th
             raise TypeError(f"potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got {potential!r}")
     for group in sharing.values():
         laws = PairLaws(system, group)
-        if laws.fit_clusters(system, skin):
-            terms.append(ClusteredPairs(system, laws, skin, threads, precision))
-        else:
-            terms.append(ListedPairs(system, laws, skin))
+        list_kind = ClusteredPairs if laws.fit_clusters(system, options, stride) else ListedPairs
+        terms.append(list_kind(system, laws, options, stride))
         terms.extend(_scaled_terms(system, laws))
     return terms
 

@@ -8,11 +8,15 @@ from references import liquid, melt
 
 import minimd as md
 from minimd.cell import Cell
+from minimd.clustered import ClusteredPairs
+from minimd.options import Options
+from minimd.pair_laws import PairLaws
 from minimd.potentials.cluster_loop import BLOCK
 from minimd.potentials.pair_loop import FORCES, TOTALS
-from minimd.terms import ClusteredPairs, ListedPairs, PairLaws
+from minimd.terms import ListedPairs
 
 CUTOFF, SKIN = 2.0, 0.3
+SKINNED, BARE = Options(skin=SKIN, threads=2), Options(skin=0.0)
 EQUAL = 1e-13  # rounding: sums in another order
 
 
@@ -73,7 +77,7 @@ def agree(clustered, listed, system):
 @settings(max_examples=40)
 def test_clusters_and_pairs_are_the_same_physics(name, system, seed):
     laws = PairLaws(system, POTENTIALS[name])
-    clustered, listed = ClusteredPairs(system, laws, SKIN), ListedPairs(system, laws, 0.0)
+    clustered, listed = ClusteredPairs(system, laws, SKINNED), ListedPairs(system, laws, BARE)
     agree(clustered, listed, system)
     rng = np.random.default_rng(seed)
     step = rng.normal(size=system.positions.shape)
@@ -89,7 +93,7 @@ def test_clusters_and_pairs_are_the_same_physics(name, system, seed):
 def test_a_crystal_exactly_on_its_faces_has_no_forces(size):
     sites = np.stack(np.meshgrid(*[np.arange(size)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) * 1.1
     system = md.System(sites, cell=1.1 * size)
-    forces, energy, _ = summed(ClusteredPairs(system, PairLaws(system, POTENTIALS["one species"]), SKIN), system)
+    forces, energy, _ = summed(ClusteredPairs(system, PairLaws(system, POTENTIALS["one species"]), SKINNED), system)
     assert np.abs(forces).max() < 1e-12
     assert energy == pytest.approx(md.evaluate(system, POTENTIALS["one species"]).potential_energy, rel=1e-12)
 
@@ -97,7 +101,7 @@ def test_a_crystal_exactly_on_its_faces_has_no_forces(size):
 def test_list_serves_growing_and_shrinking_crowds():
     system = md.System(np.random.default_rng(1).uniform(0, 40, (600, 3)), cell=40.0)
     laws = PairLaws(system, POTENTIALS["two laws"][1:])
-    clustered, listed = ClusteredPairs(system, laws, SKIN), ListedPairs(system, laws, 0.0)
+    clustered, listed = ClusteredPairs(system, laws, SKINNED), ListedPairs(system, laws, BARE)
     for spread in (40.0, 4.0, 40.0, 1.0, 20.0):
         system.positions[:] = np.random.default_rng(2).uniform(0, spread, (600, 3))
         a, b = summed(clustered, system), summed(listed, system)
@@ -111,15 +115,15 @@ def test_memory_follows_the_number_of_clusters(pbc):
     rng = np.random.default_rng(4)
     system = md.System(rng.uniform(0, 4.4, (64, 3)), cell=4.4, pbc=pbc)
     laws = PairLaws(system, POTENTIALS["two laws"][1:])
-    clustered, listed = ClusteredPairs(system, laws, SKIN), ListedPairs(system, laws, 0.0)
+    clustered, listed = ClusteredPairs(system, laws, SKINNED), ListedPairs(system, laws, BARE)
     numbers = set()
     for _ in range(60):
         system.positions[:] = rng.uniform(0, 4.4, (64, 3)) * rng.uniform(0.3, 1.0, 3)
         a, b = summed(clustered, system), summed(listed, system)
         assert a[0] == pytest.approx(b[0], rel=1e-11, abs=1e-11)
-        needed = clustered.list.n_clusters + len(clustered.list.ghosts)
-        assert needed * BLOCK <= min(map(len, (clustered.list.coordinates, clustered.list.on_clusters, clustered.list.on_atoms)))
-        numbers.add(clustered.list.n_clusters)
+        memory, needed = clustered.list.memory, len(clustered.list.copies.owner) * BLOCK
+        assert (len(memory.coordinates), len(memory.forces)) == (needed, needed)
+        numbers.add(needed)
     assert len(numbers) > 1
 
 
@@ -128,7 +132,7 @@ def test_excluded_pairs_may_sit_on_each_other_in_clusters_too():
     system.positions[1] = system.positions[0]
     bonded = md.System(system.positions, cell=system.cell, bonds=[[0, 1]])
     laws = PairLaws(bonded, [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 1, 1))])
-    agree(ClusteredPairs(bonded, laws, SKIN), ListedPairs(bonded, laws, 0.0), bonded)
+    agree(ClusteredPairs(bonded, laws, SKINNED), ListedPairs(bonded, laws, BARE), bonded)
 
 
 def test_rule_which_list_a_scene_gets():
@@ -137,14 +141,14 @@ def test_rule_which_list_a_scene_gets():
 
     assert kind(liquid(5), md.LennardJones(1.0, 1.0, 2.5)) == "ClusteredPairs"
     assert kind(liquid(2), md.LennardJones(1.0, 1.0, 1.2)) == "ListedPairs"  # few atoms
-    assert kind(liquid(5), md.LennardJones(1.0, 1.0, 8.0)) == "ListedPairs"  # cell too small
+    assert kind(liquid(5), md.LennardJones(1.0, 1.0, 8.4)) == "ListedPairs"  # cell too small
     assert kind(liquid(5), md.PairPotential(soft, (1.0,), 2.5)) == "ClusteredPairs"
     assert kind(liquid(5), md.PairPotential(branching, (1.0,), 2.5)) == "ListedPairs"  # cannot run on vectors
     assert kind(md.System(liquid(5).positions), md.LennardJones(1.0, 1.0)) == "ListedPairs"  # no cutoff
 
 
 def test_report_tells_which_list_a_scene_got():
-    for cutoff, words in ((2.5, "cluster list built"), (8.0, "pair list built")):
+    for cutoff, words in ((2.5, "cluster list (skin"), (8.4, "pair list (skin")):
         simulation = md.Simulation(liquid(5), md.LennardJones(1.0, 1.0, cutoff), md.VelocityVerlet(0.001))
         simulation.run(5, every=1)
         assert words in str(simulation.report())

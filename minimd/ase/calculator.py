@@ -1,6 +1,7 @@
 """Potentials of minimd as a calculator of ASE."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from ase import Atoms
@@ -13,6 +14,7 @@ from minimd.ase.atoms import cell_of, same_labels, same_scene, unchecked_system,
 from minimd.errors import NonFiniteError
 from minimd.forces import Forces
 from minimd.neighbors.closest import closest_pair
+from minimd.options import Options
 from minimd.potentials.pair_loop import PER_ATOM, TOTALS
 from minimd.terms import Potential
 
@@ -28,7 +30,7 @@ class Calculator(ASECalculator):
     ----------
     potentials : one potential or several.
     bonds : (B, 2) int, pairs of bonded atoms.
-    skin : of the pair lists [Å]; chosen if not given.
+    threads, precision, skin : see Options; the skin in Å.
 
     Raises
     ------
@@ -38,10 +40,18 @@ class Calculator(ASECalculator):
 
     implemented_properties = ["energy", "free_energy", "energies", "forces", "stress", "stresses"]  # noqa: RUF012 - ASE's form
 
-    def __init__(self, potentials: Potential | Sequence[Potential], bonds: ArrayLike | None = None, skin: float | None = None) -> None:
+    def __init__(
+        self,
+        potentials: Potential | Sequence[Potential],
+        bonds: ArrayLike | None = None,
+        skin: float | None = None,
+        *,
+        threads: int | None = None,
+        precision: Literal["double", "mixed"] = "double",
+    ) -> None:
         super().__init__()
         self._plan: tuple[Atoms, Forces] | None = None
-        self.potentials, self.bonds, self.skin = potentials, bonds, skin
+        self.potentials, self.bonds, self.options = potentials, bonds, Options(threads, precision, skin)
 
     @property
     def potentials(self) -> Potential | Sequence[Potential]:
@@ -85,7 +95,7 @@ class Calculator(ASECalculator):
             forces = self._plan[1]
             forces.system.positions[:], forces.system.cell = atoms.positions, cell_of(atoms)
             return forces
-        forces = Forces(unchecked_system(atoms, self.bonds), self.potentials, self.skin)
+        forces = Forces(unchecked_system(atoms, self.bonds), self.potentials, self.options)
         self._plan = atoms, forces
         return forces
 

@@ -85,7 +85,8 @@ class VelocityVerlet(MolecularDynamics):
             name = type(calculator).__name__
             raise TypeError(f"the calculator of atoms must be a minimd.ase.Calculator; it is {name}: use ase.md.verlet.VelocityVerlet")
         system, method = system_from_atoms(atoms, calculator.bonds), integrators.VelocityVerlet(self.dt)
-        self._simulation = Simulation(system, calculator.potentials, method, skin=calculator.skin)
+        options = calculator.options
+        self._simulation = Simulation(system, calculator.potentials, method, threads=options.threads, precision=options.precision, skin=options.skin)
         self._made_for = atoms.copy()
         self._made_for.calc = calculator
         self._made_with = calculator.potentials

@@ -138,18 +138,20 @@ def fill_copies(chunk, chunks, clusters, columns, pbc, lattice, copies, coordina
                 continue
             for image_z in range(-1, 2):
                 first, last, image = _seen(run_x, run_y, image_z, clusters, columns, pbc)
+                a, b = image // 9 - 1, image // 3 % 3 - 1
+                x = a * lattice[0, 0] + b * lattice[1, 0] + image_z * lattice[2, 0]
+                y = a * lattice[0, 1] + b * lattice[1, 1] + image_z * lattice[2, 1]
+                z = a * lattice[0, 2] + b * lattice[1, 2] + image_z * lattice[2, 2]
+                is_home = image == HOME and run_x < chunks.column[chunk + 1]
                 for k in range(first, last):
-                    copies.owner[copy], copies.image[copy] = k, image
+                    copies.owner[copy], copies.image[copy], copies.is_used[copy] = k, image, is_home
                     copies.lanes[copy] = ALL_LANES >> (LANES - clusters.filled[k])
                     copies.bottom[copy], copies.top[copy] = clusters.bottom[k] + image_z, clusters.top[k] + image_z
-                    for d in range(3):
-                        a, b = image // 9 - 1, image // 3 % 3 - 1
-                        shift = a * lattice[0, d] + b * lattice[1, d] + image_z * lattice[2, d]
+                    for d, shift in enumerate((x, y, z)):
                         copies.shift[copy, d] = shift
                         copies.boxes[copy, d], copies.boxes[copy, d + 3] = clusters.boxes[k, d] + shift, clusters.boxes[k, d + 3] + shift
                         store(coordinates, copy * BLOCK + d * LANES, load(clusters.coordinates, k * BLOCK + d * LANES, LANES) + shift)
-                    copies.is_used[copy] = image == HOME and run_x < chunks.column[chunk + 1]
-                    if copies.is_used[copy]:
+                    if is_home:
                         copies.home[k] = copy
                     copy += 1
 

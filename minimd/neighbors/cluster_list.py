@@ -45,7 +45,7 @@ class ClusterList(ListWithSkin):
 
     Parameters
     ----------
-    cutoff, skin, excluded : see ListWithSkin.  precision : "double" or "mixed", of the pair arithmetic.  team : who builds it.
+    cutoff, skin, excluded : see ListWithSkin.  is_mixed : whether the pair arithmetic is float32.  team : who builds it.
 
     Attributes
     ----------
@@ -58,9 +58,9 @@ class ClusterList(ListWithSkin):
     rows: Rows
     memory: Memory
 
-    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, team: Team) -> None:
+    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_mixed: bool, team: Team) -> None:
         super().__init__(n_atoms, cutoff, skin, excluded)
-        self._team, self._is_mixed = team, precision == "mixed"
+        self._team, self._is_mixed = team, is_mixed
         self._columns: Columns | None = None
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
         self._memory = Buffers()

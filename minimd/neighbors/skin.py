@@ -9,6 +9,29 @@ from minimd.cell import Cell
 from minimd.compiling import kernel
 from minimd.errors import NonFiniteError
 
+DEFAULT_SKIN = 0.12  # of the cutoff, where nothing is known about the speed of the atoms
+LEAST_SKIN = 0.02  # of the cutoff
+SKINS = np.geomspace(LEAST_SKIN, 1.0, 100)  # of the cutoff, to choose from
+STEP_COST = (16.0, 3.0)  # ns per atom: a constant, and per atom in a cube as wide as the list reaches
+BUILD_COST = (40.0, 5.0)  # ns per atom, likewise
+
+
+def best_skin(cutoff: float, density: float, stride: float) -> float:
+    """The skin that makes a step cheapest [length].
+
+        cost(s) = step(c) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / stride steps between two builds
+
+    cutoff : r_c [length].  density : ρ [1/length³].  stride : how far the fastest atom moves in a step [length].
+    The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat.
+    """
+    if not stride > 0.0:
+        return DEFAULT_SKIN * cutoff
+    skins = SKINS * cutoff
+    crowd = density * (cutoff + skins) ** 3
+    builds = np.minimum(1.0, 2.0 * stride / skins)  # in each step
+    cost = STEP_COST[0] + STEP_COST[1] * crowd + (BUILD_COST[0] + BUILD_COST[1] * crowd) * builds
+    return float(skins[np.argmin(cost)])
+
 
 class ListWithSkin(ABC):
     """A list kept for as long as no atom can have come into reach unseen.

@@ -70,7 +70,7 @@ class Scene:
         dynamics = self.sections.dynamics
         start, potentials = self.system() if system is None else system, self.potentials()
         with _blamed_on(str(self.path)):
-            simulation = Simulation(start, potentials, self.method())
+            simulation = Simulation(start, potentials, self.method(), threads=dynamics.threads, precision=dynamics.precision)
         if system is None and dynamics.temperature is not None:
             simulation.set_temperature(dynamics.temperature, dynamics.seed)
         return simulation

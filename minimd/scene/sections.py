@@ -245,6 +245,8 @@ class DynamicsSection(Section):
     steps: NonNegativeInt
     temperature: Annotated[NotNegative | None, Dimension("temperature")] = None
     seed: NonNegativeInt = 1
+    threads: PositiveInt | None = None
+    precision: Literal["double", "mixed"] = "double"
 
 
 class EquilibrationSection(Section):

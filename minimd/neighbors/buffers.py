@@ -22,6 +22,6 @@ class Buffers:
         kept = self._all.get(name)
         if kept is None or n > len(kept):
             item = np.dtype(dtype).itemsize
-            raw = np.empty(int(SPARE * n) + CACHE_LINE // item, dtype)
+            raw: NDArray[Any] = np.empty(int(SPARE * n) + CACHE_LINE // item, dtype)
             kept = self._all[name] = raw[(-raw.ctypes.data % CACHE_LINE) // item :]
         return kept[:n].reshape(shape)

@@ -62,6 +62,7 @@ class ClusterList(ListWithSkin):
         super().__init__(n_atoms, cutoff, skin, excluded)
         self._team, self._is_mixed = team, is_mixed
         self._columns: Columns | None = None
+        self._columns_of: Cell | None = None
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
         self._memory = Buffers()
 
@@ -71,7 +72,7 @@ class ClusterList(ListWithSkin):
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         reach = self.cutoff + self.skin
-        if self._columns is None or not cell.pbc.all() or not cell.same_as(self._columns_of):
+        if self._columns is None or self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
             self._columns, self._columns_of = make_columns(cell, positions, reach), cell
         columns = self._columns
         self.clusters = clusters = sort_into_clusters(positions, cell, columns, self._memory)

@@ -63,7 +63,9 @@ def find_rows(chunk, chunks, clusters, columns, copies, coordinates, reach, rows
                 ahead[0, 0] = home + 1
                 n = _candidates(home, n_ahead, ahead, copies, columns.along, reach, work.candidates)
                 n_entries = _prune(k, home, n, work, clusters, copies, coordinates, reach, rows, n_entries, last)
-    return n_entries - first
+    if n_entries < last:
+        rows.entries[n_entries] = 0  # see Rows
+    return n_entries + 1 - first
 
 
 @scalar
@@ -91,8 +93,8 @@ def _candidates(i, n_ahead, ahead, copies, along, reach, candidates):
 @scalar
 def _prune(k, home, n, work, clusters, copies, coordinates, reach, rows, n_entries, last):
     """The rows of the atoms of cluster k: each of n candidates with an atom within reach, its own cluster last."""
-    if n_entries + LANES * (n + 1) > last:  # no room: an upper bound tells how much is missing
-        return n_entries + LANES * (n + 1)
+    if n_entries + LANES * (n + 1) >= last:  # no room: an upper bound tells how much is missing
+        return n_entries + LANES * (n + 1) + 1
     own = home * BLOCK
     x, y, z = load(coordinates, own, LANES), load(coordinates, own + LANES, LANES), load(coordinates, own + 2 * LANES, LANES)
     for c in range(n):

@@ -28,7 +28,8 @@ SHARES = 7  # numbers of an atom with PER_ATOM: energy, and six of the virial
 class Rows(NamedTuple):
     """Clusters within reach of each atom: those of the atom in slot s are entries[start[s] : stop[s]].
 
-    start, stop : (slots,) int.  entries : (E,) uint32, a copy's number, and above its 24 bits one for each lane that counts.
+    start, stop : (slots,) int.  entries : (E,) uint32, a copy's number, and above its 24 bits one for each lane that counts;
+    after the last of them stands one more, that of any copy: the loop looks at it and does nothing with it.
     """
 
     start: Any
@@ -101,22 +102,22 @@ def add_cluster_forces(first, last, home, rows, coordinates, unit, law, paramete
     for slot in range(first * LANES, last * LANES):
         own, lane = home[slot // LANES], slot % LANES
         place = own * BLOCK + lane
-        x, y, z = position(coordinates, place)
+        at = position(coordinates, place)
+        after = rows.entries[rows.start[slot]]
+        ahead = separations(coordinates, after & COPY_BITS, at, unit)
         fx = fy = fz = nothing
         energy = xx = yy = zz = yz = xz = xy = zero
         for entry in range(rows.start[slot], rows.stop[slot]):
-            cluster = rows.entries[entry] & COPY_BITS
-            j = cluster * BLOCK
-            dx = separation(coordinates, j, x, unit)
-            dy = separation(coordinates, j + LANES, y, unit)
-            dz = separation(coordinates, j + 2 * LANES, z, unit)
-            r2 = fma(dx, dx, fma(dy, dy, dz * dz))
+            cluster, lanes, (dx, dy, dz, r2) = after & COPY_BITS, after >> LANES_FROM, ahead
+            after = rows.entries[entry + 1]  # one entry ahead, so that the processor has work while it waits for the law
+            ahead = separations(coordinates, after & COPY_BITS, at, unit)
             numbers = parameters_of_lanes(parameters, own * LANES + lane, cluster)
-            near = (r2 < numbers[0]) & mask_from_bits(rows.entries[entry] >> LANES_FROM, nothing)
+            near = (r2 < numbers[0]) & mask_from_bits(lanes, nothing)
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
             gx, gy, gz = f * dx, f * dy, f * dz
             fx, fy, fz = fx - gx, fy - gy, fz - gz
+            j = cluster * BLOCK
             add(sums.forces, j, gx)
             add(sums.forces, j + LANES, gy)
             add(sums.forces, j + 2 * LANES, gz)
@@ -147,6 +148,16 @@ def position(coordinates, place):
     """x, y and z of one atom, each in all lanes."""
     like = load(coordinates, 0, LANES)
     return broadcast(coordinates[place], like), broadcast(coordinates[place + LANES], like), broadcast(coordinates[place + 2 * LANES], like)
+
+
+@scalar
+def separations(coordinates, copy, at, unit):
+    """r_j − r_i = (dx, dy, dz) and r² of the lanes of a copy, from a position x, y, z [length]."""
+    place = copy * BLOCK
+    dx = separation(coordinates, place, at[0], unit)
+    dy = separation(coordinates, place + LANES, at[1], unit)
+    dz = separation(coordinates, place + 2 * LANES, at[2], unit)
+    return dx, dy, dz, fma(dx, dx, fma(dy, dy, dz * dz))
 
 
 def separation(coordinates, place, x, unit):

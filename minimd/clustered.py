@@ -11,7 +11,7 @@ from minimd.neighbors.chunks import ATOMS_IN_A_CHUNK
 from minimd.neighbors.cluster_list import ClusterList, gather, scatter
 from minimd.options import Options
 from minimd.pair_laws import PairLaws, skin_for
-from minimd.potentials.cluster_loop import BLOCK, LANES, SHARES, ByLane, Sums, add_cluster_forces
+from minimd.potentials.cluster_loop import BLOCK, LANES, SHARES, ByLane, ForceSums, Sums, add_cluster_forces
 from minimd.potentials.law import is_user_law
 from minimd.potentials.pair_loop import FORCES, PER_ATOM
 from minimd.potentials.parameters import SameForAll
@@ -79,7 +79,7 @@ class ClusteredPairs:
         clusters, copies, memory = self.list.clusters, self.list.copies, self.list.memory
         n_slots = len(clusters.atom) if detail != FORCES else 0
         shares = np.zeros(len(copies.owner) * LANES * SHARES if detail == PER_ATOM else 0)
-        sums = Sums(memory.forces, np.zeros(n_slots), np.zeros((n_slots, 6)), shares)
+        sums = (Sums if detail != FORCES else ForceSums)(memory.forces, np.zeros(n_slots), np.zeros((n_slots, 6)), shares)
         scene = (system.positions, clusters, self.list.chunks.cluster, copies, self.list.rows, memory)
         before = net_force(forces) if self._is_mixed else None
         self._team.run(self._evaluate, *scene, tuple(self._laws.laws), self._parameters, detail, sums, forces)

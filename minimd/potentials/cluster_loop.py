@@ -14,7 +14,7 @@ from numba.extending import overload
 
 from minimd.compiling import scalar
 from minimd.potentials.law import evaluate_law, is_user_law
-from minimd.potentials.pair_loop import FORCES, PER_ATOM
+from minimd.potentials.pair_loop import PER_ATOM
 from minimd.potentials.parameters import SameForAll
 from minimd.simd import broadcast, convert, fma, load, mask_from_bits, select, store, total
 
@@ -77,7 +77,7 @@ class Sums(NamedTuple):
     """Where the loop adds what it finds.
 
     forces : flat, BLOCK numbers for each copy, of the type of the pair arithmetic [energy/length].
-    energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows; empty with FORCES.
+    energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows.
     shares : flat, SHARES · LANES numbers for each copy: energies and virials of the lanes; empty unless PER_ATOM.
     """
 
@@ -85,6 +85,23 @@ class Sums(NamedTuple):
     energies: Any
     virials: Any
     shares: Any
+
+
+class ForceSums(Sums):
+    """Sums where nobody looks at energies: a type of its own, so that the compiler leaves out what they need."""
+
+    __slots__ = ()
+
+
+def somebody_looks(sums):
+    """Whether energies and virials are wanted, as a constant for the compiler."""
+    raise NotImplementedError
+
+
+@overload(somebody_looks)
+def _somebody_looks(sums):
+    answer = sums.instance_class is not ForceSums
+    return lambda sums: answer
 
 
 @scalar
@@ -121,7 +138,7 @@ def add_cluster_forces(first, last, home, rows, coordinates, unit, law, paramete
             add(sums.forces, j, gx)
             add(sums.forces, j + LANES, gy)
             add(sums.forces, j + 2 * LANES, gz)
-            if detail != FORCES:
+            if somebody_looks(sums):
                 u = convert(select(near, u, 0.0), 0.0)
                 dx, dy, dz = convert(dx, 0.0), convert(dy, 0.0), convert(dz, 0.0)
                 gx, gy, gz = convert(gx, 0.0), convert(gy, 0.0), convert(gz, 0.0)
@@ -133,7 +150,7 @@ def add_cluster_forces(first, last, home, rows, coordinates, unit, law, paramete
         sums.forces[place] += total(fx)
         sums.forces[place + LANES] += total(fy)
         sums.forces[place + 2 * LANES] += total(fz)
-        if detail != FORCES:
+        if somebody_looks(sums):
             sums.energies[slot] += own_share * total(energy)
             sums.virials[slot, 0] += own_share * total(xx)
             sums.virials[slot, 1] += own_share * total(yy)

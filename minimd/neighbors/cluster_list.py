@@ -80,7 +80,7 @@ class ClusterList(ListWithSkin):
         n_chunks, n_clusters, n_copies = len(chunks.run) - 1, len(clusters.filled), int(chunks.copy[-1])
         self.copies = copies = _make_copies(n_clusters, n_copies, self._memory)
         exact = self._memory.array("coordinates", np.float64, n_copies * BLOCK)
-        start, stop = (self._memory.array(name, np.int64, n_clusters * LANES) for name in ("row start", "row stop"))
+        start, stop = (self._memory.array(name, np.int32, n_clusters * LANES) for name in ("row start", "row stop"))
         if len(self._entry_start) != n_chunks + 1:
             self._make_entries(np.diff(chunks.cluster) * LANES * ENTRIES_GUESSED)
         needed = np.zeros(n_chunks, dtype=np.int64)
@@ -190,15 +190,15 @@ def scatter(first, last, clusters, copies, memory, forces, work):
 
 def _make_copies(n_clusters: int, n_copies: int, memory: Buffers) -> Copies:
     return Copies(
-        owner=memory.array("owner", np.int64, n_copies),
-        image=memory.array("image", np.int64, n_copies),
+        owner=memory.array("owner", np.int32, n_copies),
+        image=memory.array("image", np.int32, n_copies),
         shift=memory.array("shift", np.float64, n_copies, 3),
         bottom=memory.array("copy bottom", np.float64, n_copies),
         top=memory.array("copy top", np.float64, n_copies),
         boxes=memory.array("copy boxes", np.float64, n_copies, 6),
         lanes=memory.array("lanes", np.uint8, n_copies),
-        home=memory.array("home", np.int64, n_clusters),
+        home=memory.array("home", np.int32, n_clusters),
         is_used=memory.array("is_used", np.bool_, n_copies),
-        of=memory.array("of", np.int64, n_copies),
-        start=memory.array("start", np.int64, n_clusters + 1),
+        of=memory.array("of", np.int32, n_copies),
+        start=memory.array("start", np.int32, n_clusters + 1),
     )

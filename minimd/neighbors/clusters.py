@@ -82,7 +82,7 @@ def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Colu
     n_columns = int(columns.counts[0] * columns.counts[1])
     room = ceil((len(positions) + n_columns * (LANES - 1)) / LANES)
     clusters = Clusters(
-        atom=memory.array("atom", np.int64, room * LANES),
+        atom=memory.array("atom", np.int32, room * LANES),
         filled=memory.array("filled", np.int64, room),
         offsets=memory.array("offsets", np.float64, room * LANES, 3),
         column_start=memory.array("column_start", np.int64, n_columns + 1),

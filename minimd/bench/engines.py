@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import minimd as md
 from minimd.bench.scenes import CUTOFF, TIMESTEP, Scene
 
+Precision = Literal["double", "mixed"]  # of minimd
 SKIN_LAMMPS = 0.3  # σ, of LAMMPS' benchmark
 
 
@@ -40,8 +41,9 @@ class Engine(Protocol):
 class Minimd:
     """minimd as a user calls it."""
 
-    def __init__(self, scene: Scene, threads: int = 1, precision: str = "double") -> None:
-        self.name, self.threads, self.precision = "minimd", threads, precision
+    def __init__(self, scene: Scene, threads: int = 1, precision: Precision = "double") -> None:
+        self.name, self.threads = "minimd", threads
+        self.precision: str = precision
         method = md.VelocityVerlet(TIMESTEP)
         self._simulation = md.Simulation(scene.system, scene.potentials, method, threads=threads, precision=precision)
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import NamedTuple
 
-from minimd.bench.engines import PEERS, Engine, Minimd
+from minimd.bench.engines import PEERS, Engine, Minimd, Precision
 from minimd.bench.memory import FROM_ATOMS, bytes_per_atom
 from minimd.bench.outcome import Outcome
 from minimd.bench.rows import MELT, Row
@@ -27,11 +27,11 @@ class Options(NamedTuple):
     scene: str = MELT
     cells: tuple[int, ...] = (5, 10, 20)
     threads: tuple[int, ...] = ()
-    precisions: tuple[str, ...] = ("double",)
+    precisions: tuple[Precision, ...] = ("double",)
     peers: tuple[str, ...] = ()
     repeats: int = 7
 
-    def kinds(self) -> list[tuple[int, str]]:
+    def kinds(self) -> list[tuple[int, Precision]]:
         """Threads and precisions in which minimd runs: double on one thread, the reference, and those asked for."""
         return list(dict.fromkeys([(1, "double"), *((t, p) for t in self.all_threads() for p in self.precisions)]))
 

@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from minimd.bench.engines import Minimd
+from minimd.bench.engines import Minimd, Precision
 from minimd.bench.scenes import SCENES
 
 FROM_ATOMS = 256_000  # fewer would drown in what Python and the kernels need
@@ -28,13 +28,13 @@ def bytes_per_atom(scene: str, n: int, threads: int, precision: str) -> float | 
     return float(answer.stdout)
 
 
-def peak_per_atom(scene: str, n: int, threads: int, precision: str) -> float:
+def peak_per_atom(scene: str, n: int, threads: int, precision: Precision) -> float:
     """As bytes_per_atom, in this process, which must be a fresh one."""
     (few, before), (many, after) = (_peak(scene, size, threads, precision) for size in (SMALL, n))
     return (after - before) / (many - few)
 
 
-def _peak(scene: str, n: int, threads: int, precision: str) -> tuple[int, float]:
+def _peak(scene: str, n: int, threads: int, precision: Precision) -> tuple[int, float]:
     """Number of atoms, and bytes this process has held at most so far."""
     loaded = SCENES[scene](n)
     Minimd(loaded, threads, precision).run(STEPS)

@@ -1,12 +1,12 @@
 """Atoms into bins: a grid along the lattice vectors, and the atoms in the order of their bins."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.cell import Cell
-from minimd.compiling import inlined, kernel
+from minimd.compiling import kernel, scalar
 
 ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
 FLATTEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick
@@ -56,45 +56,58 @@ def sort_into_bins(positions: NDArray[np.float64], cell: Cell, grid: Grid) -> So
     return Sorted(*_sort(positions, cell.lattice, cell.inverse, cell.pbc, grid.counts, grid.origin, grid.extent))
 
 
-@inlined
-def counting_sort(positions, inverse, pbc, counts, origin, extent):
-    """Atoms into bins, in linear time.
+class Binned(NamedTuple):
+    """Room for a counting sort of N atoms into B bins.
 
-    Returns order and bin_start as in Sorted; cells : (N, 3), lattice vectors that bring each atom into the cell, as numbers;
+    order, bins : (N,) int, atoms in the order of their bins, and the bin of each atom.  bin_start, place : (B + 1,) int.
+    cells : (N, 3), lattice vectors that bring each atom into the cell, as numbers.
     height : (N,) fractional coordinate along the third lattice vector, in the cell.
     """
-    n_atoms = positions.shape[0]
-    bins, order = np.empty(n_atoms, dtype=np.int64), np.empty(n_atoms, dtype=np.int64)
-    cells, height = np.zeros((n_atoms, 3)), np.empty(n_atoms)
-    bin_start = np.zeros(counts[0] * counts[1] * counts[2] + 1, dtype=np.int64)
-    for i in range(n_atoms):
+
+    order: Any
+    bins: Any
+    bin_start: Any
+    place: Any
+    cells: Any
+    height: Any
+
+
+@scalar
+def counting_sort(positions, inverse, pbc, counts, origin, extent, binned):
+    """Atoms into bins, in linear time: fills Binned."""
+    for b in range(binned.bin_start.size):
+        binned.bin_start[b] = 0
+    for i in range(positions.shape[0]):
         index = 0
         for d in range(3):
             s = positions[i, 0] * inverse[0, d] + positions[i, 1] * inverse[1, d] + positions[i, 2] * inverse[2, d]
-            if pbc[d]:
-                cells[i, d] = -np.floor(s)
-                s += cells[i, d]
+            binned.cells[i, d] = -np.floor(s) if pbc[d] else 0.0
+            s += binned.cells[i, d]
             along = int((s - origin[d]) / extent[d] * counts[d])
             index = index * counts[d] + max(0, min(counts[d] - 1, along))
             if d == 2:
-                height[i] = s
-        bins[i] = index
-        bin_start[index + 1] += 1
-    for b in range(bin_start.size - 1):
-        bin_start[b + 1] += bin_start[b]
-    place = bin_start[:-1].copy()
-    for i in range(n_atoms):
-        order[place[bins[i]]] = i
-        place[bins[i]] += 1
-    return order, bin_start, cells, height
+                binned.height[i] = s
+        binned.bins[i] = index
+        binned.bin_start[index + 1] += 1
+    for b in range(binned.bin_start.size - 1):
+        binned.place[b] = binned.bin_start[b]
+        binned.bin_start[b + 1] += binned.bin_start[b]
+    for i in range(positions.shape[0]):
+        place = binned.place[binned.bins[i]]
+        binned.order[place] = i
+        binned.place[binned.bins[i]] = place + 1
 
 
 @kernel
 def _sort(positions, lattice, inverse, pbc, counts, origin, extent):
     """order, offsets and bin_start as in Sorted."""
-    order, bin_start, cells, _ = counting_sort(positions, inverse, pbc, counts, origin, extent)
-    offsets = np.empty((order.size, 3))
-    for k in range(order.size):
+    n_atoms, n_bins = positions.shape[0], counts[0] * counts[1] * counts[2]
+    order, bins = np.empty(n_atoms, dtype=np.int64), np.empty(n_atoms, dtype=np.int64)
+    bin_start, place = np.empty(n_bins + 1, dtype=np.int64), np.empty(n_bins + 1, dtype=np.int64)
+    cells = np.empty((n_atoms, 3))
+    counting_sort(positions, inverse, pbc, counts, origin, extent, Binned(order, bins, bin_start, place, cells, np.empty(n_atoms)))
+    offsets = np.empty((n_atoms, 3))
+    for k in range(n_atoms):
         i = order[k]
         for c in range(3):
             offsets[k, c] = cells[i, 0] * lattice[0, c] + cells[i, 1] * lattice[1, c] + cells[i, 2] * lattice[2, c]

@@ -16,12 +16,13 @@ class Buffers:
     def __init__(self) -> None:
         self._all: dict[str, NDArray[Any]] = {}
 
-    def array(self, name: str, dtype: type, *shape: int) -> NDArray[Any]:
-        """An array of this shape that begins at a cache line; the next one of the same name takes its place."""
-        n = prod(shape)
+    def array(self, name: str, dtype: type, n: int, *more: int) -> NDArray[Any]:
+        """An array of shape (n, *more) that begins at a cache line; the next one of the same name takes its place."""
         kept = self._all.get(name)
         if kept is None or n > len(kept):
-            item = np.dtype(dtype).itemsize
-            raw: NDArray[Any] = np.empty(int(SPARE * n) + CACHE_LINE // item, dtype)
-            kept = self._all[name] = raw[(-raw.ctypes.data % CACHE_LINE) // item :]
-        return kept[:n].reshape(shape)
+            rows, item = int(SPARE * n) + 1, np.dtype(dtype).itemsize
+            size = rows * prod(more)
+            raw: NDArray[Any] = np.empty(size + CACHE_LINE // item, dtype)
+            first = (-raw.ctypes.data % CACHE_LINE) // item
+            kept = self._all[name] = raw[first : first + size].reshape(rows, *more)
+        return kept[:n]

@@ -75,7 +75,7 @@ class ClusterList(ListWithSkin):
         if self._columns is None or self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
             self._columns, self._columns_of = make_columns(cell, positions, reach), cell
         columns = self._columns
-        self.clusters = clusters = sort_into_clusters(positions, cell, columns, self._memory)
+        self.clusters = clusters = sort_into_clusters(positions, cell, columns, self._memory, self._team)
         self.chunks = chunks = cut_into_chunks(clusters, columns, len(positions), cell.pbc)
         n_chunks, n_clusters, n_copies = len(chunks.run) - 1, len(clusters.filled), int(chunks.copy[-1])
         self.copies = copies = _make_copies(n_clusters, n_copies, self._memory)

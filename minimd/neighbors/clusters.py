@@ -11,17 +11,17 @@ Seen from above and from the side (4 columns; one column with its clusters A, B,
 Padding repeats the last atom of its cluster, and nobody looks at it: a cluster knows how many of its lanes are filled.
 """
 
-from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.cell import Cell
-from minimd.compiling import kernel
-from minimd.neighbors.binning import ROUNDING, counting_sort
+from minimd.compiling import kernel, scalar, shared_kernel
+from minimd.neighbors.binning import ROUNDING, Binned, counting_sort
 from minimd.neighbors.buffers import Buffers
 from minimd.potentials.cluster_loop import BLOCK, LANES
+from minimd.team import MOST_SHARES, Team, begin, finish_and_take, take, wait
 
 THINNEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick
 
@@ -77,52 +77,81 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Co
     return Columns(counts, needed.astype(np.int64), ROUNDING * reach / cell.heights[2], origin, extent)
 
 
-def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Columns, memory: Buffers) -> Clusters:
+def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Columns, memory: Buffers, team: Team) -> Clusters:
     """The clusters of all columns, the second lattice direction running faster than the first."""
-    n_columns = int(columns.counts[0] * columns.counts[1])
-    room = ceil((len(positions) + n_columns * (LANES - 1)) / LANES)
-    clusters = Clusters(
-        atom=memory.array("atom", np.int32, room * LANES),
-        filled=memory.array("filled", np.int64, room),
-        offsets=memory.array("offsets", np.float64, room * LANES, 3),
-        column_start=memory.array("column_start", np.int64, n_columns + 1),
-        bottom=memory.array("bottom", np.float64, room),
-        top=memory.array("top", np.float64, room),
-        coordinates=memory.array("home coordinates", np.float64, room * BLOCK),
-        boxes=memory.array("boxes", np.float64, room, 6),
+    n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
+    binned = Binned(
+        order=memory.array("order", np.int64, n),
+        bins=memory.array("bins", np.int64, n),
+        bin_start=memory.array("bin_start", np.int64, n_bins + 1),
+        place=memory.array("place", np.int64, n_bins + 1),
+        cells=memory.array("cells", np.float64, n, 3),
+        height=memory.array("height", np.float64, n),
     )
-    n = _fill_columns(positions, cell.lattice, cell.inverse, cell.pbc, columns.counts, columns.origin, columns.extent, clusters)
-    return clusters._replace(atom=clusters.atom[: n * LANES], filled=clusters.filled[:n])
+    column_start = memory.array("column_start", np.int64, n_columns + 1)
+    sort_into_columns(positions, cell.inverse, cell.pbc, columns, binned, column_start)
+    n_clusters = int(column_start[-1])
+    clusters = Clusters(
+        atom=memory.array("atom", np.int32, n_clusters * LANES),
+        filled=memory.array("filled", np.int64, n_clusters),
+        offsets=memory.array("offsets", np.float64, n_clusters * LANES, 3),
+        column_start=column_start,
+        bottom=memory.array("bottom", np.float64, n_clusters),
+        top=memory.array("top", np.float64, n_clusters),
+        coordinates=memory.array("home coordinates", np.float64, n_clusters * BLOCK),
+        boxes=memory.array("boxes", np.float64, n_clusters, 6),
+    )
+    team.run(_fill_clusters, positions, cell.lattice, columns.counts, binned, clusters, min(int(columns.counts[0]), MOST_SHARES))
+    return clusters
 
 
 @kernel
-def _fill_columns(positions, lattice, inverse, pbc, counts, origin, extent, clusters):
-    """Counting sort into bins of columns, insertion sort within; fills Clusters and returns how many there are."""
-    order, bin_start, cells, height = counting_sort(positions, inverse, pbc, counts, origin, extent)
-    cluster = 0
+def sort_into_columns(positions, inverse, pbc, columns, binned, column_start):
+    """Atoms into the bins of all columns; the first cluster of each column."""
+    counts = columns.counts
+    counting_sort(positions, inverse, pbc, counts, columns.origin, columns.extent, binned)
+    column_start[0] = 0
     for column in range(counts[0] * counts[1]):
-        clusters.column_start[column] = cluster
-        first, last = bin_start[column * counts[2]], bin_start[(column + 1) * counts[2]]
-        for p in range(first, last):
-            i, q = order[p], p
-            while q > first and height[order[q - 1]] > height[i]:
-                order[q] = order[q - 1]
-                q -= 1
-            order[q] = i
-        for p in range(first, last, LANES):
-            n = min(LANES, last - p)
-            clusters.filled[cluster] = n
-            clusters.bottom[cluster], clusters.top[cluster] = height[order[p]], height[order[p + n - 1]]
-            for c in range(3):
-                low, high = np.inf, -np.inf
-                for k in range(LANES):
-                    i, slot = order[p + min(k, n - 1)], cluster * LANES + k
-                    offset = cells[i, 0] * lattice[0, c] + cells[i, 1] * lattice[1, c] + cells[i, 2] * lattice[2, c]
-                    x = positions[i, c] + offset
-                    clusters.atom[slot], clusters.offsets[slot, c] = i, offset
-                    clusters.coordinates[cluster * BLOCK + c * LANES + k] = x
-                    low, high = min(low, x), max(high, x)
-                clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = low, high
-            cluster += 1
-    clusters.column_start[counts[0] * counts[1]] = cluster
-    return cluster
+        n = binned.bin_start[(column + 1) * counts[2]] - binned.bin_start[column * counts[2]]
+        column_start[column + 1] = column_start[column] + (n + LANES - 1) // LANES
+
+
+@shared_kernel
+def _fill_clusters(me, task, positions, lattice, counts, binned, clusters, n):
+    """The clusters of all columns; rows of columns along the second lattice vector are shared out."""
+    phase = begin(me, task)
+    share = take(me, phase, n)
+    while share >= 0:
+        for column in range(share * counts[0] // n * counts[1], (share + 1) * counts[0] // n * counts[1]):
+            _fill_column(column, positions, lattice, counts, binned, clusters)
+        share = finish_and_take(me, phase, n)
+    wait(me, phase)
+
+
+@scalar
+def _fill_column(column, positions, lattice, counts, binned, clusters):
+    """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters."""
+    order, height, cells = binned.order, binned.height, binned.cells
+    first, last = binned.bin_start[column * counts[2]], binned.bin_start[(column + 1) * counts[2]]
+    for p in range(first, last):
+        i, q = order[p], p
+        while q > first and height[order[q - 1]] > height[i]:
+            order[q] = order[q - 1]
+            q -= 1
+        order[q] = i
+    cluster = clusters.column_start[column]
+    for p in range(first, last, LANES):
+        n = min(LANES, last - p)
+        clusters.filled[cluster] = n
+        clusters.bottom[cluster], clusters.top[cluster] = height[order[p]], height[order[p + n - 1]]
+        for c in range(3):
+            low, high = np.inf, -np.inf
+            for k in range(LANES):
+                i, slot = order[p + min(k, n - 1)], cluster * LANES + k
+                offset = cells[i, 0] * lattice[0, c] + cells[i, 1] * lattice[1, c] + cells[i, 2] * lattice[2, c]
+                x = positions[i, c] + offset
+                clusters.atom[slot], clusters.offsets[slot, c] = i, offset
+                clusters.coordinates[cluster * BLOCK + c * LANES + k] = x
+                low, high = min(low, x), max(high, x)
+            clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = low, high
+        cluster += 1

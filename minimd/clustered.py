@@ -7,6 +7,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.compiling import kernel, shared_kernel, without_cache
+from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.chunks import ATOMS_IN_A_CHUNK
 from minimd.neighbors.cluster_list import ClusterList, gather, scatter
 from minimd.options import Options
@@ -67,22 +68,23 @@ class ClusteredPairs:
         self._is_mixed = options.precision == "mixed"
         skin = skin_for(system, laws, options, stride)
         self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, self._is_mixed, self._team)
+        self._parameters: tuple
         self._laws, self._number = laws, np.float32 if self._is_mixed else np.float64
         is_known = not any(is_user_law(law) for law in laws.laws)
         self._evaluate = evaluate_clusters if is_known else without_cache(evaluate_clusters)
-        self._parameters: tuple = ()
+        self._markers, self._parameters, self._memory = tuple(laws.laws), (), Buffers()
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
         if self.list.update(system.positions, system.cell):
-            self._parameters = tuple(self._by_lane(table, system.species_index) for table in self._laws.tables)
+            self._parameters = tuple(self._by_lane(k, table, system.species_index) for k, table in enumerate(self._laws.tables))
         clusters, copies, memory = self.list.clusters, self.list.copies, self.list.memory
         n_slots = len(clusters.atom) if detail != FORCES else 0
         shares = np.zeros(len(copies.owner) * LANES * SHARES if detail == PER_ATOM else 0)
         sums = (Sums if detail != FORCES else ForceSums)(memory.forces, np.zeros(n_slots), np.zeros((n_slots, 6)), shares)
         scene = (system.positions, clusters, self.list.chunks.cluster, copies, self.list.rows, memory)
         before = net_force(forces) if self._is_mixed else None
-        self._team.run(self._evaluate, *scene, tuple(self._laws.laws), self._parameters, detail, sums, forces)
+        self._team.run(self._evaluate, *scene, self._markers, self._parameters, detail, sums, forces)
         if before is not None:
             take_out(net_force(forces) - before, forces)
         if detail != FORCES:
@@ -104,12 +106,27 @@ class ClusteredPairs:
         """See Term."""
         return self._laws.skipped()
 
-    def _by_lane(self, table: NDArray[np.float64], species_index: NDArray[np.int64]) -> SameForAll | ByLane:
+    def _by_lane(self, k: int, table: NDArray[np.float64], species_index: NDArray[np.int64]) -> SameForAll | ByLane:
+        """Parameters of law k, from a table (S, S, 1 + P)."""
         if len(table) == 1:
             return SameForAll(tuple(table[0, 0].tolist()))
-        species = self.list.by_lane(species_index)
-        columns = tuple(np.ascontiguousarray(table[:, species, k], dtype=self._number).ravel() for k in range(table.shape[-1]))
-        return ByLane(columns, species, len(species))
+        slots = len(self.list.copies.owner) * LANES
+        values = self._memory.array(f"parameters of law {k}", self._number, table.shape[-1] * len(table) * slots)
+        columns = values.reshape(table.shape[-1], -1)
+        species = self._memory.array(f"species of law {k}", np.int64, slots)
+        fill_lanes(table, species_index, self.list.clusters.atom, self.list.copies.owner, columns, species)
+        return ByLane(tuple(columns), species, slots)
+
+
+@kernel
+def fill_lanes(table, species_index, atom, owner, columns, species):
+    """species (slots,) and columns (1 + P, S · slots), as ByLane describes them, of all lanes of all copies."""
+    slots = species.size
+    for slot in range(slots):
+        species[slot] = species_index[atom[owner[slot // LANES] * LANES + slot % LANES]]
+        for a in range(table.shape[0]):
+            for p in range(table.shape[2]):
+                columns[p, a * slots + slot] = table[a, species[slot], p]
 
 
 @kernel

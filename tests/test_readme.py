@@ -1,11 +1,16 @@
-"""The README's scripts run as they stand, shortened."""
+"""The README's scripts run as they stand, shortened; what it and the pages beside it say about the code is there."""
 
 import re
 from pathlib import Path
 
 import pytest
 
-README = Path(__file__).parents[1] / "README.md"
+from minimd.clustered import ATOMS_IN_A_CHUNK
+from minimd.pair_laws import CLUSTERS_FROM
+
+REPOSITORY = Path(__file__).parents[1]
+README = REPOSITORY / "README.md"
+FAST_FORCES = REPOSITORY / "docs" / "fast-forces.md"
 SCRIPTS = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.S)
 
 
@@ -19,3 +24,25 @@ def test_readme_scripts_run(script, tmp_path, monkeypatch, capsys):
 
 def test_readme_has_no_blanks():
     assert "@" not in README.read_text(encoding="utf-8").replace("@dataclass", "")
+
+
+@pytest.mark.parametrize("page", [README, FAST_FORCES], ids=lambda page: page.name)
+def test_links_and_files_named_are_there(page):
+    text = page.read_text(encoding="utf-8")
+    for link in re.findall(r"\]\(([^):]+)\)", text):
+        assert (page.parent / link).exists()
+    for file in re.findall(r"`((?:minimd|docs|examples|tests)/[\w/.-]+)`", text):
+        assert (REPOSITORY / file).exists()
+
+
+def test_fast_forces_quotes_the_loop_as_it_stands():
+    quoted = re.search(r"```python\n(.*?)```", FAST_FORCES.read_text(encoding="utf-8"), re.S)
+    source = (REPOSITORY / "minimd" / "potentials" / "cluster_loop.py").read_text(encoding="utf-8")
+    lines = {line.strip() for line in source.splitlines()}
+    assert [line for line in quoted[1].splitlines() if line not in lines] == []
+
+
+def test_numbers_of_atoms_are_those_of_the_code():
+    assert f"Scenes below {2 * ATOMS_IN_A_CHUNK} atoms" in README.read_text(encoding="utf-8")
+    assert f"A chunk has at least {ATOMS_IN_A_CHUNK} atoms" in FAST_FORCES.read_text(encoding="utf-8")
+    assert f"- {CLUSTERS_FROM} atoms or more" in FAST_FORCES.read_text(encoding="utf-8")

@@ -86,7 +86,7 @@ def explain(panel, found):
     edge, far = found.chunks.column[1] * THICKNESS, WIDTH + 0.8
     for text, words_at, points_at in (
         ("an atom, its cutoff,\nand cutoff + skin", (far, HEIGHT + 1.6), (edge + 0.55, HEIGHT + 0.1)),
-        ("ringed: the atoms in its row;\nwhoever is behind has it in\na row of his own", (far, HEIGHT - 2.2), (edge + 1.95, HEIGHT - 2.2)),
+        ("ringed: the atoms in its row;\nthose behind have it in theirs", (far, HEIGHT - 2.2), (edge + 1.95, HEIGHT - 2.2)),
         ("pale: copies of clusters of\nthe next chunk", (far, 6.4), (edge + THICKNESS + 0.1, 6.0)),
         ("dots: what this chunk\ndoes not see", (far, 3.0), (WIDTH - 1.0, 2.6)),
         ("pale: copies of clusters at\nthe other end of the cell", (far, -2.4), (edge + THICKNESS + 0.1, -2.0)),

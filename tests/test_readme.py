@@ -1,11 +1,14 @@
 """The README's scripts run as they stand, shortened; what it and the pages beside it say about the code is there."""
 
 import re
+import runpy
+import shutil
 from pathlib import Path
 
 import pytest
 
 from minimd.clustered import ATOMS_IN_A_CHUNK
+from minimd.neighbors import chunks
 from minimd.pair_laws import CLUSTERS_FROM
 
 REPOSITORY = Path(__file__).parents[1]
@@ -46,3 +49,9 @@ def test_numbers_of_atoms_are_those_of_the_code():
     assert f"Scenes below {2 * ATOMS_IN_A_CHUNK} atoms" in README.read_text(encoding="utf-8")
     assert f"A chunk has at least {ATOMS_IN_A_CHUNK} atoms" in FAST_FORCES.read_text(encoding="utf-8")
     assert f"- {CLUSTERS_FROM} atoms or more" in FAST_FORCES.read_text(encoding="utf-8")
+
+
+def test_picture_of_clusters_can_be_drawn_anew(tmp_path, monkeypatch):
+    monkeypatch.setattr(chunks, "ATOMS_IN_A_CHUNK", ATOMS_IN_A_CHUNK)  # the script makes it smaller
+    runpy.run_path(shutil.copy(REPOSITORY / "docs" / "draw_clusters.py", tmp_path), run_name="__main__")
+    assert (tmp_path / "clusters.png").stat().st_size > 0

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 from pathlib import Path
+from time import perf_counter
 
 import numba
 from numba.core import event
@@ -69,6 +70,28 @@ def scalar(function):
 def without_cache(dispatcher):
     """The same kernel compiled anew in each process: for laws that the user defines, which no cache can recognise."""
     return numba.njit(error_model="numpy", nogil=True)(dispatcher.py_func)
+
+
+class CompileClock(event.Listener):
+    """Counts the seconds spent compiling, so that they are not taken for those of steps."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._depth, self._started = 0, 0.0
+
+    def on_start(self, _event: event.Event) -> None:
+        """Called by Numba; compilations nest."""
+        self._started = self._started if self._depth else perf_counter()
+        self._depth += 1
+
+    def on_end(self, _event: event.Event) -> None:
+        """Called by Numba."""
+        self._depth -= 1
+        self.seconds += 0.0 if self._depth else perf_counter() - self._started
+
+
+compile_clock = CompileClock()
+event.register("numba:compile", compile_clock)
 
 
 class announce_compilation(event.Listener):  # noqa: N801 - used as a context manager

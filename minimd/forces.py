@@ -50,7 +50,7 @@ class Forces:
         self._plan()
         self.forces = np.zeros_like(system.positions)
         self.n_evaluations, self._builds_before = 0, 0
-        self._compiled = False
+        self._compiled: set[int] = set()
         self._energies = np.zeros(len(system))
         self._virials = np.zeros((len(system), 6))
         self._detail = FORCES
@@ -84,12 +84,12 @@ class Forces:
         self.forces[:] = 0.0
         if detail != FORCES:
             self._energies[:], self._virials[:] = 0.0, 0.0
-        if self._compiled:
+        if detail in self._compiled:
             self._sum(detail)
         else:
             with announce_compilation():
                 self._sum(detail)
-            self._compiled = True
+            self._compiled.add(detail)
         self.n_evaluations += 1
         self._detail = detail
         return self.forces

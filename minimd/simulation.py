@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd import observables
+from minimd.compiling import compile_clock
 from minimd.errors import NonFiniteError
 from minimd.faults import autopsy, fault_at_start, fault_of
 from minimd.forces import Forces, Potential
@@ -232,9 +233,9 @@ class Simulation:
     def _advance(self, n_steps: int, look: bool) -> None:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why."""
         before = self.positions.copy(), self.velocities.copy()
-        started = perf_counter()
+        started, compiled = perf_counter(), compile_clock.seconds
         done = self._attempt(n_steps, look)
-        self._run_seconds += perf_counter() - started
+        self._run_seconds += perf_counter() - started - (compile_clock.seconds - compiled)
         if done is None:
             self._replay(before, n_steps)
         self._count(done)

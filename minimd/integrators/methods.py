@@ -1,59 +1,6 @@
-"""The table of splitting methods: one row of coefficients each."""
+"""The table of splitting methods, by name."""
 
-from minimd.integrators.splitting import Drift, Kick, Splitting
+from minimd.integrators.splitting import Splitting
+from minimd.integrators.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
 
-
-class VelocityVerlet(Splitting):
-    """Velocity Verlet, Störmer-Verlet (A): order 2, symplectic, time-reversible, one force evaluation per step.
-
-        v(t+Δt/2) = v(t) + Δt/2 F(t)/m              kick
-        r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift
-        F(t+Δt)   = −∇U(r(t+Δt))
-        v(t+Δt)   = v(t+Δt/2) + Δt/2 F(t+Δt)/m      kick
-
-    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
-    """
-
-    name = "velocity-verlet"
-    stages = (Kick(0.5), Drift(1.0), Kick(0.5))
-    order = 2
-    source = "W. C. Swope et al., J. Chem. Phys. 76, 637 (1982), eq. 16-17"
-
-
-class PositionVerlet(Splitting):
-    """Position Verlet, Störmer-Verlet (B): the same two flows with the drift outside.
-
-        r(t+Δt/2) = r(t) + Δt/2 v(t)                drift
-        v(t+Δt)   = v(t) + Δt F(t+Δt/2)/m           kick
-        r(t+Δt)   = r(t+Δt/2) + Δt/2 v(t+Δt)        drift
-
-    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
-    """
-
-    name = "position-verlet"
-    stages = (Drift(0.5), Kick(1.0), Drift(0.5))
-    order = 2
-    source = "M. Tuckerman, B. J. Berne, G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), eq. 2.22"
-
-
-class Leapfrog(Splitting):
-    """Leapfrog: velocities live half a step before the positions.
-
-        v(t+Δt/2) = v(t−Δt/2) + Δt F(t)/m           kick
-        r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift
-
-    A run opens with half a kick backwards and closes with half a kick forwards, so that velocities, energies and files
-    always show v(t) beside r(t); the positions are those of velocity Verlet.
-
-    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
-    """
-
-    name = "leapfrog"
-    opening = (Kick(-0.5),)
-    stages = (Kick(1.0), Drift(1.0))
-    closing = (Kick(0.5),)
-    order = 2
-    source = "R. W. Hockney, J. W. Eastwood, Computer Simulation Using Particles (1981), 4-3-1"
-
-
-METHODS: dict[str, type[Splitting]] = {method.name: method for method in (VelocityVerlet, PositionVerlet, Leapfrog)}
+METHODS: dict[str, type[Splitting]] = {method.name: method for method in (VelocityVerlet, PositionVerlet, Leapfrog, SE1, SE2)}

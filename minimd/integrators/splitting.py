@@ -1,7 +1,7 @@
 """Splitting methods: the flows of the two halves of H = T(p) + V(q), composed from a row of coefficients.
 
-    kick   φ[V]:  v(t+cΔt) = v(t) + cΔt F(r)/m       positions stand still
-    drift  φ[T]:  r(t+cΔt) = r(t) + cΔt v            velocities stand still
+    drift  φ[1]:  r(t+cΔt) = r(t) + cΔt v            velocities stand still
+    kick   φ[2]:  v(t+cΔt) = v(t) + cΔt F(r)/m       positions stand still
 
 Each half is solved exactly, so every composition is symplectic and conserves total momentum; it is reversible if the row
 reads the same from both ends. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
@@ -11,12 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
 from numbers import Real
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiling import kernel
+from minimd.integrators.orders import nystrom_order
+from minimd.integrators.rows import Drift, Kick, Row, is_palindrome, merged
 
 
 @dataclass
@@ -39,21 +41,6 @@ class State:
 ComputeForces = Callable[[State, bool], None]  # fills state.forces; True if somebody will look at the energy
 
 
-class Kick(NamedTuple):
-    """φ[V] over coefficient · Δt."""
-
-    coefficient: float
-
-
-class Drift(NamedTuple):
-    """φ[T] over coefficient · Δt."""
-
-    coefficient: float
-
-
-Stage = Kick | Drift
-
-
 @kernel
 def kick(velocities, forces, inverse_masses, duration):
     """velocities += duration · forces / m.  (N, 3) [length/time], (N, 3) [energy/length], (N,) [1/mass], [time]."""
@@ -73,6 +60,25 @@ def drift(positions, velocities, duration):
         positions[i, 2] += duration * velocities[i, 2]
 
 
+Value = TypeVar("Value")
+
+
+class Answer(Generic[Value]):
+    """An attribute of a method that is computed from its row whenever it is asked for."""
+
+    def __init__(self, question: Callable[[type[Any]], Value]) -> None:
+        self.question = question
+
+    def __get__(self, _instance: object, method: type[Any]) -> Value:
+        return self.question(method)
+
+
+def n_evaluations(method: "type[Splitting]") -> int:
+    """Force evaluations per step of a long run: the kicks of a step, the last and the first being one."""
+    kicks = [isinstance(stage, Kick) for stage in merged(method.stages)]
+    return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
+
+
 class Splitting:
     """A splitting method, given by its row of stages.
 
@@ -86,8 +92,13 @@ class Splitting:
 
     Attributes of each method
     -------------------------
-    name, stages, order, source : key in METHODS; kicks and drifts of one step; order of the error in Δt; literature.
+    name, stages, source : key in METHODS; kicks and drifts of one step; literature.
     opening, closing : stages before the first and after the last of a run of steps, for velocities at half steps.
+
+    Answers computed from them
+    --------------------------
+    order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).  n_evaluations : forces computed per step in a long run.
+    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1, then also reversible.  is_symplectic, is_explicit : always true of splittings.
 
     Raises
     ------
@@ -96,11 +107,15 @@ class Splitting:
 
     timestep: float
     name: ClassVar[str]
-    stages: ClassVar[tuple[Stage, ...]]
-    order: ClassVar[int]
+    stages: ClassVar[Row]
     source: ClassVar[str]
-    opening: ClassVar[tuple[Stage, ...]] = ()
-    closing: ClassVar[tuple[Stage, ...]] = ()
+    opening: ClassVar[Row] = ()
+    closing: ClassVar[Row] = ()
+    is_symplectic: ClassVar[bool] = True
+    is_explicit: ClassVar[bool] = True
+    order = Answer(lambda method: nystrom_order(method.row()))
+    is_symmetric = Answer(lambda method: is_palindrome(method.row()))
+    n_evaluations = Answer(n_evaluations)
 
     def __init__(self, timestep: float) -> None:
         if not (isinstance(timestep, Real) and isfinite(timestep) and timestep != 0.0):
@@ -109,6 +124,11 @@ class Splitting:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(timestep={self.timestep:g})"
+
+    @classmethod
+    def row(cls) -> Row:
+        """One step from opening to closing, equal neighbors merged."""
+        return merged((*cls.opening, *cls.stages, *cls.closing))
 
     def advance(self, state: State, compute_forces: ComputeForces, n_steps: int, look: bool = True) -> int:
         """Make n_steps steps, at least one, fewer if state.stop_requested becomes true; return how many.
@@ -124,7 +144,7 @@ class Splitting:
             self._apply(body + between, state, compute_forces)
         return step
 
-    def _merged(self) -> tuple[tuple[Stage, ...], ...]:
+    def _merged(self) -> tuple[Row, ...]:
         """The row as stages before, in, between and after the steps, with equal neighbors made one."""
         first, last = self.stages[0], self.stages[-1]
         if len(self.stages) == 1 or type(first) is not type(last):
@@ -132,7 +152,7 @@ class Splitting:
         merged = type(first)(first.coefficient + last.coefficient)
         return (*self.opening, first), self.stages[1:-1], (merged,), (last, *self.closing)
 
-    def _apply(self, stages: tuple[Stage, ...], state: State, compute_forces: ComputeForces, look_at_last: bool = False) -> None:
+    def _apply(self, stages: Row, state: State, compute_forces: ComputeForces, look_at_last: bool = False) -> None:
         for k, stage in enumerate(stages, start=1):
             duration = stage.coefficient * self.timestep
             if isinstance(stage, Drift):

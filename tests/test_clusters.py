@@ -2,20 +2,19 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from cluster_scenes import CUTOFF, KINDS, SKIN, SMOOTH, agree, atoms_in_a_chunk, evaluated, n_chunks, rod, scenes, summed
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from references import liquid, melt
+from references import brute_force_pairs, liquid, melt
 
 import minimd as md
-from minimd.cell import Cell
 from minimd.clustered import ClusteredPairs
 from minimd.options import Options
 from minimd.pair_laws import PairLaws
 from minimd.potentials.cluster_loop import BLOCK
-from minimd.potentials.pair_loop import FORCES, TOTALS
+from minimd.potentials.pair_loop import PER_ATOM, TOTALS
 from minimd.terms import ListedPairs
 
-CUTOFF, SKIN = 2.0, 0.3
 SKINNED, BARE = Options(skin=SKIN, threads=2), Options(skin=0.0)
 EQUAL = 1e-13  # rounding: sums in another order
 
@@ -28,65 +27,44 @@ def branching(r2, height):
     return (height, 0.0) if r2 < 1.0 else (height / r2, 2.0 * height / r2**2)
 
 
-KINDS = {"A": (1.0, 1.0), "B": (0.5, 0.88), "C": (0.2, 1.2)}
 CUTOFFS = {(a, b): 1.5 + 0.1 * k for k, (a, b) in enumerate(["AA", "AB", "AC", "BB", "BC", "CC"])}
-POTENTIALS = {
-    "one species": [md.LennardJones(1.0, 1.0, CUTOFF, "force-shifted")],
-    "three species": [md.LennardJones(KINDS, cutoff=CUTOFF, truncation="switched")],
+POTENTIALS = SMOOTH | {
     "cutoffs by pair": [md.LennardJones({"A": (1, 1), "B": (0.5, 0.9), "C": (1, 1)}, cutoff=CUTOFFS)],
-    "exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, bonded_scale=(0.0, 0.3, 0.8))],
+    "shifted": [md.LennardJones(1.0, 1.0, CUTOFF)],
+    "shifted, exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, bonded_scale=(0.0, 0.3, 0.8))],
     "two laws": [md.LennardJones(1.0, 1.0, 1.6), md.PairPotential(soft, (3.0,), CUTOFF)],
 }
 
 
-@st.composite
-def scenes(draw):
-    """Atoms on a jittered lattice or a gas, with gaps, in a triclinic cell at least as high as the list reaches; chains of bonds."""
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    n = draw(st.sampled_from([2, 3, 7, 8, 9, 30, 120, 400, 1500]))
-    density = draw(st.sampled_from([0.01, 0.3, 1.0]))
-    edge = max((n / density) ** (1 / 3), 1.3 * (CUTOFF + SKIN))
-    cell = np.eye(3) * edge * rng.uniform(0.9, 1.3, 3) + draw(st.sampled_from([0.0, 0.25])) * edge * rng.uniform(-1, 1, (3, 3))
-    pbc = np.array(draw(st.tuples(st.booleans(), st.booleans(), st.booleans())))
-    checked = Cell.of(cell, pbc)
-    assume(np.all(checked.heights[pbc] >= CUTOFF + SKIN))
-    grid = int(np.ceil(n ** (1 / 3)))
-    sites = np.stack(np.meshgrid(*[np.arange(grid)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    chosen = np.sort(rng.permutation(len(sites))[:n])
-    positions = ((sites[chosen] + 0.5 + 0.15 * rng.uniform(-1, 1, (n, 3))) / grid) @ cell + rng.integers(-2, 3, (n, 3)) @ cell
-    positions = positions if pbc.all() else ((sites[chosen] + 0.5 + 0.15 * rng.uniform(-1, 1, (n, 3))) / grid) @ cell
-    bonds = [[k, k + 1] for k in range(n - 1) if k % 5]
-    return md.System(positions, cell=checked, species=rng.choice(["A", "B", "C"], n), bonds=bonds)
-
-
-def summed(term, system, detail=TOTALS):
-    forces, energies, virials = np.zeros((len(system), 3)), np.zeros(len(system)), np.zeros((len(system), 6))
-    term.add(system, detail, forces, energies, virials)
-    return forces, energies.sum(), virials.sum(axis=0)
-
-
-def agree(clustered, listed, system):
-    a, b = summed(clustered, system), summed(listed, system)
-    for got, expected in zip(a, b, strict=True):
-        assert np.abs(got - expected).max() <= EQUAL * max(1.0, np.abs(b[0]).max(), np.abs(expected).max())
-    assert np.array_equal(summed(clustered, system, FORCES)[0], a[0])
+def both_lists(system, potentials, options=SKINNED):
+    laws = PairLaws(system, potentials)
+    return ClusteredPairs(system, laws, options), ListedPairs(system, laws, BARE)
 
 
 @pytest.mark.parametrize("name", POTENTIALS)
-@given(system=scenes(), seed=st.integers(0, 2**32 - 1))
+@given(system=scenes(), seed=st.integers(0, 2**32 - 1), atoms=st.sampled_from([5, 40, 800]))
 @settings(max_examples=40)
-def test_clusters_and_pairs_are_the_same_physics(name, system, seed):
-    laws = PairLaws(system, POTENTIALS[name])
-    clustered, listed = ClusteredPairs(system, laws, SKINNED), ListedPairs(system, laws, BARE)
-    agree(clustered, listed, system)
-    rng = np.random.default_rng(seed)
-    step = rng.normal(size=system.positions.shape)
-    system.positions += 0.499 * SKIN * step / np.linalg.norm(step, axis=1, keepdims=True)
-    agree(clustered, listed, system)
-    assert clustered.list.n_builds == (1 if clustered.list.skin > 0.0 else 2)
-    moved = rng.random(len(system)) < 0.3
-    system.positions[moved] += (rng.integers(-2, 3, (moved.sum(), 3)) * system.cell.pbc) @ system.cell.vectors
-    agree(clustered, listed, system)
+def test_clusters_and_pairs_are_the_same_physics(name, system, seed, atoms):
+    with atoms_in_a_chunk(atoms):
+        clustered, listed = both_lists(system, POTENTIALS[name])
+        agree(clustered, listed, system, EQUAL)
+        rng = np.random.default_rng(seed)
+        step = rng.normal(size=system.positions.shape)
+        system.positions += 0.499 * SKIN * step / np.linalg.norm(step, axis=1, keepdims=True)
+        n_builds = clustered.list.n_builds
+        agree(clustered, listed, system, EQUAL)
+        assert clustered.list.n_builds == n_builds + (clustered.list.skin == 0.0)
+        moved = rng.random(len(system)) < 0.3
+        system.positions[moved] += (rng.integers(-2, 3, (moved.sum(), 3)) * system.cell.pbc) @ system.cell.vectors
+        agree(clustered, listed, system, EQUAL)
+
+
+@pytest.mark.parametrize("name", ["three species", "exclusions"])
+@given(system=scenes(sizes=[2000, 5000]), atoms=st.sampled_from([40, 800]))
+@settings(max_examples=10)
+def test_clusters_and_pairs_are_the_same_physics_for_thousands(name, system, atoms):
+    with atoms_in_a_chunk(atoms):
+        agree(*both_lists(system, POTENTIALS[name]), system, EQUAL)
 
 
 @pytest.mark.parametrize("size", [5, 9])
@@ -132,7 +110,7 @@ def test_excluded_pairs_may_sit_on_each_other_in_clusters_too():
     system.positions[1] = system.positions[0]
     bonded = md.System(system.positions, cell=system.cell, bonds=[[0, 1]])
     laws = PairLaws(bonded, [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 1, 1))])
-    agree(ClusteredPairs(bonded, laws, SKINNED), ListedPairs(bonded, laws, BARE), bonded)
+    agree(ClusteredPairs(bonded, laws, SKINNED), ListedPairs(bonded, laws, BARE), bonded, EQUAL)
 
 
 def test_rule_which_list_a_scene_gets():
@@ -174,3 +152,93 @@ def test_melt_per_atom_energies_come_from_the_pair_list():
     assert total == pytest.approx(result.energies.sum(), rel=1e-13)
     assert virial == pytest.approx(result.virial, rel=1e-12, abs=1e-9)
     assert vectors == pytest.approx(result.forces, rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.parametrize("atoms", [1, 50, 800])
+@pytest.mark.parametrize("pbc", [True, (True, False, False), (False, True, True), False])
+def test_chunks_change_nothing_but_rounding(atoms, pbc):
+    system = rod()
+    system = md.System(system.positions, cell=md.cell.Cell.of(system.cell.vectors, pbc), species=system.species, bonds=system.bonds)
+    with atoms_in_a_chunk(atoms):
+        clustered, listed = both_lists(system, POTENTIALS["exclusions"])
+        agree(clustered, listed, system, EQUAL)
+    assert n_chunks(clustered) >= (1 if atoms == 800 else 5)
+
+
+def lennard_jones_by_hand(system, cutoff):
+    """Forces, energies and virials of all atoms, shifted Lennard-Jones, each pair from both sides."""
+    pairs = np.array(sorted(brute_force_pairs(system.positions, system.cell.vectors, system.cell.pbc, cutoff)), dtype=int).reshape(-1, 5)
+    first, second, shifts = pairs[:, 0], pairs[:, 1], pairs[:, 2:]
+    r = system.positions[second] - system.positions[first] + shifts @ system.cell.vectors
+    s6 = (r**2).sum(axis=1) ** -3.0
+    f = 24.0 * s6 * (2.0 * s6 - 1.0) / (r**2).sum(axis=1)
+    forces, energies, virials = np.zeros((len(system), 3)), np.zeros(len(system)), np.zeros((len(system), 6))
+    np.add.at(forces, first, -f[:, None] * r)
+    np.add.at(energies, first, 0.5 * (4.0 * s6 * (s6 - 1.0) - 4.0 * (cutoff**-12 - cutoff**-6)))
+    np.add.at(virials, first, 0.5 * f[:, None] * r[:, [0, 1, 2, 1, 0, 0]] * r[:, [0, 1, 2, 2, 2, 1]])
+    return forces, energies, virials
+
+
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize("n", range(1, 20))
+def test_padding_has_no_weight(n, precision):
+    """Atoms of one column: 1 to 8 lanes of the last cluster are filled, all others repeat its last atom."""
+    positions = np.column_stack([0.4 * (-1.0) ** np.arange(n), np.zeros(n), 0.9 * np.arange(n)])
+    for pbc in (True, (True, True, False)):
+        system = md.System(positions + 0.3, cell=[2.4, 2.4, max(2.4, 0.9 * n)], pbc=pbc)
+        potential = md.LennardJones(1.0, 1.0, CUTOFF)
+        clustered = ClusteredPairs(system, PairLaws(system, [potential]), Options(1, precision, skin=SKIN))
+        got, expected = evaluated(clustered, system, PER_ATOM), lennard_jones_by_hand(system, CUTOFF)
+        assert (clustered.list.clusters.filled.sum(), len(clustered.list.clusters.column_start)) == (n, 2)
+        for a, b in zip(got, expected, strict=True):
+            assert a == pytest.approx(b, abs=(EQUAL if precision == "double" else 1e-5) * max(1.0, np.abs(b).max()), rel=0)
+
+
+def towards_a_partner(system):
+    """Unit vectors that lead as many pairs as possible, listed but beyond the cutoff, straight towards each other; their distances."""
+    first, second, vectors, distances = md.neighbor_list("ijDd", system, CUTOFF + SKIN)
+    directions, free, gaps = np.zeros_like(system.positions), np.ones(len(system), dtype=bool), []
+    for p in np.argsort(distances)[::-1]:
+        if distances[p] > CUTOFF and first[p] != second[p] and free[first[p]] and free[second[p]]:
+            free[[first[p], second[p]]] = False
+            directions[first[p]], directions[second[p]] = vectors[p] / distances[p], -vectors[p] / distances[p]
+            gaps.append(distances[p])
+    return directions, np.array(gaps)
+
+
+@given(system=scenes(sizes=[8, 120, 400]), atoms=st.sampled_from([5, 800]))
+@settings(max_examples=40)
+def test_pairs_that_run_into_each_other_are_not_missed(system, atoms):
+    """Half the skin each, on the shortest way: those that were almost beyond the list come just within the cutoff."""
+    with atoms_in_a_chunk(atoms):
+        clustered, listed = both_lists(system, POTENTIALS["shifted"])  # the force jumps at the cutoff
+        agree(clustered, listed, system, EQUAL)
+        directions, gaps = towards_a_partner(system)
+        for away in (0.4999999, -0.4999999):
+            moved = md.System(system.positions + away * SKIN * directions, cell=system.cell, species=system.species)
+            agree(clustered, listed, moved, EQUAL)
+        assert clustered.list.n_builds == 1
+        farther = md.System(system.positions + 0.5000001 * SKIN * directions, cell=system.cell, species=system.species)
+        agree(clustered, listed, farther, EQUAL)
+        assert clustered.list.n_builds == (2 if len(gaps) else 1)
+    assert np.all(gaps - 2 * 0.4999999 * SKIN < CUTOFF + 1e-6)
+
+
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize("skin", [0.05, 0.3, None])
+def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
+    system, seen = rod(12, 4), []
+    potentials = POTENTIALS["three species"]
+    simulation = md.Simulation(system, potentials, md.VelocityVerlet(0.002), skin=skin, precision=precision, threads=2)
+    simulation.set_temperature(8.0, 5)
+
+    def compare(running):
+        fresh = md.evaluate(running.system, potentials)
+        force = np.abs(running.forces - fresh.forces).max() / np.abs(fresh.forces).max()
+        energy = abs(running.record.potential_energy[-1] - fresh.potential_energy) / np.abs(fresh.energies).sum()
+        seen.append(max(force, energy))
+
+    record = simulation.run(300, every=10, observers=[compare])
+    assert simulation._forces.n_builds > 5
+    assert max(seen) < (1e-12 if precision == "double" else 1e-5)
+    assert np.ptp(record.total_energy[2:]) < 0.002 * record.kinetic_energy.mean()

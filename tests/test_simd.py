@@ -128,6 +128,51 @@ def test_conversion_rounds_to_the_nearest():
     assert np.array_equal(back, narrow.astype(np.float64))
 
 
+@pytest.mark.parametrize("like", ["number", "vector"])
+@pytest.mark.parametrize("n", LANES)
+@pytest.mark.parametrize(("kind", "to"), [(np.int32, np.float32), (np.int32, np.float64), (np.float64, np.float32), (np.float32, np.float64)])
+def test_conversion_goes_by_the_type_of_a_number_or_a_vector(kind, to, n, like):
+    """Integers beyond 2²⁴ are rounded to the nearest float32, ties to even; in float64 all are exact."""
+    number = to(0.0)
+
+    @numba.njit
+    def run(values, out):
+        store(out, 0, convert(load(values, 0, n), number if like == "number" else load(out, 0, n)))
+
+    limits = [2**31 - 1, -(2**31), 2**24 + 1, 2**24 + 3, -(2**24) - 1, 0, 1, -7]
+    values = np.resize(limits, n).astype(kind) if kind == np.int32 else numbers(kind, n)
+    out = np.ones(n, to)
+    run(values, out)
+    assert np.array_equal(out, values.astype(to))
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_conversion_to_the_same_type_changes_nothing(kind):
+    @numba.njit
+    def run(values, out):
+        x = load(values, 0, 8)
+        store(out, 0, convert(x, x))
+
+    values, out = numbers(kind, 8), np.zeros(8, kind)
+    if kind == np.int32:
+        values[:2] = 2**31 - 1, -(2**31)
+    run(values, out)
+    assert np.array_equal(out, values)
+
+
+def test_differences_of_large_integers_are_exact_before_they_are_converted():
+    """What mixed precision stands on: a small distance between far places has no rounding error."""
+
+    @numba.njit
+    def run(a, b, out):
+        store(out, 0, convert(load(a, 0, 8) - load(b, 0, 8), np.float32(0.0)))
+
+    b = np.linspace(-(2**31) + 1000, 2**31 - 1000, 8).astype(np.int32)
+    out, apart = np.zeros(8, np.float32), np.arange(1, 9, dtype=np.int32)
+    run(b + apart, b, out)
+    assert np.array_equal(out, apart)
+
+
 @pytest.mark.parametrize("truncation", TRUNCATIONS)
 def test_laws_compile_for_vectors_from_the_same_source(truncation):
     @numba.njit(error_model="numpy")

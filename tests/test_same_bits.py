@@ -1,0 +1,78 @@
+"""The number of threads changes nothing, to the last bit."""
+
+import numpy as np
+import pytest
+from cluster_scenes import KINDS, SMOOTH, atoms_in_a_chunk, n_chunks, rod
+from references import melt
+
+import minimd as md
+
+THREADS = [2, 3, 4, 8]
+SERIES = ("potential_energy", "kinetic_energy", "total_energy", "temperature", "pressure", "momentum", "angular_momentum")
+
+
+def mixture():
+    """Chains of three species in a long cell, 1-2 and 1-3 neighbors excluded, held together by springs."""
+    bonded = md.LennardJones(KINDS, cutoff=2.0, truncation="force-shifted", bonded_scale=(0.0, 0.0, 0.5))
+    return rod(30, 5), [bonded, md.HarmonicBond(50.0, 1.1)]
+
+
+SCENES = {
+    "melt": lambda: (melt(), md.LennardJones(1.0, 1.0, 2.5)),
+    "rod": lambda: (rod(30, 5), SMOOTH["two known laws"]),
+    "mixture": mixture,
+}
+
+
+def ran(scene, precision, threads, n_steps):
+    system, potentials = SCENES[scene]()
+    with atoms_in_a_chunk(100):  # a team of eight, and as many chunks as the cell is long
+        simulation = md.Simulation(system, potentials, md.VelocityVerlet(0.003), threads=threads, precision=precision)
+        if not system.velocities.any():
+            simulation.set_temperature(1.5, 2)
+        return simulation, simulation.run(n_steps, every=max(1, n_steps // 20))
+
+
+def assert_same_bits_on_any_number_of_threads(scene, precision, n_steps):
+    one, record = ran(scene, precision, 1, n_steps)
+    term = next(term for term in one._forces.terms if hasattr(term, "words"))
+    assert n_chunks(term) >= 4
+    assert term.list.n_builds > 1
+    for threads in THREADS:
+        other, same = ran(scene, precision, threads, n_steps)
+        assert f"{threads} threads, {precision} precision" in other._forces.pair_search
+        assert np.array_equal(other.positions, one.positions)
+        assert np.array_equal(other.velocities, one.velocities)
+        assert np.array_equal(other.forces, one.forces)
+        assert all(np.array_equal(getattr(same, name), getattr(record, name)) for name in SERIES)
+
+
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize("scene", SCENES)
+def test_any_number_of_threads_gives_the_same_bits(scene, precision):
+    assert_same_bits_on_any_number_of_threads(scene, precision, 200)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_thousand_steps_on_any_number_of_threads_give_the_same_bits(scene, precision):
+    assert_same_bits_on_any_number_of_threads(scene, precision, 1000)
+
+
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+def test_energies_of_atoms_have_the_same_bits_too(precision):
+    system, potentials = mixture()
+    with atoms_in_a_chunk(100):
+        one, eight = (md.Forces(system, potentials, md.options.Options(threads, precision)) for threads in (1, 8))
+    for forces in (one, eight):
+        forces.compute(md.potentials.pair_loop.PER_ATOM)
+    assert np.array_equal(one.energies, eight.energies)
+    assert np.array_equal(one.virials, eight.virials)
+    assert np.array_equal(one.forces, eight.forces)
+
+
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+def test_the_same_run_twice_gives_the_same_bits(precision):
+    (one, _), (other, _) = (ran("mixture", precision, 2, 50) for _ in range(2))
+    assert np.array_equal(one.positions, other.positions)

@@ -6,21 +6,8 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from minimd.integrators import (
-    METHODS,
-    SE1,
-    SE2,
-    Drift,
-    Kick,
-    Leapfrog,
-    PositionVerlet,
-    Splitting,
-    VelocityVerlet,
-    adjoint,
-    compose,
-    stormer_summed,
-    stormer_two_step,
-)
+from minimd.integrators import METHODS, SE1, SE2, Drift, Kick, Leapfrog, PositionVerlet, Splitting, VelocityVerlet, adjoint, compose
+from minimd.integrators.two_step import stormer_summed, stormer_two_step
 
 REVERSIBLE = [method for method in METHODS.values() if method.is_symmetric]
 OTHERS = [method for method in METHODS.values() if not method.is_symmetric]
@@ -259,25 +246,6 @@ def test_symplectic_euler_methods_are_adjoint_to_each_other_and_not_symmetric():
     assert not SE1.is_symmetric
     assert not SE2.is_symmetric
     assert (SE1.order, SE2.order, compose(SE2, SE1).order) == (1, 1, 2)
-
-
-def test_flows_are_objects_that_one_composes():
-    """The last one acts first, as in a formula; equal neighbors become one."""
-    assert compose(Drift(1.0), Kick(1.0)).row() == SE1.row()
-    assert compose(Kick(0.5), Drift(0.25), Drift(0.75), Kick(0.5)).row() == VelocityVerlet.row()
-    assert compose(Kick(1.0), SE1, weights=[1.0, 1.0]).row() == (Kick(1.0), Drift(1.0), Kick(1.0))
-    assert compose(Kick(1.0), SE1, weights=[1.0, 1.0]).order == 0  # two kicks in one step
-
-
-def test_a_composition_refuses_what_it_does_not_know():
-    with pytest.raises(TypeError, match="parts must be methods"):
-        compose(VelocityVerlet(0.1))
-    with pytest.raises(TypeError, match="with weights only"):
-        compose(SE1, Kick(1.0))
-    with pytest.raises(ValueError, match="as many weights; got 2 parts, 1 weights"):
-        compose(SE1, SE2, weights=[1.0])
-    with pytest.raises(ValueError, match="at least one part"):
-        compose()
 
 
 @pytest.mark.parametrize("recursion", [stormer_two_step, stormer_summed])

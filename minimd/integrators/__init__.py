@@ -1,6 +1,17 @@
 """Kicks, drifts and the methods composed from them."""
 
 from minimd.integrators.composing import adjoint, compose
+from minimd.integrators.compositions import (
+    PEFRL,
+    BlanesMoan4,
+    CandyRozmus4,
+    KahanLi6,
+    KahanLi8,
+    McLachlanAtela4,
+    Ruth3,
+    Suzuki4,
+    Yoshida6,
+)
 from minimd.integrators.methods import METHODS
 from minimd.integrators.orders import nystrom_order, separable_order
 from minimd.integrators.rows import Drift, Kick
@@ -11,16 +22,25 @@ from minimd.integrators.verlet import SE1, SE2, Leapfrog, PositionVerlet, Veloci
 
 __all__ = [
     "METHODS",
+    "PEFRL",
     "SE1",
     "SE2",
+    "BlanesMoan4",
+    "CandyRozmus4",
     "Drift",
+    "KahanLi6",
+    "KahanLi8",
     "Kick",
     "Leapfrog",
+    "McLachlanAtela4",
     "PositionVerlet",
+    "Ruth3",
     "Solution",
     "Splitting",
     "State",
+    "Suzuki4",
     "VelocityVerlet",
+    "Yoshida6",
     "adjoint",
     "compose",
     "nystrom_order",

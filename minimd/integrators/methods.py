@@ -1,6 +1,35 @@
 """The table of splitting methods, by name."""
 
+from minimd.integrators.compositions import (
+    PEFRL,
+    BlanesMoan4,
+    CandyRozmus4,
+    KahanLi6,
+    KahanLi8,
+    McLachlanAtela4,
+    Ruth3,
+    Suzuki4,
+    Yoshida6,
+)
 from minimd.integrators.splitting import Splitting
 from minimd.integrators.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
 
-METHODS: dict[str, type[Splitting]] = {method.name: method for method in (VelocityVerlet, PositionVerlet, Leapfrog, SE1, SE2)}
+METHODS: dict[str, type[Splitting]] = {
+    method.name: method
+    for method in (
+        VelocityVerlet,
+        PositionVerlet,
+        Leapfrog,
+        SE1,
+        SE2,
+        Ruth3,
+        CandyRozmus4,
+        Suzuki4,
+        McLachlanAtela4,
+        PEFRL,
+        BlanesMoan4,
+        Yoshida6,
+        KahanLi6,
+        KahanLi8,
+    )
+}

@@ -19,6 +19,7 @@ import functools
 import os
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from minimd.compiling import kernel, scalar, shared_kernel
 
 OPEN, FINISHED, CLAIMS = 0, 8, 16  # shared counters: the phase at work, its finished shares, and for each share the last phase it was taken in
 MOST_SHARES = 1024
-PHASES = 8  # at most, in one task
+PHASES = 8  # a task has fewer
 PATIENCE = 2000  # looks at a counter before a waiting thread lets others run
 LINGERING = 100_000  # looks, about 100 µs, before a helper goes to sleep: waking it takes as long as a small task
 
@@ -83,7 +84,9 @@ class Team:
         if core != self._core:
             self._core, cores = core, os.sched_getaffinity(0)
             for helper in self._helpers:
-                os.sched_setaffinity(helper.native_id or 0, cores - {core} or cores)
+                if helper.is_alive() and helper.native_id is not None:
+                    with suppress(OSError):  # it may end just now
+                        os.sched_setaffinity(helper.native_id, cores - {core} or cores)
 
     def _help(self, thread: int, wake: threading.Lock) -> None:
         me = Member(self._counters, thread, self.n_threads)

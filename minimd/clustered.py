@@ -86,7 +86,7 @@ class ClusteredPairs:
         before = net_force(forces) if self._is_mixed else None
         self._team.run(self._evaluate, *scene, self._markers, self._parameters, detail, sums, forces)
         if before is not None:
-            take_out(net_force(forces) - before, forces)
+            take_out(*(after - earlier for after, earlier in zip(net_force(forces), before, strict=True)), forces)
         if detail != FORCES:
             real = (np.arange(LANES) < clusters.filled[:, None]).ravel()
             energies[clusters.atom[real]] += sums.energies[real]
@@ -131,17 +131,18 @@ def fill_lanes(table, species_index, atom, owner, columns, species):
 
 @kernel
 def net_force(forces):
-    """Σ F, (3,) [energy/length]."""
-    net = np.zeros(3)
+    """Σ F = (x, y, z) [energy/length]."""
+    x = y = z = 0.0
     for i in range(forces.shape[0]):
-        for c in range(3):
-            net[c] += forces[i, c]
-    return net
+        x, y, z = x + forces[i, 0], y + forces[i, 1], z + forces[i, 2]
+    return x, y, z
 
 
 @kernel
-def take_out(net, forces):
-    """forces −= net / N: pairs push each other alike, so what they push all atoms is rounding, and momentum is to be conserved."""
+def take_out(x, y, z, forces):
+    """forces −= (x, y, z) / N: what pairs push all atoms together is rounding, and momentum is to be conserved."""
+    x, y, z = x / forces.shape[0], y / forces.shape[0], z / forces.shape[0]
     for i in range(forces.shape[0]):
-        for c in range(3):
-            forces[i, c] -= net[c] / forces.shape[0]
+        forces[i, 0] -= x
+        forces[i, 1] -= y
+        forces[i, 2] -= z

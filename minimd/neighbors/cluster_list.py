@@ -8,7 +8,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.cell import Cell, minimum_image_translations
-from minimd.compiling import scalar, shared_kernel
+from minimd.compiling import kernel, scalar, shared_kernel
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.chunks import HOME, Chunks, Copies, cut_into_chunks, fill_copies, sort_copies
 from minimd.neighbors.cluster_search import exclude_lanes, find_rows, make_work
@@ -99,12 +99,12 @@ class ClusterList(ListWithSkin):
         forces = self._memory.array("forces", number, len(exact))
         if not self._is_mixed:
             return Memory(exact, copies.shift, np.zeros(3), 1.0, forces)
-        low, high = copies.boxes[:, :3].min(axis=0) - self.skin, copies.boxes[:, 3:].max(axis=0) + self.skin
-        unit = float((high - low).max()) / GRID
+        shift = self._memory.array("grid shift", np.int32, len(copies.owner), 3)
+        origin = np.empty(3)
+        unit = lay_grid(copies, self.skin, origin, shift)
         if unit > COARSEST * self.cutoff:
             raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {unit * GRID:.3g} wide, too coarse; take precision='double'")
-        origin = 0.5 * (low + high)
-        return Memory(self._memory.array("grid", np.int32, len(exact)), np.rint(copies.shift / unit).astype(np.int32), origin, unit, forces)
+        return Memory(self._memory.array("grid", np.int32, len(exact)), shift, origin, unit, forces)
 
     def _make_entries(self, room: NDArray[np.int64]) -> None:
         """Room for the entries of each chunk."""
@@ -139,6 +139,22 @@ def _build_chunks(me, task, chunks, clusters, columns, pbc, lattice, copies, coo
         needed[chunk] = find_rows(chunk, chunks, clusters, columns, copies, coordinates, reach, rows, room, work)
         chunk = finish_and_take(me, phase, n)
     wait(me, phase)
+
+
+@kernel
+def lay_grid(copies, skin, origin, shift):
+    """The grid of mixed precision: its origin (3,) and the shift of each copy (M, 3) in units are written, the unit is returned."""
+    unit = 0.0
+    for c in range(3):
+        low, high = np.inf, -np.inf
+        for m in range(shift.shape[0]):
+            low, high = min(low, copies.boxes[m, c]), max(high, copies.boxes[m, c + 3])
+        origin[c] = 0.5 * (low + high)
+        unit = max(unit, (high - low + 2.0 * skin) / GRID)
+    for m in range(shift.shape[0]):
+        for c in range(3):
+            shift[m, c] = np.int32(np.rint(copies.shift[m, c] / unit))
+    return unit
 
 
 @scalar

@@ -26,7 +26,7 @@ def chains(n_beads=8):
     ]
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", [method for method in METHODS.values() if method.order == 2])
 def test_energy_oscillation_falls_as_the_square_of_the_time_step(method):
     oscillation = []
     for dt in (0.008, 0.004, 0.002):

@@ -68,16 +68,21 @@ class ClusteredPairs:
         self._is_mixed = options.precision == "mixed"
         skin = skin_for(system, laws, options, stride)
         self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, self._is_mixed, self._team)
-        self._parameters: tuple
-        self._laws, self._number = laws, np.float32 if self._is_mixed else np.float64
+        self._laws = laws
+        self._markers = tuple(laws.laws)
+        self._number = np.float32 if self._is_mixed else np.float64
         is_known = not any(is_user_law(law) for law in laws.laws)
         self._evaluate = evaluate_clusters if is_known else without_cache(evaluate_clusters)
-        self._markers, self._parameters, self._memory = tuple(laws.laws), (), Buffers()
+        self._parameters: tuple = ()
+        self._parameters_of = 0  # which build of the list
+        self._memory = Buffers()
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
-        if self.list.update(system.positions, system.cell):
+        self.list.update(system.positions, system.cell)
+        if self._parameters_of != self.list.n_builds:
             self._parameters = tuple(self._by_lane(k, table, system.species_index) for k, table in enumerate(self._laws.tables))
+            self._parameters_of = self.list.n_builds
         clusters, copies, memory = self.list.clusters, self.list.copies, self.list.memory
         n_slots = len(clusters.atom) if detail != FORCES else 0
         shares = np.zeros(len(copies.owner) * LANES * SHARES if detail == PER_ATOM else 0)
@@ -86,20 +91,28 @@ class ClusteredPairs:
         before = net_force(forces) if self._is_mixed else None
         self._team.run(self._evaluate, *scene, self._markers, self._parameters, detail, sums, forces)
         if before is not None:
-            take_out(*(after - earlier for after, earlier in zip(net_force(forces), before, strict=True)), forces)
+            net = np.subtract(net_force(forces), before)
+            if np.isfinite(net).all():
+                take_out(*net, forces)
         if detail != FORCES:
-            real = (np.arange(LANES) < clusters.filled[:, None]).ravel()
-            energies[clusters.atom[real]] += sums.energies[real]
-            virials[clusters.atom[real]] += sums.virials[real]
-        if detail == PER_ATOM:
-            atoms, of_lanes = clusters.atom.reshape(-1, LANES)[copies.owner], shares.reshape(-1, SHARES, LANES)
+            self._book(sums, energies, virials)
+
+    def _book(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
+        """Add what was found to the energies (N,) and virials (N, 6) of the atoms."""
+        clusters = self.list.clusters
+        real = (np.arange(LANES) < clusters.filled[:, None]).ravel()
+        energies[clusters.atom[real]] += sums.energies[real]
+        virials[clusters.atom[real]] += sums.virials[real]
+        if sums.shares.size:
+            atoms, of_lanes = clusters.atom.reshape(-1, LANES)[self.list.copies.owner], sums.shares.reshape(-1, SHARES, LANES)
             np.add.at(energies, atoms, of_lanes[:, 0])
             np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
 
     @property
     def words(self) -> str:
         """The list, for the report."""
-        threads = f"{self._team.n_threads} thread{'s' if self._team.n_threads > 1 else ''}"
+        n = min(self._team.n_threads, self.list.n_chunks) if self.list.n_builds else self._team.n_threads
+        threads = f"{n} thread{'s' if n > 1 else ''}"
         return f"cluster list (skin {self.list.skin:.3g}, {threads}, {'mixed' if self._is_mixed else 'double'} precision)"
 
     def skipped(self) -> Iterable[str]:

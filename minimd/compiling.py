@@ -1,4 +1,4 @@
-"""How minimd compiles: two decorators, one safe cache folder, one line for the user who waits.
+"""How minimd compiles: a few decorators, one safe cache folder, one line for the user who waits.
 
 Numba's own cache does not notice that a function of *another* file has changed, and fails when neither the installation
 nor the home folder can be written. Compiled kernels therefore live in a folder named after a hash of all sources of
@@ -38,22 +38,12 @@ def cache_folder() -> Path:
 
 def kernel(function):
     """Compile a function that Python calls with arrays and numbers: lazily, once per machine."""
-    previous = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder())
-    try:
-        return numba.njit(cache=True, error_model="numpy")(function)
-    finally:
-        numba.config.CACHE_DIR = previous
+    return _cached(function)
 
 
 def shared_kernel(function):
     """Compile a kernel that several threads run at once, as minimd.team has them: it does not hold Python's lock."""
-    previous = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder())
-    try:
-        return numba.njit(cache=True, error_model="numpy", nogil=True)(function)
-    finally:
-        numba.config.CACHE_DIR = previous
+    return _cached(function, nogil=True)
 
 
 def inlined(function):
@@ -68,7 +58,7 @@ def scalar(function):
 
 @functools.cache
 def without_cache(dispatcher):
-    """The same kernel compiled anew in each process: for laws that the user defines, which no cache can recognise."""
+    """The same kernel, shared or not, compiled anew in each process: for laws that the user defines, which no cache can recognise."""
     return numba.njit(error_model="numpy", nogil=True)(dispatcher.py_func)
 
 
@@ -131,6 +121,15 @@ class announce_compilation(event.Listener):  # noqa: N801 - used as a context ma
     def _tell(self) -> None:
         self._told = True
         print("minimd: compiling kernels (once) ...", file=sys.stderr, flush=True)
+
+
+def _cached(function, **flags):
+    previous = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(cache_folder())
+    try:
+        return numba.njit(cache=True, error_model="numpy", **flags)(function)
+    finally:
+        numba.config.CACHE_DIR = previous
 
 
 def _is_mine(folder: Path) -> bool:

@@ -63,7 +63,7 @@ class Forces:
 
     def fit_skin(self, stride: float) -> None:
         """Choose the skin for a fastest atom that moves so far in a step [length], unless the user chose it or it is still right."""
-        if self.options.skin is None and not self._stride / RESTLESS < stride < self._stride * RESTLESS:
+        if self.options.skin is None and not self._stride / RESTLESS <= stride <= self._stride * RESTLESS:
             self._stride, self._builds_before = stride, self.n_builds
             self._plan()
 

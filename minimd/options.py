@@ -14,8 +14,8 @@ class Options:
     """Choices of a user about the computation of forces.
 
     threads : how many at most; all cores of the process if not given. The result has the same bits for any number.
-    precision : "double": all arithmetic in float64. "mixed": the pair arithmetic of cluster lists in float32, positions,
-        velocities, energies and sums over pairs of clusters in float64.
+    precision : "double": all arithmetic in float64. "mixed": pairs of cluster lists, and the sums of their forces
+        within a chunk, in float32; positions, velocities, energies, virials and the sums over copies in float64.
     skin : of the pair lists [length]; chosen by neighbors.skin.best_skin if not given.
 
     Raises

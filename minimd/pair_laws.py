@@ -42,7 +42,7 @@ class PairLaws:
             yield "exclusions"
 
     def fit_clusters(self, system: System, options: Options, stride: float) -> bool:
-        """The rule which list a scene gets: clusters from a few hundred atoms on, in cells at least as high as the list reaches."""
+        """Whether clusters serve: CLUSTERS_FROM atoms or more, a finite cutoff, heights of at least cutoff + skin, laws that run on vectors."""
         if len(system) < CLUSTERS_FROM or self.cutoff == np.inf:
             return False
         reach = self.cutoff + skin_for(system, self, options, stride)

@@ -234,7 +234,11 @@ class Simulation:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why."""
         before = self.positions.copy(), self.velocities.copy()
         started, compiled = perf_counter(), compile_clock.seconds
-        done = self._attempt(n_steps, look)
+        try:
+            done = self._attempt(n_steps, look)
+        except ValueError:  # the scene no longer fits the list it needs
+            self._restore(before)
+            raise
         self._run_seconds += perf_counter() - started - (compile_clock.seconds - compiled)
         if done is None:
             self._replay(before, n_steps)

@@ -12,6 +12,7 @@ memory: so the result has the same bits however many threads there are, and whoe
 
 Nobody waits for a thread, only for shares. The thread that calls starts at once; the others sleep between tasks and join when they
 are awake (some 20 µs), or not at all if the machine has other things to do: they can make a task faster, never hold it up.
+Between take and finish nothing may raise: nobody else would finish that share.
 Each begins with shares of its own, the same ones every time, whose memory is near it, and then helps the others.
 """
 
@@ -76,7 +77,10 @@ class Team:
             for wake in self._wake:
                 if wake.locked():
                     wake.release()
-            kernel(Member(self._counters, 0, self.n_threads), self._n_tasks, *arguments)
+            try:
+                kernel(Member(self._counters, 0, self.n_threads), self._n_tasks, *arguments)
+            finally:
+                self._task = ()
 
     def _keep_off_callers_core(self) -> None:
         """Linux likes to wake a thread on the core of the one that wakes it, where it would wait for the end of the task."""
@@ -92,9 +96,12 @@ class Team:
         me = Member(self._counters, thread, self.n_threads)
         while True:
             wake.acquire()
-            task, kernel, arguments = self._task
+            current = self._task
+            if not current:
+                continue  # too late
+            task, kernel, arguments = current
             kernel(me, task, *arguments)
-            del kernel, arguments
+            del current, kernel, arguments
             _linger(self._counters, task)
 
 
@@ -147,7 +154,7 @@ def finish_and_take(me, phase, n):
 
 @scalar
 def wait(me, phase):
-    """Wait until a phase is over; returns the next."""
+    """Wait until a phase is over, not at all if it is not the one at work (a helper too early or too late); returns the next."""
     looks = 0
     while _read(me.counters, OPEN) == phase:
         looks += 1

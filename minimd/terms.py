@@ -66,6 +66,7 @@ class ListedPairs:
         self.list = PairList(len(system), cutoff, skin_for(system, laws, options, stride) if cutoff < np.inf else 0.0, laws.excluded)
         self._laws, self._loops = laws, [pair_loop_for(law) for law in laws.laws]
         self._parameters: list[tuple] = []
+        self._parameters_of = 0  # which build of the list
         n = len(system)
         self._local = (np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((n, 6)))
 
@@ -80,9 +81,11 @@ class ListedPairs:
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
-        if self.list.update(system.positions, system.cell):
+        self.list.update(system.positions, system.cell)
+        if self._parameters_of != self.list.n_builds:
             species = system.species_index[self.list.order]
             self._parameters = [_by_species(table, species) for table in self._laws.tables]
+            self._parameters_of = self.list.n_builds
         if self._in_users_order:
             self._run_loops(system.positions, detail, forces, energies, virials)
             return

@@ -242,3 +242,29 @@ def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
     assert simulation._forces.n_builds > 5
     assert max(seen) < (1e-12 if precision == "double" else 1e-5)
     assert np.ptp(record.total_energy[2:]) < 0.002 * record.kinetic_energy.mean()
+
+
+@pytest.mark.parametrize("short", [0, 1, 2])
+@pytest.mark.parametrize("factor", [1.02, 1.05, 1.08, 1.3])
+def test_a_cell_just_high_enough_in_one_direction(short, factor):
+    """The skin is cut to the room there is: the list then reaches exactly once through the cell."""
+    heights = np.full(3, 2.5 * CUTOFF)
+    heights[short] = factor * CUTOFF
+    rng = np.random.default_rng(3)
+    n = np.floor(heights / 1.1).astype(int)
+    sites = (np.stack(np.meshgrid(*map(np.arange, n), indexing="ij"), axis=-1).reshape(-1, 3) + 0.5) / n * heights
+    system = md.System(sites + rng.uniform(-0.05, 0.05, sites.shape), cell=heights)
+    assert len(system) >= 16
+    laws = PairLaws(system, [md.LennardJones(1.0, 1.0, CUTOFF)])
+    for options in (Options(), Options(skin=float(heights[short] - CUTOFF))):
+        agree(ClusteredPairs(system, laws, options), ListedPairs(system, laws, BARE), system, EQUAL)
+
+
+@pytest.mark.parametrize("pbc", [False, (True, True, False)])
+def test_a_flat_layer_has_few_columns(pbc):
+    sites = np.stack(np.meshgrid(np.arange(32), np.arange(32), [0], indexing="ij"), axis=-1).reshape(-1, 3) * 1.1
+    system = md.System(sites, cell=[35.2, 35.2, 10.0], pbc=pbc)
+    laws = PairLaws(system, [md.LennardJones(1.0, 1.0, CUTOFF)])
+    clustered = ClusteredPairs(system, laws, SKINNED)
+    agree(clustered, ListedPairs(system, laws, BARE), system, EQUAL)
+    assert len(clustered.list.clusters.column_start) <= len(system)

@@ -123,7 +123,7 @@ def test_a_scene_too_wide_for_the_grid_is_refused():
         if fits:
             assert not evaluated(clustered(system, SMOOTH["one species"]), system)[0].any()
             continue
-        with pytest.raises(ValueError, match=r"precision='mixed' resolves .* in a scene .* wide, too coarse; take precision='double'"):
+        with pytest.raises(ValueError, match=r"precision='mixed' resolves .* in a scene .* wide, coarser than .*; take precision='double'"):
             evaluated(clustered(system, SMOOTH["one species"]), system)
         assert evaluated(clustered(system, SMOOTH["one species"], "double"), system)[0] is not None
 

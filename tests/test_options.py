@@ -110,9 +110,9 @@ def test_a_calculator_passes_its_choices_on():
 
 
 @pytest.mark.parametrize("precision", ["double", "mixed"])
-@pytest.mark.parametrize(("threads", "words"), [(1, "1 thread"), (2, "2 threads"), (64, "5 threads")])
+@pytest.mark.parametrize(("threads", "words"), [(1, "1 thread"), (2, "2 threads"), (64, "4 threads")])
 def test_the_report_names_skin_threads_and_precision(threads, words, precision):
-    """No more threads than have work: 4000 atoms are worth five of them."""
+    """No more threads than have work: the list of these 4000 atoms is cut into four chunks."""
     simulation = md.Simulation(melt(), LJ, md.VelocityVerlet(0.004), threads=threads, precision=precision, skin=0.25)
     simulation.run(1)
     assert f"cluster list (skin 0.25, {words}, {precision} precision)" in str(simulation.report())

@@ -23,7 +23,7 @@ class Calculator(ASECalculator):
     """A calculator for ase.Atoms: their energy, forces and stress from potentials of minimd, in Å and eV.
 
     The stress is −W/V, tension positive, in the order xx yy zz yz xz xy, without the ideal-gas part, for every cell with
-    three lattice vectors; stresses are each atom's share of it. The pair list is kept while atoms move: see PairList.
+    three lattice vectors; stresses are each atom's share of it. The list of neighbors is kept while atoms move.
     ASE applies the constraints of the atoms itself. Copies and pickles carry the potentials, not the list.
 
     Parameters

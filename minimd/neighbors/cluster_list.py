@@ -9,16 +9,15 @@ from numpy.typing import NDArray
 
 from minimd.cell import Cell, minimum_image_translations
 from minimd.compiling import kernel, scalar, shared_kernel
-from minimd.neighbors.buffers import Buffers
+from minimd.neighbors.buffers import SPARE, Buffers
 from minimd.neighbors.chunks import HOME, Chunks, Copies, cut_into_chunks, fill_copies, sort_copies
 from minimd.neighbors.cluster_search import exclude_lanes, find_rows, make_work
-from minimd.neighbors.clusters import Clusters, Columns, make_columns, sort_into_clusters
+from minimd.neighbors.clusters import Clusters, make_columns, sort_into_clusters
 from minimd.neighbors.skin import ListWithSkin
 from minimd.potentials.cluster_loop import BLOCK, COPY_BITS, LANES, Rows
 from minimd.simd import broadcast, convert, load, store
 from minimd.team import Team, begin, finish_and_take, take, wait
 
-SPARE = 1.2  # room for this much more than was found
 ENTRIES_GUESSED = 12  # for each atom, at first
 GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of the scene to the other
 COARSEST = 1e-6  # of the cutoff: a coarser grid would not be worth the name of single precision
@@ -61,14 +60,18 @@ class ClusterList(ListWithSkin):
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_mixed: bool, team: Team) -> None:
         super().__init__(n_atoms, cutoff, skin, excluded)
         self._team, self._is_mixed = team, is_mixed
-        self._columns: Columns | None = None
         self._columns_of: Cell | None = None
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
         self._memory = Buffers()
 
+    @property
+    def n_chunks(self) -> int:
+        """Shares of work."""
+        return len(self.chunks.run) - 1
+
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         reach = self.cutoff + self.skin
-        if self._columns is None or self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
+        if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
             self._columns, self._columns_of = make_columns(cell, positions, reach), cell
         columns = self._columns
         self.clusters = clusters = sort_into_clusters(positions, cell, columns, self._memory, self._team)
@@ -103,12 +106,16 @@ class ClusterList(ListWithSkin):
         origin = np.empty(3)
         unit = lay_grid(copies, self.skin, origin, shift)
         if unit > COARSEST * self.cutoff:
-            raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {unit * GRID:.3g} wide, too coarse; take precision='double'")
+            width, limit = unit * GRID, COARSEST * self.cutoff
+            raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take precision='double'")
         return Memory(self._memory.array("grid", np.int32, len(exact)), shift, origin, unit, forces)
 
     def _make_entries(self, room: NDArray[np.int64]) -> None:
         """Room for the entries of each chunk."""
-        self._entry_start = np.concatenate([[0], np.cumsum(room)])
+        start, most = np.concatenate([[0], np.cumsum(room)]), np.iinfo(np.int32).max
+        if start[-1] > most:
+            raise ValueError(f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: reduce cutoff or skin, or simulate fewer atoms")
+        self._entry_start = start
         self._entries = np.empty(self._entry_start[-1], dtype=np.uint32)
 
     def _exclude(self, positions: NDArray[np.float64], cell: Cell) -> None:
@@ -129,12 +136,11 @@ class ClusterList(ListWithSkin):
 @shared_kernel
 def _build_chunks(me, task, chunks, clusters, columns, pbc, lattice, copies, coordinates, reach, rows, entries, needed):
     """Copies and rows of all chunks; needed : (K,) int, output, entries of each chunk, which may be more than there is room for."""
-    n = needed.size
+    n, work = needed.size, make_work(chunks, columns)
     phase = begin(me, task)
     chunk = take(me, phase, n)
     while chunk >= 0:
         fill_copies(chunk, chunks, clusters, columns, pbc, lattice, copies, coordinates)
-        work = make_work(chunk, chunks, columns)
         room = (entries[chunk], entries[chunk + 1])
         needed[chunk] = find_rows(chunk, chunks, clusters, columns, copies, coordinates, reach, rows, room, work)
         chunk = finish_and_take(me, phase, n)

@@ -32,10 +32,12 @@ class Work(NamedTuple):
 
 
 @inlined
-def make_work(chunk, chunks, columns):
-    """Enough for any cluster of a chunk."""
+def make_work(chunks, columns):
+    """Enough for any cluster of any chunk."""
     n_runs = (columns.reach[0] + 1) * (2 * columns.reach[1] + 1)
-    n = chunks.copy[chunks.run[chunk + 1]] - chunks.copy[chunks.run[chunk]]
+    n = 0
+    for chunk in range(chunks.run.size - 1):
+        n = max(n, chunks.copy[chunks.run[chunk + 1]] - chunks.copy[chunks.run[chunk]])
     return Work(np.empty((n_runs, 2), dtype=np.int64), np.empty(n, dtype=np.int64), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint8))
 
 

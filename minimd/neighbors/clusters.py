@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 
 from minimd.cell import Cell
 from minimd.compiling import kernel, scalar, shared_kernel
-from minimd.neighbors.binning import ROUNDING, Binned, counting_sort
+from minimd.neighbors.binning import FLATTEST, ROUNDING, Binned, counting_sort
 from minimd.neighbors.buffers import Buffers
 from minimd.potentials.cluster_loop import BLOCK, LANES
 from minimd.team import MOST_SHARES, Team, begin, finish_and_take, take, wait
-
-THINNEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick
 
 
 class Columns(NamedTuple):
@@ -66,13 +64,14 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Co
     origin, extent = np.zeros(3), np.ones(3)
     for k in np.flatnonzero(~cell.pbc):
         along = np.einsum("ij,j->i", positions, cell.inverse[:, k])  # not @: see observables
-        origin[k], extent[k] = along.min(), max(np.ptp(along), THINNEST * reach / cell.heights[k])
+        origin[k], extent[k] = along.min(), max(np.ptp(along), FLATTEST * reach / cell.heights[k])
     widths = cell.heights * extent
     cube = (LANES * widths.prod() / len(positions)) ** (1.0 / 3.0)
-    across = np.maximum(1.0, np.rint(np.minimum(widths[:2] / cube, len(positions))))
+    across = np.maximum(1.0, np.minimum(widths[:2] / cube, len(positions)))
+    across = np.maximum(1.0, np.rint(across * min(1.0, (len(positions) / (LANES * across.prod())) ** 0.5)))  # a flat scene has few
     bins = max(1.0, len(positions) / across.prod())
     needed = np.ceil(ROUNDING * reach * across / widths[:2])
-    needed = np.where(cell.pbc[:2], needed, np.minimum(needed, across - 1.0))
+    needed = np.minimum(needed, np.where(cell.pbc[:2], across, across - 1.0))
     counts = np.array([*across, bins]).astype(np.int64)
     return Columns(counts, needed.astype(np.int64), ROUNDING * reach / cell.heights[2], origin, extent)
 

@@ -73,13 +73,12 @@ class ListWithSkin(ABC):
             return False
         if self._built_at.shape != positions.shape:
             self._built_at = np.empty_like(positions)
+        self._cell = None  # no list until the new one is whole
         n_bad, first = copy_finite(positions, self._built_at)
         if n_bad:
-            self._cell = None
             raise NonFiniteError(f"positions of {n_bad} atoms are not finite, the first is atom {first}")
-        self._cell = cell
-        self.n_builds += 1
         self._build(positions, cell)
+        self._cell, self.n_builds = cell, self.n_builds + 1
         return True
 
     def _moved_too_far(self, positions: NDArray[np.float64]) -> bool:

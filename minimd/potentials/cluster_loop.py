@@ -4,6 +4,7 @@ Atoms stand in clusters of eight that are near each other; see neighbors.cluster
 atom i and names the clusters j that hold atoms within its reach; a mask says which lanes of each count.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import numba
@@ -206,6 +207,7 @@ def add_shares(shares, copy, values):
         add(shares, (copy * SHARES + k) * LANES, 0.5 * values[k])
 
 
+@functools.cache
 def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
     """Whether a law compiles for vectors. Those of minimd do; one of the user's that branches on its arguments does not."""
     if not is_user_law(law):

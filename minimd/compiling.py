@@ -52,7 +52,10 @@ def inlined(function):
 
 
 def scalar(function):
-    """Compile a function of a few numbers that only kernels call; the compiler inlines it."""
+    """Compile a function that only kernels call; the compiler puts it into the kernel.
+
+    It makes no arrays: so it needs no reference counts on those it is given, which would cost more than small functions do.
+    """
     return numba.njit(error_model="numpy", forceinline=True, _nrt=False)(function)
 
 

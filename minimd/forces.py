@@ -15,7 +15,7 @@ from minimd.options import Options
 from minimd.potentials.pair import PairPotential
 from minimd.potentials.pair_loop import FORCES, PER_ATOM
 from minimd.system import System
-from minimd.terms import FixedPairs, ListedPairs, Potential, plan
+from minimd.terms import FixedPairs, ListedPairs, Potential, Term, plan
 
 if TYPE_CHECKING:
     import ase
@@ -47,9 +47,10 @@ class Forces:
         self.system, self.options = system, options or Options()
         self.potentials = tuple(potentials) if isinstance(potentials, Sequence) and not isinstance(potentials, str) else (potentials,)
         self._stride = 0.0
+        self.terms: list[Term] = []
+        self.n_evaluations, self._builds_before = 0, 0
         self._plan()
         self.forces = np.zeros_like(system.positions)
-        self.n_evaluations, self._builds_before = 0, 0
         self._compiled: set[int] = set()
         self._energies = np.zeros(len(system))
         self._virials = np.zeros((len(system), 6))
@@ -58,13 +59,14 @@ class Forces:
 
     def _plan(self) -> None:
         """What a scene needs depends on its cell: which list fits, which skin, whether there are images."""
-        self.terms = plan(self.system, self.potentials, self.options, self._stride)
-        self._planned_for = self.system.cell
+        terms = plan(self.system, self.potentials, self.options, self._stride)
+        self._builds_before = self.n_builds  # of the terms that these replace
+        self.terms, self._planned_for = terms, self.system.cell
 
     def fit_skin(self, stride: float) -> None:
         """Choose the skin for a fastest atom that moves so far in a step [length], unless the user chose it or it is still right."""
         if self.options.skin is None and not self._stride / RESTLESS <= stride <= self._stride * RESTLESS:
-            self._stride, self._builds_before = stride, self.n_builds
+            self._stride = stride
             self._plan()
 
     def reset_counts(self) -> None:
@@ -79,7 +81,6 @@ class Forces:
         NonFiniteError : if a position is not finite.  ValueError : as Forces, if the cell has changed and no longer fits.
         """
         if not self.system.cell.same_as(self._planned_for):
-            self._builds_before = self.n_builds
             self._plan()
         self.forces[:] = 0.0
         if detail != FORCES:

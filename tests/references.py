@@ -88,3 +88,23 @@ def fourmol(masses=None):
         bonds=np.array(table["bonds"])[:, 1:] - 1,
     )
     return system, table
+
+
+def melt_scene(n_cells, steps, more=""):
+    """The text of a scene file: a small Lennard-Jones melt, and lines to add to its [dynamics] and behind."""
+    return f"""
+units = "LJ"
+[structure]
+lattice = "fcc"
+repeat = [{n_cells}, {n_cells}, {n_cells}]
+density = 0.8442
+[[potential]]
+type = "lennard-jones"
+epsilon = 1.0
+sigma = 1.0
+cutoff = 2.5
+[dynamics]
+timestep = 0.004
+temperature = 1.44
+steps = {steps}
+{more}"""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from references import melt_scene
 
 import minimd as md
 from minimd import cli
@@ -18,24 +19,7 @@ NAN = float("nan")
 LJ = md.LennardJones(1.0, 1.0, 2.5)
 TWO_SPECIES = md.LennardJones({"Ar": (1.0, 1.0), "Kr": (1.0, 1.0)}, cutoff=2.5)
 
-SCENE = """
-units = "LJ"
-[structure]
-lattice = "fcc"
-repeat = [3, 3, 3]
-density = 0.8442
-[[potential]]
-type = "lennard-jones"
-epsilon = 1.0
-sigma = 1.0
-cutoff = 2.5
-[dynamics]
-timestep = 0.004
-temperature = 1.44
-steps = 20
-[output]
-every = 5
-"""
+SCENE = melt_scene(3, 20, "[output]\nevery = 5\n")
 SCENE_OF_A_FILE = SCENE.replace('lattice = "fcc"\nrepeat = [3, 3, 3]\ndensity = 0.8442', 'file = "atoms.xyz"\npbc = true\ncell = [9, 9, 9]')
 
 

@@ -268,3 +268,16 @@ def test_a_flat_layer_has_few_columns(pbc):
     clustered = ClusteredPairs(system, laws, SKINNED)
     agree(clustered, ListedPairs(system, laws, BARE), system, EQUAL)
     assert len(clustered.list.clusters.column_start) <= len(system)
+
+
+def test_a_build_that_failed_leaves_no_list_behind(monkeypatch):
+    """An interrupt or too little memory in the middle of a build: the next look builds anew."""
+    system = liquid(5)
+    laws = PairLaws(system, [md.LennardJones(1.0, 1.0, CUTOFF)])
+    clustered, listed = ClusteredPairs(system, laws, SKINNED), ListedPairs(system, laws, BARE)
+    agree(clustered, listed, system, EQUAL)
+    system.positions[:] += np.random.default_rng(1).uniform(-SKIN, SKIN, system.positions.shape)
+    with monkeypatch.context() as broken, pytest.raises(MemoryError):
+        broken.setattr("minimd.neighbors.cluster_list.sort_copies", lambda copies: (_ for _ in ()).throw(MemoryError))
+        summed(clustered, system)
+    agree(clustered, listed, system, EQUAL)

@@ -7,7 +7,7 @@ import pytest
 from ase.build import bulk
 from hypothesis import given
 from hypothesis import strategies as st
-from references import liquid, melt
+from references import liquid, melt, melt_scene
 
 import minimd as md
 from minimd.ase import Calculator, VelocityVerlet
@@ -19,22 +19,7 @@ from minimd.system import number_density
 
 LJ = md.LennardJones(1.0, 1.0, 2.5)
 POSITIVE = st.floats(1e-3, 1e3)
-SCENE = """
-units = "LJ"
-[structure]
-lattice = "fcc"
-repeat = [10, 10, 10]
-density = 0.8442
-[[potential]]
-type = "lennard-jones"
-epsilon = 1.0
-sigma = 1.0
-cutoff = 2.5
-[dynamics]
-timestep = 0.004
-temperature = 1.44
-steps = 1
-"""
+SCENE = melt_scene(10, 1)
 
 
 def options_of(simulation):

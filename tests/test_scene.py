@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from references import melt_scene
 
 import minimd as md
 from minimd.lattice import BASES, constant_from_density, crystal
@@ -17,25 +18,7 @@ ATOMIC_MASS, ELECTRON_VOLT, BOLTZMANN, ANGSTROM = 1.66053906660e-27, 1.602176634
 TIME_UNIT = ANGSTROM * np.sqrt(ATOMIC_MASS / ELECTRON_VOLT)  # s
 CODATA = 1e-6  # relative, always with abs=0: approx would take every number of SI size for zero; what two editions differ by
 
-REDUCED = """
-units = "LJ"
-[structure]
-lattice = "fcc"
-repeat = [4, 4, 4]
-density = 0.8442
-[[potential]]
-type = "lennard-jones"
-epsilon = 1.0
-sigma = 1.0
-cutoff = 2.5
-[dynamics]
-timestep = 0.004
-temperature = 1.44
-seed = 3
-steps = 20
-[output]
-every = 5
-"""
+REDUCED = melt_scene(4, 20, "seed = 3\n[output]\nevery = 5\n")
 
 MOLECULE = """
 [structure]

@@ -44,7 +44,7 @@ class H5MDContents:
     Attributes
     ----------
     record : Record, one entry for each frame.  system : System at the restart, to the last bit.
-    step, time : int, [time], of the restart.  timestep : [time].  method : key in integrators.METHODS.
+    step, time : int, [time], of the restart.  timestep : [time].  method : key in integrators.SPLITTINGS.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
     """
 

@@ -11,7 +11,7 @@ import pytest
 from references import liquid
 
 import minimd as md
-from minimd.integrators import METHODS, PEFRL, SE1, SE2, Drift, Kick, Leapfrog, PositionVerlet, Splitting, State, VelocityVerlet, compose
+from minimd.integrators import PEFRL, SE1, SE2, SPLITTINGS, Drift, Kick, Leapfrog, PositionVerlet, Splitting, State, VelocityVerlet, compose
 from minimd.integrators.compositions import BlanesMoan4, CandyRozmus4, KahanLi8, McLachlanAtela4, Suzuki4, Yoshida6
 from minimd.integrators.orders import lyndon_words, nystrom_order, nystrom_residuals, separable_order, separable_residuals, word_coefficient
 from minimd.integrators.rows import is_palindrome, merged, scaled
@@ -33,7 +33,7 @@ ORDERS = {
     "kahan-li-6": 6,
     "kahan-li-8": 8,
 }  # as their papers say
-HIGHER = [method for method in METHODS.values() if ORDERS[method.name] > 2]
+HIGHER = [method for method in SPLITTINGS.values() if ORDERS[method.name] > 2]
 G = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 TRIPLE_JUMP = [G, 1.0 - 2.0 * G, G]
 
@@ -66,16 +66,16 @@ def worst(residuals, row, order):
 
 
 def shifted(row, first, second, amount):
-    """The row with some duration moved from one stage to another of the same kind: the sums stay one."""
+    """The row with some duration moved from one letter to another of the same kind: the sums stay one."""
     change = {first: amount, second: -amount}
-    return tuple(type(stage)(stage.coefficient + change.get(k, 0.0)) for k, stage in enumerate(row))
+    return tuple(type(letter)(letter.coefficient + change.get(k, 0.0)) for k, letter in enumerate(row))
 
 
 def test_answered_orders_are_those_of_the_papers():
-    assert {name: method.order for name, method in METHODS.items()} == ORDERS
+    assert {name: method.order for name, method in SPLITTINGS.items()} == ORDERS
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_order_conditions_hold_to_rounding(method):
     """For q″ = f(q) all of them; for every T(p) + V(q) too, but for McLachlan and Atela's last one."""
     separable = 3 if method is McLachlanAtela4 else ORDERS[method.name]
@@ -122,12 +122,12 @@ def test_word_coefficients_are_those_of_a_product_of_exponentials():
 def exact_residuals(row, order):
     """The conditions of an order in rational numbers, the slow way: all words of a product of exponentials, letter by letter."""
     series = {(): Fraction(1)}
-    for stage in row:
+    for letter in row:
         product = dict.fromkeys(series, Fraction(0))
         for word, value in series.items():
             for k in range(order - len(word) + 1):
-                longer = (*word, *k * [type(stage)])
-                product[longer] = product.get(longer, 0) + value * Fraction(stage.coefficient) ** k / factorial(k)
+                longer = (*word, *k * [type(letter)])
+                product[longer] = product.get(longer, 0) + value * Fraction(letter.coefficient) ** k / factorial(k)
         series = product
     return [float(series.get(word, 0) - Fraction(1, factorial(order))) for word in lyndon_words(order)]
 
@@ -191,8 +191,8 @@ def test_candy_rozmus_is_the_triple_jump_over_position_verlet():
     forest_ruth = [G / 2, G, (1 - G) / 2, 1 - 2 * G, (1 - G) / 2, G, G / 2]
     yoshida = compose(*3 * [PositionVerlet], weights=TRIPLE_JUMP)
     for row in (CandyRozmus4.row(), yoshida.row()):
-        assert [type(stage) for stage in row] == 3 * [Drift, Kick] + [Drift]
-        assert [stage.coefficient for stage in row] == pytest.approx(forest_ruth, abs=4e-16)
+        assert [type(letter) for letter in row] == 3 * [Drift, Kick] + [Drift]
+        assert [letter.coefficient for letter in row] == pytest.approx(forest_ruth, abs=4e-16)
 
 
 def test_higher_order_comes_from_lower_order_by_composition():
@@ -208,7 +208,7 @@ def test_higher_order_comes_from_lower_order_by_composition():
 
 @pytest.mark.parametrize("name", REFERENCE["methods"])
 def test_slopes_and_errors_on_henon_heiles_are_those_of_the_reference(name):
-    method = compose(*3 * [VelocityVerlet], weights=TRIPLE_JUMP) if name == "triple-jump" else METHODS[name]
+    method = compose(*3 * [VelocityVerlet], weights=TRIPLE_JUMP) if name == "triple-jump" else SPLITTINGS[name]
     known = REFERENCE["methods"][name]
     errors = [henon_heiles_error(method, n) for n in known["steps"]]
     slopes = [np.log2(coarse / fine) for coarse, fine in pairwise(errors)]
@@ -216,7 +216,7 @@ def test_slopes_and_errors_on_henon_heiles_are_those_of_the_reference(name):
     assert errors == pytest.approx(known["errors"], rel=1e-5, abs=4e-15)  # the reference has 80 bits, we round to 53
 
 
-@pytest.mark.parametrize("method", [method for method in METHODS.values() if method.is_symmetric])
+@pytest.mark.parametrize("method", [method for method in SPLITTINGS.values() if method.is_symmetric])
 def test_slope_on_a_kepler_orbit_around_the_pericentre(method):
     """e = 0.6, t = 7.5, past the second pericentre; Ruth's error of order 3 averages out over a revolution."""
     orbit = REFERENCE["kepler"]
@@ -227,12 +227,12 @@ def test_slope_on_a_kepler_orbit_around_the_pericentre(method):
 
 
 def test_blanes_moan_has_the_smallest_error_per_force_evaluation_of_order_four():
-    costs = {method: henon_heiles_error(method, 120) * method.n_evaluations**4 for method in METHODS.values() if method.order == 4}
+    costs = {method: henon_heiles_error(method, 120) * method.stages**4 for method in SPLITTINGS.values() if method.order == 4}
     assert min(costs, key=costs.__getitem__) is BlanesMoan4
     assert 100 * costs[BlanesMoan4] < 10 * costs[Suzuki4] < costs[CandyRozmus4] * 2
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_energy_error_of_a_droplet_falls_with_the_order_of_the_method(method):
     """32 atoms without a cutoff, over a time in which they really move, through Simulation."""
     dt = {1: 0.001, 2: 0.004, 3: 0.004, 4: 0.008, 6: 0.008, 8: 0.02}[ORDERS[method.name]]
@@ -247,7 +247,7 @@ def test_energy_error_of_a_droplet_falls_with_the_order_of_the_method(method):
     assert np.log2(largest_error(dt) / largest_error(dt / 2)) == pytest.approx(ORDERS[method.name], abs=0.2)  # truncation
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_every_method_runs_the_melt(method):
     """4000 atoms, periodic: substeps longer than the time step, and backward ones, keep lists and momentum right."""
     simulation = md.Simulation(liquid(10), md.LennardJones(1.0, 1.0, 2.5, "switched"), method(0.002))
@@ -257,7 +257,7 @@ def test_every_method_runs_the_melt(method):
 
 
 def test_a_composition_runs_in_a_simulation():
-    weights = [stage.coefficient for stage in Yoshida6.stages if isinstance(stage, Drift)]
+    weights = [letter.coefficient for letter in Yoshida6.letters if isinstance(letter, Drift)]
     methods = compose(*7 * [VelocityVerlet], weights=weights), Yoshida6
     composed, named = (md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.7), method(0.002)) for method in methods)
     composed.run(20)

@@ -149,7 +149,7 @@ def test_restart_is_the_end_of_the_run_to_the_last_bit(tmp_path, units, n_steps)
     contents = read_file(tmp_path / "a.h5md")
     assert (contents.step, contents.time, contents.timestep) == (n_steps, sim.time, sim.method.timestep)
     assert contents.method == "velocity-verlet"
-    assert md.integrators.METHODS[contents.method] is md.VelocityVerlet
+    assert md.integrators.SPLITTINGS[contents.method] is md.VelocityVerlet
     for name in ("positions", "velocities", "masses", "species", "bonds"):
         np.testing.assert_array_equal(getattr(contents.system, name), getattr(sim.system, name), strict=True)
 

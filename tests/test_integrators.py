@@ -1,4 +1,4 @@
-"""Laws of the splittings: order, symplecticity, reversal, invariants. METHODS is where a new one is registered."""
+"""Laws of the splittings: order, symplecticity, reversal, invariants. SPLITTINGS is where a new one is registered."""
 
 from types import SimpleNamespace
 
@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from minimd.integrators import METHODS, SE1, SE2, Drift, Kick, Leapfrog, PositionVerlet, Splitting, VelocityVerlet, adjoint, compose
+from minimd.integrators import SE1, SE2, SPLITTINGS, Drift, Kick, Leapfrog, PositionVerlet, Splitting, VelocityVerlet, adjoint, compose
 from minimd.integrators.two_step import stormer_summed, stormer_two_step
 
-REVERSIBLE = [method for method in METHODS.values() if method.is_symmetric]
-OTHERS = [method for method in METHODS.values() if not method.is_symmetric]
+REVERSIBLE = [method for method in SPLITTINGS.values() if method.is_symmetric]
+OTHERS = [method for method in SPLITTINGS.values() if not method.is_symmetric]
 EULERS = [SE1, SE2]
 STEPS = {1: 3000, 2: 300, 3: 1000, 4: 100, 6: 60, 8: 20}  # per unit of time, by order: small errors, above rounding
 
@@ -56,17 +56,17 @@ def final_error(method, dt, e=0.3, t=5.0):
     return np.linalg.norm(s.positions[0] - exact)
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_measured_order_is_the_answered_order(method):
     timesteps = 1.0 / STEPS[method.order] / 1.25 ** np.arange(4)
     slope = np.polyfit(np.log(timesteps), np.log([final_error(method, dt, e=0.6, t=2.0) for dt in timesteps]), 1)[0]
     assert slope == pytest.approx(method.order, abs=0.1)  # truncation
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_kicks_and_drifts_of_a_step_each_add_up_to_one(method):
     for kind in (Kick, Drift):
-        assert sum(stage.coefficient for stage in method.stages if isinstance(stage, kind)) == pytest.approx(1.0, abs=1e-15)
+        assert sum(letter.coefficient for letter in method.letters if isinstance(letter, kind)) == pytest.approx(1.0, abs=1e-15)
 
 
 def returned(method, dt=0.02, n_steps=400):
@@ -93,7 +93,7 @@ def test_a_method_that_is_not_symmetric_does_not_return(method):
     assert returned(method, dt=0.05, n_steps=160)[1] > 1e-9  # truncation; symmetric methods miss by rounding, 1e-12
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_the_adjoint_undoes_a_step_when_time_runs_backwards(method):
     """Φ*_{−Δt} ∘ Φ_Δt = 1; for symmetric methods Φ_{−Δt} ∘ Φ_Δt = 1."""
     for back in [adjoint(method), method] if method.is_symmetric else [adjoint(method)]:
@@ -104,13 +104,13 @@ def test_the_adjoint_undoes_a_step_when_time_runs_backwards(method):
         assert np.abs(s.velocities - [-0.1, 1.2, 0.05]).max() < 1e-13
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_the_adjoint_of_the_adjoint_is_the_method(method):
     assert adjoint(adjoint(method)).row() == method.row()
     assert adjoint(method).order == method.order
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_step_is_symplectic(method):
     """JᵀΩJ = Ω for the Jacobian of ten steps, by central differences."""
     start, h = np.array([0.7, 0.1, 0.0, -0.1, 1.2, 0.05]), 1e-6
@@ -125,7 +125,7 @@ def test_step_is_symplectic(method):
     assert np.abs(jacobian.T @ omega @ jacobian - omega).max() < 1e-7  # truncation h², rounding 1/h
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_step_of_a_linear_problem_is_symplectic_to_rounding(method):
     """The step is a matrix M then, its columns the images of the unit vectors; MᵀJM = J and det M = 1."""
     stiffness = np.array([[2.0, 0.3, -0.1], [0.3, 1.0, 0.2], [-0.1, 0.2, 0.5]])
@@ -142,7 +142,7 @@ def test_step_of_a_linear_problem_is_symplectic_to_rounding(method):
     assert np.linalg.det(m) == pytest.approx(1.0, abs=1e-14)
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_linear_and_angular_momentum_are_kept_to_rounding(method):
     rng = np.random.default_rng(2)
     masses = np.array([1.0, 3.0, 0.2])
@@ -184,7 +184,7 @@ def test_leapfrog_positions_are_those_of_velocity_verlet():
     assert ends[0][1] == pytest.approx(ends[1][1], abs=1e-11)
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_a_long_run_evaluates_forces_as_often_as_answered_and_one_is_looked_at(method):
     looks = []
 
@@ -194,12 +194,12 @@ def test_a_long_run_evaluates_forces_as_often_as_answered_and_one_is_looked_at(m
 
     s = state([1, 0, 0], [0, 1, 0])
     method(0.01).advance(s, forces, 50)
-    assert 50 * method.n_evaluations <= len(looks) <= 50 * method.n_evaluations + 1
-    if isinstance((method.stages + method.closing)[-1], Kick):
+    assert 50 * method.stages <= len(looks) <= 50 * method.stages + 1
+    if isinstance((method.letters + method.closing)[-1], Kick):
         assert looks == [False] * (len(looks) - 1) + [True]
 
 
-@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_many_steps_are_the_single_steps(method):
     """Merging kicks between steps changes rounding only."""
     together, alone = (state([0.8, 0, 0.1], [0, 1.1, 0]) for _ in range(2))
@@ -215,7 +215,7 @@ def test_a_new_method_is_a_row_of_coefficients():
 
     class Ruth3(Splitting):
         name = "ruth-3"
-        stages = (Kick(7 / 24), Drift(2 / 3), Kick(3 / 4), Drift(-2 / 3), Kick(-1 / 24), Drift(1.0))
+        letters = (Kick(7 / 24), Drift(2 / 3), Kick(3 / 4), Drift(-2 / 3), Kick(-1 / 24), Drift(1.0))
         source = "R. D. Ruth, IEEE Trans. Nucl. Sci. 30, 2669 (1983)"
 
     assert Ruth3.order == 3
@@ -295,7 +295,7 @@ def test_stop_request_ends_at_a_whole_step():
 
 
 def test_every_method_names_its_source():
-    for name, method in METHODS.items():
+    for name, method in SPLITTINGS.items():
         assert method.name == name
         assert len(method.source) > 20
         assert method(0.1).timestep == 0.1

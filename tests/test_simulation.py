@@ -8,7 +8,7 @@ import pytest
 from references import liquid
 
 import minimd as md
-from minimd.integrators import METHODS
+from minimd.integrators import SPLITTINGS
 
 LJ = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
 
@@ -26,7 +26,7 @@ def chains(n_beads=8):
     ]
 
 
-@pytest.mark.parametrize("method", [method for method in METHODS.values() if method.order == 2])
+@pytest.mark.parametrize("method", [method for method in SPLITTINGS.values() if method.order == 2])
 def test_energy_oscillation_falls_as_the_square_of_the_time_step(method):
     oscillation = []
     for dt in (0.008, 0.004, 0.002):

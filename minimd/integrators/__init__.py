@@ -12,7 +12,7 @@ from minimd.integrators.compositions import (
     Suzuki4,
     Yoshida6,
 )
-from minimd.integrators.methods import METHODS
+from minimd.integrators.methods import METHODS, SPLITTINGS
 from minimd.integrators.orders import nystrom_order, separable_order
 from minimd.integrators.rows import Drift, Kick
 from minimd.integrators.solution import Solution
@@ -25,6 +25,7 @@ __all__ = [
     "PEFRL",
     "SE1",
     "SE2",
+    "SPLITTINGS",
     "BlanesMoan4",
     "CandyRozmus4",
     "Drift",

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from itertools import chain
 
-from minimd.integrators.rows import Drift, Kick, Row, Stage, merged, mirrored, scaled
+from minimd.integrators.rows import Drift, Kick, Row, Letter, merged, mirrored, scaled
 from minimd.integrators.splitting import Splitting
 
-Part = Stage | type[Splitting]
+Part = Letter | type[Splitting]
 
 
 def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitting]:
@@ -52,5 +52,5 @@ def _row(part: Part) -> Row:
     return part.row() if isinstance(part, type) else (part,)
 
 
-def _method(name: str, stages: Row, source: str) -> type[Splitting]:
-    return type("Composition", (Splitting,), {"name": name, "stages": stages, "source": source, "__doc__": f"{name}."})
+def _method(name: str, letters: Row, source: str) -> type[Splitting]:
+    return type("Composition", (Splitting,), {"name": name, "letters": letters, "source": source, "__doc__": f"{name}."})

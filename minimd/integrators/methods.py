@@ -1,4 +1,4 @@
-"""The table of splitting methods, by name."""
+"""The tables of methods, by name."""
 
 from minimd.integrators.compositions import (
     PEFRL,
@@ -14,7 +14,7 @@ from minimd.integrators.compositions import (
 from minimd.integrators.splitting import Splitting
 from minimd.integrators.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
 
-METHODS: dict[str, type[Splitting]] = {
+SPLITTINGS: dict[str, type[Splitting]] = {
     method.name: method
     for method in (
         VelocityVerlet,
@@ -33,3 +33,5 @@ METHODS: dict[str, type[Splitting]] = {
         KahanLi8,
     )
 }
+
+METHODS = dict(SPLITTINGS)

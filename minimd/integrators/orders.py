@@ -18,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.integrators.rows import Drift, Kick, Row, Stage
+from minimd.integrators.rows import Drift, Kick, Letter, Row
 
 HIGHEST_ORDER = 10  # conditions are looked at up to here
 TOLERANCE = 1e-12  # rows of 14 digits pass; a condition that fails leaves 1e-6 and more
 
-Word = tuple[type[Stage], ...]
+Word = tuple[type[Letter], ...]
 
 
 @cache
@@ -65,13 +65,13 @@ def lyndon_words(length: int) -> tuple[Word, ...]:
 
 
 def word_coefficient(row: Row, word: Word) -> float:
-    """Coefficient of a word in exp(c₁X₁) exp(c₂X₂) …; a stage appends k of its letter with weight cᵏ/k!."""
+    """Coefficient of a word in exp(c₁X₁) exp(c₂X₂) …; a flow appends k of its letter with weight cᵏ/k!."""
     prefix = [1.0] + [0.0] * len(word)  # coefficient of the first j letters in the product so far
-    for stage in row:
+    for letter in row:
         for j in range(len(word), 0, -1):
             weight, k = 1.0, 1
-            while k <= j and word[j - k] is type(stage):
-                weight *= stage.coefficient / k
+            while k <= j and word[j - k] is type(letter):
+                weight *= letter.coefficient / k
                 prefix[j] += weight * prefix[j - k]
                 k += 1
     return prefix[-1]
@@ -104,7 +104,7 @@ def nystrom_residuals(row: Row, order: int) -> list[float]:
 
 def nystrom_tableau(row: Row) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Weights b (s,), abscissae c (s,) and matrix a (s, s) of the row with s kicks."""
-    kicks = [k for k, stage in enumerate(row) if isinstance(stage, Kick)]
+    kicks = [k for k, letter in enumerate(row) if isinstance(letter, Kick)]
     b = np.array([row[k].coefficient for k in kicks])
     c = np.array([drifts_sum(row[:k]) for k in kicks])
     return b, c, np.tril(b * (c[:, None] - c), -1)
@@ -112,7 +112,7 @@ def nystrom_tableau(row: Row) -> tuple[NDArray[np.float64], NDArray[np.float64],
 
 def drifts_sum(row: Row) -> float:
     """Σ of the coefficients of all drifts."""
-    return sum(stage.coefficient for stage in row if isinstance(stage, Drift))
+    return sum(letter.coefficient for letter in row if isinstance(letter, Drift))
 
 
 def bunches(branches: list[Branch], power: int, first: int = 0) -> Iterator[tuple[Branch, ...]]:

@@ -1,4 +1,4 @@
-"""Rows of stages: kicks and drifts in the order in which a step applies them, and what one can do with such a row."""
+"""Rows of letters: kicks and drifts in the order in which a step applies them, and what one can do with such a row."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -22,37 +22,37 @@ class Kick:
     coefficient: float
 
 
-Stage = Kick | Drift
-Row = tuple[Stage, ...]
+Letter = Kick | Drift
+Row = tuple[Letter, ...]
 
 
-def merged(stages: Iterable[Stage]) -> Row:
-    """The same flow with equal neighbors made one, φ_a ∘ φ_b = φ_{a+b}, and stages of no duration left out."""
-    row: list[Stage] = []
-    for stage in stages:
-        if row and type(row[-1]) is type(stage):
-            stage = type(stage)(row.pop().coefficient + stage.coefficient)
-        if stage.coefficient != 0.0:
-            row.append(stage)
+def merged(letters: Iterable[Letter]) -> Row:
+    """The same flow with equal neighbors made one, φ_a ∘ φ_b = φ_{a+b}, and letters of no duration left out."""
+    row: list[Letter] = []
+    for letter in letters:
+        if row and type(row[-1]) is type(letter):
+            letter = type(letter)(row.pop().coefficient + letter.coefficient)
+        if letter.coefficient != 0.0:
+            row.append(letter)
     return tuple(row)
 
 
-def scaled(stages: Iterable[Stage], weight: float) -> Row:
+def scaled(letters: Iterable[Letter], weight: float) -> Row:
     """The row over weight · Δt instead of Δt."""
-    return tuple(type(stage)(weight * stage.coefficient) for stage in stages)
+    return tuple(type(letter)(weight * letter.coefficient) for letter in letters)
 
 
-def repeated(stages: Row, weights: Sequence[float]) -> Row:
+def repeated(letters: Row, weights: Sequence[float]) -> Row:
     """Φ_{w₁Δt}, then Φ_{w₂Δt}, …, as one row: how a method of low order is composed to one of high order."""
-    return merged(chain.from_iterable(scaled(stages, weight) for weight in weights))
+    return merged(chain.from_iterable(scaled(letters, weight) for weight in weights))
 
 
-def mirrored(stages: Row) -> Row:
+def mirrored(letters: Row) -> Row:
     """The row read from its other end: the adjoint Φ*_Δt = (Φ_{−Δt})⁻¹, for each flow is its own adjoint."""
-    return stages[::-1]
+    return letters[::-1]
 
 
-def alternating(kind: type[Stage], coefficients: Iterable[float]) -> Row:
+def alternating(kind: type[Letter], coefficients: Iterable[float]) -> Row:
     """Kicks and drifts in turn, beginning with one kind."""
     other = Drift if kind is Kick else Kick
     return tuple((other if k % 2 else kind)(coefficient) for k, coefficient in enumerate(coefficients))
@@ -63,9 +63,9 @@ def palindrome(half: Sequence[float]) -> tuple[float, ...]:
     return (*half, *half[-2::-1])
 
 
-def is_palindrome(stages: Row) -> bool:
+def is_palindrome(letters: Row) -> bool:
     """Whether a row is its own mirror image, to rounding: then Φ*= Φ, the method is symmetric."""
     return all(
         type(one) is type(other) and isclose(one.coefficient, other.coefficient, rel_tol=ROUNDING, abs_tol=ROUNDING)
-        for one, other in zip(stages, mirrored(stages), strict=True)
+        for one, other in zip(letters, mirrored(letters), strict=True)
     )

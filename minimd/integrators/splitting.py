@@ -73,14 +73,14 @@ class Answer(Generic[Value]):
         return self.question(method)
 
 
-def n_evaluations(method: "type[Splitting]") -> int:
+def stages(method: "type[Splitting]") -> int:
     """Force evaluations per step of a long run: the kicks of a step, the last and the first being one."""
-    kicks = [isinstance(stage, Kick) for stage in merged(method.stages)]
+    kicks = [isinstance(letter, Kick) for letter in merged(method.letters)]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
 
 
 class Splitting:
-    """A splitting method, given by its row of stages.
+    """A splitting method, given by its row of letters.
 
     A row that begins and ends with the same letter is run with the two merged between steps: where nobody looks, velocity
     Verlet makes one kick and one drift per step, as leapfrog does. Forces are computed when a kick needs them and
@@ -92,12 +92,12 @@ class Splitting:
 
     Attributes of each method
     -------------------------
-    name, stages, source : key in METHODS; kicks and drifts of one step; literature.
-    opening, closing : stages before the first and after the last of a run of steps, for velocities at half steps.
+    name, letters, source : key in METHODS; kicks and drifts of one step; literature.
+    opening, closing : letters before the first and after the last of a run of steps, for velocities at half steps.
 
     Answers computed from them
     --------------------------
-    order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).  n_evaluations : forces computed per step in a long run.
+    order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).  stages : forces computed per step in a long run.
     is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1, then also reversible.  is_symplectic, is_explicit : always true of splittings.
 
     Raises
@@ -107,7 +107,7 @@ class Splitting:
 
     timestep: float
     name: ClassVar[str]
-    stages: ClassVar[Row]
+    letters: ClassVar[Row]
     source: ClassVar[str]
     opening: ClassVar[Row] = ()
     closing: ClassVar[Row] = ()
@@ -115,7 +115,7 @@ class Splitting:
     is_explicit: ClassVar[bool] = True
     order = Answer(lambda method: nystrom_order(method.row()))
     is_symmetric = Answer(lambda method: is_palindrome(method.row()))
-    n_evaluations = Answer(n_evaluations)
+    stages = Answer(stages)
 
     def __init__(self, timestep: float) -> None:
         if not (isinstance(timestep, Real) and isfinite(timestep) and timestep != 0.0):
@@ -128,7 +128,7 @@ class Splitting:
     @classmethod
     def row(cls) -> Row:
         """One step from opening to closing, equal neighbors merged."""
-        return merged((*cls.opening, *cls.stages, *cls.closing))
+        return merged((*cls.opening, *cls.letters, *cls.closing))
 
     def advance(self, state: State, compute_forces: ComputeForces, n_steps: int, look: bool = True) -> int:
         """Make n_steps steps, at least one, fewer if state.stop_requested becomes true; return how many.
@@ -145,21 +145,21 @@ class Splitting:
         return step
 
     def _merged(self) -> tuple[Row, ...]:
-        """The row as stages before, in, between and after the steps, with equal neighbors made one."""
-        first, last = self.stages[0], self.stages[-1]
-        if len(self.stages) == 1 or type(first) is not type(last):
-            return self.opening, self.stages, (), self.closing
+        """The row as letters before, in, between and after the steps, with equal neighbors made one."""
+        first, last = self.letters[0], self.letters[-1]
+        if len(self.letters) == 1 or type(first) is not type(last):
+            return self.opening, self.letters, (), self.closing
         merged = type(first)(first.coefficient + last.coefficient)
-        return (*self.opening, first), self.stages[1:-1], (merged,), (last, *self.closing)
+        return (*self.opening, first), self.letters[1:-1], (merged,), (last, *self.closing)
 
-    def _apply(self, stages: Row, state: State, compute_forces: ComputeForces, look_at_last: bool = False) -> None:
-        for k, stage in enumerate(stages, start=1):
-            duration = stage.coefficient * self.timestep
-            if isinstance(stage, Drift):
+    def _apply(self, letters: Row, state: State, compute_forces: ComputeForces, look_at_last: bool = False) -> None:
+        for k, letter in enumerate(letters, start=1):
+            duration = letter.coefficient * self.timestep
+            if isinstance(letter, Drift):
                 drift(state.positions, state.velocities, duration)
                 state.forces_are_current = False
                 continue
             if not state.forces_are_current:
-                compute_forces(state, look_at_last and k == len(stages))
+                compute_forces(state, look_at_last and k == len(letters))
                 state.forces_are_current = True
             kick(state.velocities, state.forces, state.inverse_masses, duration)

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from minimd import units
 from minimd.cell import Cell
-from minimd.integrators import METHODS, Splitting
+from minimd.integrators import SPLITTINGS, Splitting
 from minimd.lattice import constant_from_density, crystal
 from minimd.scene.problems import problems
 from minimd.scene.sections import Reading, SceneSections
@@ -60,7 +60,7 @@ class Scene:
     def method(self) -> Splitting:
         """The integrator with its time step."""
         dynamics = self.sections.dynamics
-        return METHODS[dynamics.method](dynamics.timestep)
+        return SPLITTINGS[dynamics.method](dynamics.timestep)
 
     def simulation(self, system: System | None = None) -> Simulation:
         """The simulation at its start, with velocities drawn at the temperature of the scene, if it names one.

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
-from minimd.integrators import METHODS
+from minimd.integrators import SPLITTINGS
 from minimd.lattice import BASES
 from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones
 from minimd.potentials.mixing import MIXING
@@ -240,7 +240,7 @@ class HarmonicAngleSection(Section):
 class DynamicsSection(Section):
     """[dynamics]: the method, and how long it runs. Without a temperature the velocities of the structure stay."""
 
-    method: Annotated[str, _one_of(METHODS)] = "velocity-verlet"
+    method: Annotated[str, _one_of(SPLITTINGS)] = "velocity-verlet"
     timestep: Annotated[Positive, Dimension("time")]
     steps: NonNegativeInt
     temperature: Annotated[NotNegative | None, Dimension("temperature")] = None

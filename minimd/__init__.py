@@ -2,7 +2,7 @@
 
 from minimd import integrators, units
 from minimd.cell import Cell
-from minimd.errors import ConstraintError, NonFiniteError
+from minimd.errors import ConstraintError, ConvergenceError, NonFiniteError
 from minimd.forces import Evaluation, Forces, evaluate
 from minimd.integrators import Leapfrog, PositionVerlet, VelocityVerlet
 from minimd.neighbors import neighbor_list
@@ -17,6 +17,7 @@ __all__ = [
     "BondPotential",
     "Cell",
     "ConstraintError",
+    "ConvergenceError",
     "Evaluation",
     "Forces",
     "HarmonicAngle",

@@ -11,6 +11,16 @@ from minimd.integrators.compositions import (
     Suzuki4,
     Yoshida6,
 )
+from minimd.integrators.method import Method
+from minimd.integrators.runge_kutta import (
+    GaussLegendre1,
+    GaussLegendre2,
+    GaussLegendre3,
+    GaussLegendre4,
+    ImplicitEuler,
+    RadauIIA2,
+    RadauIIA3,
+)
 from minimd.integrators.splitting import Splitting
 from minimd.integrators.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
 
@@ -34,4 +44,17 @@ SPLITTINGS: dict[str, type[Splitting]] = {
     )
 }
 
-METHODS = dict(SPLITTINGS)
+IMPLICIT: dict[str, type[Method]] = {
+    method.name: method
+    for method in (
+        GaussLegendre1,
+        GaussLegendre2,
+        GaussLegendre3,
+        GaussLegendre4,
+        ImplicitEuler,
+        RadauIIA2,
+        RadauIIA3,
+    )
+}
+
+METHODS: dict[str, type[Method]] = {**SPLITTINGS, **IMPLICIT}

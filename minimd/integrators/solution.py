@@ -10,13 +10,31 @@ from numpy.typing import NDArray
 class Solution:
     """A path on a grid of times.
 
-    t : (n + 1,) times.  q, v : (n + 1, …) positions and velocities at these times.  nfev : evaluations of the force.
+    t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities, of problems that have them.
+    nfev : evaluations of the right-hand side (of f, for problems with q and v).  n_rejected : steps tried in vain.
     success, message : whether the end was reached, and if not, why.
     """
 
     t: NDArray[np.float64]
-    q: NDArray[np.float64]
-    v: NDArray[np.float64]
+    y: NDArray[np.float64]
     nfev: int
+    shape: tuple[int, ...] | None = None
     success: bool = True
     message: str = "the end was reached"
+    n_rejected: int = 0
+
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """(n + 1, …) positions."""
+        return self._half(0)
+
+    @property
+    def v(self) -> NDArray[np.float64]:
+        """(n + 1, …) velocities."""
+        return self._half(1)
+
+    def _half(self, k: int) -> NDArray[np.float64]:
+        if self.shape is None:
+            raise AttributeError("this problem has no q and v; its states are in y")
+        n = self.y.shape[1] // 2
+        return self.y[:, k * n : (k + 1) * n].reshape(-1, *self.shape)

@@ -9,15 +9,16 @@ reads the same from both ends. E. Hairer, C. Lubich, G. Wanner, Geometric Numeri
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import isfinite
-from numbers import Real
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiling import kernel
-from minimd.integrators.orders import nystrom_order
+from minimd.integrators.method import Answer, Method, Step
+from minimd.integrators.orders import nystrom_order, separable_order
+from minimd.integrators.partitioned import EulerStep, RowStep
+from minimd.integrators.problems import Partitioned, Problem, SecondOrder
 from minimd.integrators.rows import Drift, Kick, Row, is_palindrome, merged
 
 
@@ -60,26 +61,13 @@ def drift(positions, velocities, duration):
         positions[i, 2] += duration * velocities[i, 2]
 
 
-Value = TypeVar("Value")
-
-
-class Answer(Generic[Value]):
-    """An attribute of a method that is computed from its row whenever it is asked for."""
-
-    def __init__(self, question: Callable[[type[Any]], Value]) -> None:
-        self.question = question
-
-    def __get__(self, _instance: object, method: type[Any]) -> Value:
-        return self.question(method)
-
-
 def stages(method: "type[Splitting]") -> int:
     """Force evaluations per step of a long run: the kicks of a step, the last and the first being one."""
     kicks = [isinstance(letter, Kick) for letter in merged(method.letters)]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
 
 
-class Splitting:
+class Splitting(Method):
     """A splitting method, given by its row of letters.
 
     A row that begins and ends with the same letter is run with the two merged between steps: where nobody looks, velocity
@@ -105,10 +93,7 @@ class Splitting:
     ValueError : if the time step is zero or not finite.
     """
 
-    timestep: float
-    name: ClassVar[str]
     letters: ClassVar[Row]
-    source: ClassVar[str]
     opening: ClassVar[Row] = ()
     closing: ClassVar[Row] = ()
     is_symplectic: ClassVar[bool] = True
@@ -117,18 +102,27 @@ class Splitting:
     is_symmetric = Answer(lambda method: is_palindrome(method.row()))
     stages = Answer(stages)
 
-    def __init__(self, timestep: float) -> None:
-        if not (isinstance(timestep, Real) and isfinite(timestep) and timestep != 0.0):
-            raise ValueError(f"timestep must be finite and not zero; timestep = {timestep!r}")
-        self.timestep = float(timestep)
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}(timestep={self.timestep:g})"
-
     @classmethod
     def row(cls) -> Row:
         """One step from opening to closing, equal neighbors merged."""
         return merged((*cls.opening, *cls.letters, *cls.closing))
+
+    @classmethod
+    def on(cls, problem: Problem) -> Step:
+        """The step on a problem with q and v: kicks and drifts if it is separable, else the implicit form of the method.
+
+        Raises
+        ------
+        TypeError : for a problem without q and v.
+        """
+        if not isinstance(problem, Partitioned):
+            raise TypeError(f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}")
+        return RowStep(problem, cls.row()) if problem.is_separable else EulerStep(problem, cls.row())
+
+    @classmethod
+    def order_on(cls, problem: Problem) -> int:
+        """cls.order holds for q″ = f(q); methods made for that alone have a lower one where q′ is another function than v."""
+        return cls.order if isinstance(problem, SecondOrder) and problem.is_separable else separable_order(cls.row())
 
     def advance(self, state: State, compute_forces: ComputeForces, n_steps: int, look: bool = True) -> int:
         """Make n_steps steps, at least one, fewer if state.stop_requested becomes true; return how many.

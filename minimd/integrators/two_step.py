@@ -76,4 +76,5 @@ def _solution(q: NDArray[np.float64], increments: NDArray[np.float64], v0: Array
     v[0] = v0
     v[1:] = (increments[1:] + increments[:-1]) / (2.0 * timestep)
     t = np.linspace(0.0, n_steps * timestep, n_steps + 1)
-    return Solution(t, q[:-1], v, nfev=n_steps + 1)
+    y = np.concatenate([part.reshape(len(t), -1) for part in (q[:-1], v)], axis=1)
+    return Solution(t, y, nfev=n_steps + 1, shape=q.shape[1:])

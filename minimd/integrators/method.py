@@ -1,0 +1,88 @@
+"""What all one-step methods have in common: a name, properties that tests measure, and a time step."""
+
+from collections.abc import Callable
+from math import isfinite
+from numbers import Real
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from minimd.integrators.problems import Problem
+
+Value = TypeVar("Value")
+
+
+class Answer(Generic[Value]):
+    """An attribute of a method that is computed from its coefficients whenever it is asked for."""
+
+    def __init__(self, question: Callable[[type[Any]], Value]) -> None:
+        self.question = question
+
+    def __get__(self, _instance: object, method: type[Any]) -> Value:
+        return self.question(method)
+
+
+class Step(Protocol):
+    """One step of a method on a problem: y(t) → y(t+h). It never changes y, and counts its evaluations in nfev.
+
+    A step may remember what it knows about the state it returned last (its force, say), and recognizes that very array.
+    """
+
+    nfev: int
+
+    def __call__(self, t: float, y: NDArray, h: float) -> NDArray:
+        """y(t+h) from y(t); h may be negative."""
+        ...
+
+
+class Method:
+    """A method with its time step.
+
+    Parameters
+    ----------
+    timestep : Δt [time], finite and not zero; a negative one runs time backwards.
+
+    Attributes of each method
+    -------------------------
+    name, source : key in METHODS; literature.
+    order : p of the global error O(Δtᵖ).  stages : evaluations of the force, or systems of stage equations, per step.
+    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1.  is_symplectic : for Hamiltonian problems.
+    is_explicit : whether separable problems are stepped without solving equations.
+
+    Raises
+    ------
+    ValueError : if the time step is zero or not finite.
+    """
+
+    timestep: float
+    name: ClassVar[str]
+    source: ClassVar[str]
+    order: Any
+    stages: Any
+    is_symmetric: Any
+    is_symplectic: ClassVar[Any]
+    is_explicit: ClassVar[bool]
+
+    def __init__(self, timestep: float) -> None:
+        if not (isinstance(timestep, Real) and isfinite(timestep) and timestep != 0.0):
+            raise ValueError(f"timestep must be finite and not zero; timestep = {timestep!r}")
+        self.timestep = float(timestep)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(timestep={self.timestep:g})"
+
+    @classmethod
+    def on(cls, problem: "Problem") -> Step:
+        """The step of this method on a problem that has been given its start.
+
+        Raises
+        ------
+        TypeError : if the method cannot be used on problems of this kind.
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def order_on(cls, problem: "Problem") -> int:
+        """Order on this problem, which can be lower than that on the problems the method was made for."""
+        return cls.order

@@ -1,0 +1,215 @@
+"""Differential equations as the methods for small systems see them.
+
+    SecondOrder   q″ = f(t, q, v)                               planets, pendulums, particles
+    Partitioned   q′ = g(t, q, v),  v′ = f(t, q, v)             any Hamiltonian, with v for the momenta
+    FirstOrder    y′ = f(t, y)
+
+A function is written with the arguments it needs, called t, q and v: what it does not take it cannot depend on, and that
+is how a method knows that a step is explicit. A function that takes all three is never trusted to ignore one: the step is
+then solved as an implicit one, and is done at once where it turns out to be explicit after all.
+"""
+
+import inspect
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.integrators.nonlinear import Newton, Solver
+
+Array = NDArray[np.float64]
+Function = Callable[..., Any]
+
+
+class Problem(Protocol):
+    """y′ = f(t, y) or F(t, y, y′) = 0, given a start. States are one-dimensional arrays."""
+
+    solver: Solver
+
+    @property
+    def shape(self) -> tuple[int, ...] | None:
+        """Shape of q and of v, None for problems without them."""
+        ...
+
+    def begin(self, start: Any) -> Array:
+        """The start as a state; shapes are checked and remembered."""
+        ...
+
+    def field(self, t: float, y: Array) -> Array:
+        """y′."""
+        ...
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """F(t, y, y′), zero on a solution; y′ − f(t, y) if the problem is explicit."""
+        ...
+
+
+class Field:
+    """A function of the user, called with t, q, v whatever it takes, and answering with a fresh flat array."""
+
+    def __init__(self, function: Function, usual: str, name: str) -> None:
+        self.takes = _arguments(function, usual, name)
+        self.name = name
+        self._call = _CALLS[self.takes](function)
+
+    def __call__(self, t: float, q: Array, v: Array) -> Array:
+        return np.array(self._call(t, q, v), dtype=float).reshape(-1)
+
+
+_CALLS: dict[str, Callable[[Function], Function]] = {
+    "": lambda f: lambda t, q, v: f(),
+    "t": lambda f: lambda t, q, v: f(t),
+    "q": lambda f: lambda t, q, v: f(q),
+    "v": lambda f: lambda t, q, v: f(v),
+    "tq": lambda f: lambda t, q, v: f(t, q),
+    "tv": lambda f: lambda t, q, v: f(t, v),
+    "qv": lambda f: lambda t, q, v: f(q, v),
+    "tqv": lambda f: f,
+}
+
+
+def _arguments(function: Function, usual: str, name: str) -> str:
+    """Which of t, q, v a function takes: by their names, else by their number if it is the usual one or three."""
+    if not callable(function):
+        raise TypeError(f"{name} must be a function; got {function!r}")
+    try:
+        names = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
+    except ValueError:  # written in C, such as numpy.sin
+        return usual
+    takes = "".join(names)
+    if takes in _CALLS:
+        return takes
+    if len(names) in (len(usual), 3):
+        return "tqv" if len(names) == 3 else usual
+    raise TypeError(f"{name} must take some of t, q, v, in this order and under these names; it takes ({', '.join(names)})")
+
+
+class Partitioned:
+    """q′ = g(t, q, v), v′ = f(t, q, v).
+
+    Parameters
+    ----------
+    g, f : functions of t, q, v, or of those of them they depend on: g(v), f(q), f(t, q), …; q and v have the shape of the start.
+    g_q, f_v : (n, n) Jacobians ∂g/∂q and ∂f/∂v, functions of t, q, v; found by finite differences if not given.
+    solver : Newton() or FixedPoint(), for steps that turn out implicit.
+
+    Raises
+    ------
+    TypeError : for anything but functions, or functions whose arguments are called otherwise.
+    """
+
+    def __init__(self, g: Function, f: Function, g_q: Function | None = None, f_v: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
+        self.g, self.f = Field(g, "v", "g"), Field(f, "q", "f")
+        self.g_q = g_q if g_q is None else Field(g_q, "tqv", "g_q")
+        self.f_v = f_v if f_v is None else Field(f_v, "tqv", "f_v")
+        self.solver = solver
+        self.shape: tuple[int, ...] = ()  # of q and of v, known once there is a start
+        self.g_is_v = False
+
+    @property
+    def is_separable(self) -> bool:
+        """Whether g takes v alone and f does not take v, so that each half can be solved exactly."""
+        return self.g.takes in ("", "v") and "v" not in self.f.takes
+
+    def begin(self, start: tuple[ArrayLike, ArrayLike]) -> Array:
+        """(q, v) as one state of length 2n.
+
+        Raises
+        ------
+        ValueError : if q, v, g and f do not have the same shape, or a value is not finite.
+        """
+        q, v = (np.array(part, dtype=float) for part in start)
+        if q.shape != v.shape or q.size == 0:
+            raise ValueError(f"q and v of the start must have the same shape, and at least one element; got {q.shape} and {v.shape}")
+        self.shape = q.shape
+        y = np.concatenate([q.reshape(-1), v.reshape(-1)])
+        _check_finite(y)
+        for field in (self.g, self.f):
+            if field(0.0, q, v).size != q.size:
+                raise ValueError(f"{field.name} must answer with the shape of q, {q.shape}; got {field(0.0, q, v).size} values")
+        return y
+
+    def halves(self, y: Array) -> tuple[Array, Array]:
+        """Views of q and v, in their shape."""
+        n = y.size // 2
+        q, v = y[:n], y[n:]
+        return (q, v) if len(self.shape) == 1 else (q.reshape(self.shape), v.reshape(self.shape))
+
+    def field(self, t: float, y: Array) -> Array:
+        """(g, f) as one array of length 2n."""
+        q, v = self.halves(y)
+        return np.concatenate([self.g(t, q, v), self.f(t, q, v)])
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """y′ − (g, f)."""
+        return slope - self.field(t, y)
+
+
+class SecondOrder(Partitioned):
+    """q″ = f(t, q, v): Newton's equation, f being force over mass.
+
+    Parameters
+    ----------
+    f : a function of q, of t and q, or of t, q and v.  f_v, solver : as for Partitioned.
+    """
+
+    def __init__(self, f: Function, f_v: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
+        super().__init__(lambda v: v, f, f_v=f_v, solver=solver)
+        self.g_is_v = True
+
+
+class FirstOrder:
+    """y′ = f(t, y).
+
+    Parameters
+    ----------
+    f : function of t and y, or of y.  jacobian : (n, n) ∂f/∂y as a function of the same, found by finite differences if not given.
+    solver : Newton() or FixedPoint().
+    """
+
+    shape = None
+
+    def __init__(self, f: Function, jacobian: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
+        self._f = _of_time_and_state(f, "f")
+        self.jacobian = jacobian if jacobian is None else _of_time_and_state(jacobian, "jacobian")
+        self.solver = solver
+
+    def begin(self, start: ArrayLike) -> Array:
+        """The start as a state of length n.
+
+        Raises
+        ------
+        ValueError : if f(start) has another length, or a value is not finite.
+        """
+        y = np.array(start, dtype=float)
+        if y.ndim != 1 or y.size == 0:
+            raise ValueError(f"the start must be a one-dimensional array with at least one element; got shape {y.shape}")
+        _check_finite(y)
+        if self.field(0.0, y).shape != y.shape:
+            raise ValueError(f"f must answer with the shape of y, {y.shape}; got {self.field(0.0, y).shape}")
+        return y
+
+    def field(self, t: float, y: Array) -> Array:
+        """f(t, y)."""
+        return np.array(self._f(t, y), dtype=float)
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """y′ − f(t, y)."""
+        return slope - self.field(t, y)
+
+
+def _of_time_and_state(function: Function, name: str) -> Function:
+    try:
+        n_arguments = len([p for p in inspect.signature(function).parameters.values() if p.default is p.empty])
+    except ValueError:
+        n_arguments = 1
+    if n_arguments not in (1, 2):
+        raise TypeError(f"{name} must take y, or t and y; it takes {n_arguments} arguments")
+    return function if n_arguments == 2 else lambda t, y: function(y)
+
+
+def _check_finite(y: Array) -> None:
+    if not np.isfinite(y).all():
+        k = int(np.argmin(np.isfinite(y)))
+        raise ValueError(f"the start must be finite; element {k} is {y[k]}")

@@ -12,12 +12,13 @@ from minimd.integrators.compositions import (
     Suzuki4,
     Yoshida6,
 )
-from minimd.integrators.drivers import run_adaptive, run_steps, run_until
+from minimd.integrators.drivers import run_steps, run_until
 from minimd.integrators.method import Method
 from minimd.integrators.methods import METHODS, SPLITTINGS
 from minimd.integrators.nonlinear import FixedPoint, Newton
 from minimd.integrators.orders import nystrom_order, separable_order
 from minimd.integrators.problems import FirstOrder, Partitioned, SecondOrder
+from minimd.integrators.reversible import run_reversible
 from minimd.integrators.rows import Drift, Kick
 from minimd.integrators.runge_kutta import (
     GaussLegendre1,
@@ -31,11 +32,17 @@ from minimd.integrators.runge_kutta import (
 )
 from minimd.integrators.solution import Solution
 from minimd.integrators.splitting import Splitting, State
+from minimd.integrators.step_doubling import run_adaptive
 from minimd.integrators.tableau import Tableau, collocation, gauss, radau_iia
 from minimd.integrators.two_step import stormer_summed, stormer_two_step
 from minimd.integrators.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
 
 __all__ = [
+    "METHODS",
+    "PEFRL",
+    "SE1",
+    "SE2",
+    "SPLITTINGS",
     "BlanesMoan4",
     "CandyRozmus4",
     "Drift",
@@ -50,20 +57,15 @@ __all__ = [
     "KahanLi8",
     "Kick",
     "Leapfrog",
-    "METHODS",
     "McLachlanAtela4",
     "Method",
     "Newton",
-    "PEFRL",
     "Partitioned",
     "PositionVerlet",
     "RadauIIA2",
     "RadauIIA3",
     "RungeKutta",
     "Ruth3",
-    "SE1",
-    "SE2",
-    "SPLITTINGS",
     "SecondOrder",
     "Solution",
     "Splitting",
@@ -79,6 +81,7 @@ __all__ = [
     "nystrom_order",
     "radau_iia",
     "run_adaptive",
+    "run_reversible",
     "run_steps",
     "run_until",
     "separable_order",

@@ -54,6 +54,7 @@ class Field:
         self._call = _CALLS[self.takes](function)
 
     def __call__(self, t: float, q: Array, v: Array) -> Array:
+        """(n,) values of the function."""
         return np.array(self._call(t, q, v), dtype=float).reshape(-1)
 
 

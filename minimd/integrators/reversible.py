@@ -1,0 +1,138 @@
+"""Steps of varying length that keep a symmetric method symmetric: the integrating controller.
+
+    ρ_{n+1/2} = ρ_{n−1/2} + ε G(y_n),      y_{n+1} = Φ_{ε/ρ_{n+1/2}}(y_n),      G = d ln ρ/dt along the solution
+
+Steps are dense (ρ large) where the solution changes fast. As density and state leapfrog each other, the whole is symmetric, and
+reversible if G changes sign with the velocities; the energy of Hamiltonian problems then oscillates, and does not drift as it
+does when each step is chosen by an estimate of its error.
+E. Hairer, G. Söderlind, SIAM J. Sci. Comput. 26, 1838 (2005), eq. 3.2-3.4.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import copysign, isfinite, log
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.errors import ConvergenceError, NonFiniteError
+from minimd.integrators.drivers import ROUNDING, check_ahead, check_method
+from minimd.integrators.method import Method
+from minimd.integrators.problems import Partitioned
+from minimd.integrators.solution import Solution
+
+Array = NDArray[np.float64]
+Control = Callable[[float, Array, Array], float]
+EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), steps in proportion to the time of free fall
+DIFFERENCE = 1e-5  # of the size of q, for the slope of ln |f| along v: truncation and rounding are then alike, 1e-10
+
+
+@dataclass
+class ReversibleSolution(Solution):
+    """A Solution with density : (n + 1,) values of ρ at its times, dimensionless, to go on from or back."""
+
+    density: Array = field(default_factory=lambda: np.empty(0))
+
+
+def run_reversible(
+    problem: Partitioned,
+    method: Method,
+    start: tuple[ArrayLike, ArrayLike],
+    t_end: float,
+    t0: float = 0.0,
+    *,
+    control: Control | None = None,
+    density: float = 1.0,
+    every: int = 1,
+) -> ReversibleSolution:
+    """Steps of length timestep/ρ up to t_end, the last one shortened to end there.
+
+    Parameters
+    ----------
+    problem : SecondOrder or Partitioned.
+    method : a symmetric method; its time step is ε, the length of steps where ρ = 1.
+    control : G(t, q, v) = d ln ρ/dt [1/time], odd in v. If not given, ρ follows |f|^¾, at two more evaluations of f per step.
+    density : ρ at the start.  every : steps between the states that are kept; the last one is kept too.
+
+    Raises
+    ------
+    ValueError : if the method is not symmetric, or t_end does not lie ahead.
+    ConvergenceError, NonFiniteError : if a step cannot be made, or ρ is no longer positive; error.solution holds the path before.
+    """
+    check_method(method)
+    check_ahead(t0, t_end)
+    if not method.is_symmetric:
+        raise ValueError(f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not")
+    if (t_end - t0) * method.timestep < 0.0 or not density > 0.0:
+        raise ValueError(f"t_end must lie ahead and density be positive; t0 = {t0!r}, t_end = {t_end!r}, {method!r}, density = {density!r}")
+    path = _Path(problem, method, start, t0, density, control)
+    return path.to(t_end, every)
+
+
+class _Path:
+    """State, time and density, and what has been kept of them."""
+
+    def __init__(self, problem: Partitioned, method: Method, start, t0: float, density: float, control: Control | None) -> None:
+        self.problem, self.epsilon = problem, method.timestep
+        self.y, self.t = problem.begin(start), t0
+        self.step = type(method).on(problem)
+        self.control = control or _Fall(problem)
+        self.rho = density  # at the last state, half a change after the last step's and half a change before the next one's
+        self.kept: list[tuple[float, Array, float]] = [(t0, self.y, density)]
+
+    def to(self, t_end: float, every: int) -> ReversibleSolution:
+        n, direction = 0, copysign(1.0, self.epsilon)
+        change = self._change()
+        try:
+            while (t_end - self.t) * direction > 0.0:
+                n += 1
+                change = self._advance(t_end, change)
+                if n % every == 0:
+                    self.kept.append((self.t, self.y, self.rho))
+        except ArithmeticError as reason:
+            error = type(reason)(f"step {n} from t = {self.t:g}: {reason}; reduce the timestep ({self.epsilon:g})")
+            error.solution = self.solution()  # type: ignore[attr-defined]
+            raise error from None
+        if n % every != 0:
+            self.kept.append((self.t, self.y, self.rho))
+        return self.solution()
+
+    def _advance(self, t_end: float, change: float) -> float:
+        """One step; the change of ρ that half belongs to it and half to the next one is returned."""
+        rho = self.rho + 0.5 * change
+        if not rho > 0.0:
+            raise ConvergenceError(f"the density of steps fell to {rho:.1e}")
+        h, rest = self.epsilon / rho, t_end - self.t
+        is_last = abs(h) >= abs(rest) * (1.0 - ROUNDING)
+        y = self.step(self.t, self.y, rest if is_last else h)
+        if not np.isfinite(y).all():
+            raise NonFiniteError("the state is no longer finite")
+        self.t, self.y = (t_end if is_last else self.t + h), y
+        change = self._change()
+        self.rho = rho + 0.5 * change
+        return change
+
+    def _change(self) -> float:
+        """ε G at the present state."""
+        return self.epsilon * float(self.control(self.t, *self.problem.halves(self.y)))
+
+    def solution(self) -> ReversibleSolution:
+        t, y, rho = zip(*self.kept, strict=True)
+        nfev = self.step.nfev + getattr(self.control, "nfev", 0)
+        return ReversibleSolution(np.array(t), np.array(y), nfev, self.problem.shape, density=np.array(rho))
+
+
+class _Fall:
+    """G = ¾ d ln |f(t, q)|/dt along v, by a central difference, exactly odd in v."""
+
+    def __init__(self, problem: Partitioned) -> None:
+        self.problem, self.nfev = problem, 0
+
+    def __call__(self, t: float, q: Array, v: Array) -> float:
+        speed = float(np.linalg.norm(v))
+        if speed == 0.0:
+            return 0.0
+        delta = DIFFERENCE * max(float(np.linalg.norm(q)), 1e-3) / speed
+        ahead, behind = (float(np.linalg.norm(self.problem.f(t, q + side * v, v))) for side in (delta, -delta))
+        self.nfev += 2
+        return EXPONENT * log(ahead / behind) / (2.0 * delta) if ahead > 0.0 < behind and isfinite(ahead * behind) else 0.0

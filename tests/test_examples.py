@@ -7,17 +7,16 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-SHORTER = {"n_equilibration": 50, "n_steps": 1000}
+SHORTER = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 20}
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
 def run_shortened(name, folder):
     """Run an example with fewer steps."""
     text = (EXAMPLES / name).read_text()
-    line = re.search(r"^(n_equilibration.*) = .*$", text, re.MULTILINE)
-    if line:
-        values = [SHORTER.get(word.strip(), 10) for word in line[1].split(",")]
-        text = text.replace(line[0], f"{line[1]} = {', '.join(map(str, values))}")
+    for names in re.findall(r"^((?:n_\w+(?:, )?)+) = [\d_, ]+$", text, re.MULTILINE):
+        values = [SHORTER.get(name, 10) for name in names.split(", ")]
+        text = re.sub(rf"^{names} = .*$", f"{names} = {', '.join(map(str, values))}", text, flags=re.MULTILINE)
     (folder / name).write_text(text)
     runpy.run_path(str(folder / name), run_name="__main__")
 

@@ -103,7 +103,7 @@ class _Path:
         if not rho > 0.0:
             raise ConvergenceError(f"the density of steps fell to {rho:.1e}")
         h, rest = self.epsilon / rho, t_end - self.t
-        is_last = abs(h) >= abs(rest) * (1.0 - ROUNDING)
+        is_last = abs(h) >= abs(rest) - ROUNDING * max(abs(self.t), abs(t_end))
         y = self.step(self.t, self.y, rest if is_last else h)
         if not np.isfinite(y).all():
             raise NonFiniteError("the state is no longer finite")

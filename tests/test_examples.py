@@ -7,16 +7,16 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-SHORTER = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 20}
+SHORTER = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 20, "every": 10}
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
 def run_shortened(name, folder):
     """Run an example with fewer steps."""
     text = (EXAMPLES / name).read_text()
-    for names in re.findall(r"^((?:n_\w+(?:, )?)+) = [\d_, ]+$", text, re.MULTILINE):
-        values = [SHORTER.get(name, 10) for name in names.split(", ")]
-        text = re.sub(rf"^{names} = .*$", f"{names} = {', '.join(map(str, values))}", text, flags=re.MULTILINE)
+    for names, values in re.findall(r"^(\w+(?:, \w+)*) = ([\d_., ]+)$", text, re.MULTILINE):
+        shorter = [str(SHORTER.get(word, value)) for word, value in zip(names.split(", "), values.split(", "), strict=True)]
+        text = text.replace(f"{names} = {values}", f"{names} = {', '.join(shorter)}")
     (folder / name).write_text(text)
     runpy.run_path(str(folder / name), run_name="__main__")
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from itertools import chain
 
-from minimd.integrators.rows import Drift, Kick, Row, Letter, merged, mirrored, scaled
+from minimd.integrators.rows import Drift, Kick, Letter, Row, merged, mirrored, scaled
 from minimd.integrators.splitting import Splitting
 
 Part = Letter | type[Splitting]

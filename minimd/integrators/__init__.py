@@ -13,6 +13,7 @@ from minimd.integrators.compositions import (
     Yoshida6,
 )
 from minimd.integrators.drivers import run_steps, run_until
+from minimd.integrators.holonomic import Holonomic
 from minimd.integrators.method import Method
 from minimd.integrators.methods import METHODS, SPLITTINGS
 from minimd.integrators.nonlinear import FixedPoint, Newton
@@ -52,6 +53,7 @@ __all__ = [
     "GaussLegendre2",
     "GaussLegendre3",
     "GaussLegendre4",
+    "Holonomic",
     "ImplicitEuler",
     "KahanLi6",
     "KahanLi8",

@@ -13,12 +13,16 @@ it moves with q. A row whose order p holds for all separable problems has the or
 R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995); E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), III.3.3, VI.3.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiling import kernel
-from minimd.integrators.problems import Field, Partitioned
 from minimd.integrators.rows import ROUNDING, Drift, Kick, Row
+
+if TYPE_CHECKING:
+    from minimd.integrators.problems import Field, Partitioned
 
 Array = NDArray[np.float64]
 
@@ -33,7 +37,7 @@ def push(x, duration, rate):
 class RowStep:
     """Kicks and drifts in turn; a force that the last step ended with is not computed again."""
 
-    def __init__(self, problem: Partitioned, row: Row) -> None:
+    def __init__(self, problem: "Partitioned", row: Row) -> None:
         self.nfev = 0
         self._problem = problem
         self._row = [(isinstance(letter, Kick), letter.coefficient) for letter in row]
@@ -67,7 +71,7 @@ class RowStep:
 class EulerStep:
     """Symplectic Euler methods in turn; each implicit equation is solved to rounding, from its explicit guess."""
 
-    def __init__(self, problem: Partitioned, row: Row) -> None:
+    def __init__(self, problem: "Partitioned", row: Row) -> None:
         self.nfev = 0
         self._problem = problem
         self._factors = [(kind, weight, problem.solver.iteration()) for kind, weight in euler_factors(row)]
@@ -88,12 +92,12 @@ class EulerStep:
                 v = v + duration * self._value(problem.f, t, q, v)
         return np.concatenate([q, v])
 
-    def _value(self, field: Field, t: float, q: Array, v: Array) -> Array:
+    def _value(self, field: "Field", t: float, q: Array, v: Array) -> Array:
         self.nfev += field is self._problem.f
         shape = self._problem.shape
         return field(t, q.reshape(shape), v.reshape(shape))
 
-    def _solved(self, field: Field, jacobian: Field | None, letter: str, state: tuple[float, Array, Array], duration: float, iteration) -> Array:
+    def _solved(self, field: "Field", jacobian: "Field | None", letter: str, state: tuple[float, Array, Array], duration: float, iteration) -> Array:
         """X₁ = x₀ + h·field(x₁) for the x that a letter names, the other one standing still."""
         t, q, v = state
         x0 = q if letter == "q" else v

@@ -16,7 +16,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.integrators.method import Step
 from minimd.integrators.nonlinear import Newton, Solver
+from minimd.integrators.orders import nystrom_order, separable_order
+from minimd.integrators.partitioned import EulerStep, RowStep
+from minimd.integrators.rows import Row
 
 Array = NDArray[np.float64]
 Function = Callable[..., Any]
@@ -131,6 +135,14 @@ class Partitioned:
                 raise ValueError(f"{field.name} must answer with the shape of q, {q.shape}; got {field(0.0, q, v).size} values")
         return y
 
+    def row_step(self, row: Row) -> Step:
+        """The step of a splitting: kicks and drifts if the problem is separable, else the implicit form of the method."""
+        return RowStep(self, row) if self.is_separable else EulerStep(self, row)
+
+    def row_order(self, row: Row) -> int:
+        """Order of a splitting on this problem; rows made for q″ = f(q) alone can have a higher one there than elsewhere."""
+        return separable_order(row)
+
     def halves(self, y: Array) -> tuple[Array, Array]:
         """Views of q and v, in their shape."""
         n = y.size // 2
@@ -158,6 +170,10 @@ class SecondOrder(Partitioned):
     def __init__(self, f: Function, f_v: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
         super().__init__(lambda v: v, f, f_v=f_v, solver=solver)
         self.g_is_v = True
+
+    def row_order(self, row: Row) -> int:
+        """See Partitioned."""
+        return nystrom_order(row) if self.is_separable else separable_order(row)
 
 
 class FirstOrder:

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from minimd.compiling import kernel
 from minimd.integrators.method import Answer, Method, Step
-from minimd.integrators.orders import nystrom_order, separable_order
-from minimd.integrators.partitioned import EulerStep, RowStep
-from minimd.integrators.problems import Partitioned, Problem, SecondOrder
+from minimd.integrators.orders import nystrom_order
+from minimd.integrators.problems import Partitioned, Problem
 from minimd.integrators.rows import Drift, Kick, Row, is_palindrome, merged
 
 
@@ -109,7 +108,7 @@ class Splitting(Method):
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """The step on a problem with q and v: kicks and drifts if it is separable, else the implicit form of the method.
+        """The step on a problem with q and v.
 
         Raises
         ------
@@ -117,12 +116,12 @@ class Splitting(Method):
         """
         if not isinstance(problem, Partitioned):
             raise TypeError(f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}")
-        return RowStep(problem, cls.row()) if problem.is_separable else EulerStep(problem, cls.row())
+        return problem.row_step(cls.row())
 
     @classmethod
     def order_on(cls, problem: Problem) -> int:
-        """cls.order holds for q″ = f(q); methods made for that alone have a lower one where q′ is another function than v."""
-        return cls.order if isinstance(problem, SecondOrder) and problem.is_separable else separable_order(cls.row())
+        """See Method."""
+        return problem.row_order(cls.row()) if isinstance(problem, Partitioned) else cls.order
 
     def advance(self, state: State, compute_forces: ComputeForces, n_steps: int, look: bool = True) -> int:
         """Make n_steps steps, at least one, fewer if state.stop_requested becomes true; return how many.

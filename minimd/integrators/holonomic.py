@@ -95,7 +95,7 @@ class Holonomic(SecondOrder):
         gradient, h = self.gradient(q), 1e-5 * max(1.0, float(np.abs(q).max())) / max(float(np.abs(v).max()), 1e-300)
         turning = (self.gradient(q + h * v) - self.gradient(q - h * v)) @ v / (2.0 * h) if v.any() else 0.0
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
-        return np.linalg.solve(gradient @ self.inverse_mass_gradient(q), -(gradient @ force + turning))
+        return np.asarray(np.linalg.solve(gradient @ self.inverse_mass_gradient(q), -(gradient @ force + turning)))
 
     def _check_independent(self, q: Array) -> None:
         masses = np.broadcast_to(self._masses, self.shape).reshape(-1)

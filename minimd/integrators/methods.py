@@ -57,4 +57,20 @@ IMPLICIT: dict[str, type[Method]] = {
     )
 }
 
-METHODS: dict[str, type[Method]] = {**SPLITTINGS, **IMPLICIT}
+
+class MethodTable(dict[str, type[Method]]):
+    """Methods by name; print it to read what each of them is."""
+
+    def __str__(self) -> str:
+        rows = [("name", "order", "stages", "symmetric", "symplectic", "explicit", "source"), *map(_entries, self.values())]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join("  ".join(entry.ljust(width) for entry, width in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+def _entries(method: type[Method]) -> tuple[str, ...]:
+    """What the table says of a method."""
+    answers = (method.is_symmetric, method.is_symplectic, method.is_explicit)
+    return (method.name, str(method.order), str(method.stages), *("yes" if answer else "no" for answer in answers), method.source)
+
+
+METHODS = MethodTable({**SPLITTINGS, **IMPLICIT})

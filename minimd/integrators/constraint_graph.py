@@ -6,6 +6,7 @@ cage full; elimination stays within the envelope, so one factorization serves th
 A. George, J. W. Liu, Computer Solution of Large Sparse Positive Definite Systems (1981), 4.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -72,7 +73,7 @@ def _enveloped(pairs: Ints, inverse_masses: Floats, order: Ints, starts: Ints, m
     below = column <= row
     coupling[begins[row[below]] + column[below] - lowest[row[below]]] = matrix.data[below]
     sorted_pairs = pairs[order]
-    moving = [np.unique(sorted_pairs[a:b][inverse_masses[sorted_pairs[a:b]] > 0.0]) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+    moving = [np.unique(sorted_pairs[a:b][inverse_masses[sorted_pairs[a:b]] > 0.0]) for a, b in pairwise(starts)]
     atom_starts = np.concatenate([[0], np.cumsum([atoms.size for atoms in moving])])
     atoms = np.concatenate(moving) if moving else np.empty(0, dtype=np.int64)
     first, second = np.ascontiguousarray(sorted_pairs[:, 0]), np.ascontiguousarray(sorted_pairs[:, 1])

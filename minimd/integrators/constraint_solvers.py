@@ -10,6 +10,7 @@ Kernels return the worst case: a number of iterations, negative if the constrain
 """
 
 from math import sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,18 @@ EPS = float(np.finfo(float).eps)
 ROUNDING = 4.0 * EPS  # of |r|² against d²: there is nothing left to gain
 LAST = 1e-8  # residuals below: one more iteration of Newton's squares them to rounding
 NOTHING = -1
+DEPENDENT = 1e-10  # a pivot this small beside its diagonal is rounding
+
+
+class Memory(NamedTuple):
+    """What the solvers work in. r, s : (K, 3) separations.  x, total : (K,) multipliers.  lower, upper : factors, in the envelope."""
+
+    r: Any
+    s: Any
+    x: Any
+    total: Any
+    lower: Any
+    upper: Any
 
 
 @inlined
@@ -34,6 +47,14 @@ def add_opposite(vectors, inverse_masses, i, j, scale, s):
     for x in range(3):
         vectors[i, x] -= wi * s[x]
         vectors[j, x] += wj * s[x]
+
+
+@kernel
+def drift_some(positions, velocities, atoms, duration):
+    """positions += duration · velocities, of some atoms. (N, 3), (N, 3), (F,), [time]."""
+    for i in atoms:
+        for x in range(3):
+            positions[i, x] += duration * velocities[i, x]
 
 
 @kernel
@@ -66,16 +87,18 @@ def drift_pairs(positions, velocities, inverse_masses, first, second, offsets, l
 
 
 @kernel
-def project_pair_velocities(positions, velocities, inverse_masses, first, second, offsets):
-    """Velocities of bonds that share no atom, made perpendicular to the bonds."""
+def project_pairs(positions, vectors, inverse_masses, first, second, offsets, targets, multipliers):
+    """Vectors of bonds that share no atom, given a component along each bond: r · (x_j − x_i) = target.
+
+    Velocities with targets 0 keep the lengths; accelerations with −v². multipliers : (K,), x_j gains multiplier r/m_j.
+    """
     for k in range(first.size):
         i, j = first[k], second[k]
         r = separation(positions, i, j, offsets[k])
-        along = (
-            r[0] * (velocities[j, 0] - velocities[i, 0]) + r[1] * (velocities[j, 1] - velocities[i, 1]) + r[2] * (velocities[j, 2] - velocities[i, 2])
-        )
-        w = (inverse_masses[i] + inverse_masses[j]) * (r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
-        add_opposite(velocities, inverse_masses, i, j, -along / w, r)
+        along = r[0] * (vectors[j, 0] - vectors[i, 0]) + r[1] * (vectors[j, 1] - vectors[i, 1]) + r[2] * (vectors[j, 2] - vectors[i, 2])
+        multipliers[k] = (targets[k] - along) / ((inverse_masses[i] + inverse_masses[j]) * dot(r, r))
+        add_opposite(vectors, inverse_masses, i, j, multipliers[k], r)
+    return 1
 
 
 @inlined
@@ -180,9 +203,9 @@ def restore_lengths(positions, inverse_masses, graph, offsets, lengths2, c, max_
 def drift_components(positions, velocities, inverse_masses, graph, offsets, lengths2, duration, max_iterations, memory):
     """Drift of components of any shape, by Newton's method on all constraints of each.
 
-    (N, 3), (N, 3), (N,); Graph; (K, 3), (K,) d² [length²]; [time]; memory : r, s (K, 3), x, total (K,), lower, upper of the envelope.
+    (N, 3), (N, 3), (N,); Graph; (K, 3), (K,) d² [length²]; [time]; Memory.
     """
-    r, s, x, total, lower, upper = memory
+    s, total = memory.s, memory.total
     most = 0
     for c in range(graph.starts.size - 1):
         start, end = graph.starts[c], graph.starts[c + 1]
@@ -201,9 +224,12 @@ def drift_components(positions, velocities, inverse_masses, graph, offsets, leng
 
 
 @kernel
-def project_velocities(positions, velocities, inverse_masses, graph, offsets, memory):
-    """Velocities of all components, made to keep every length; corrected once more for the rounding of the first time."""
-    r, s, x, total, lower, upper = memory
+def project_components(positions, vectors, inverse_masses, graph, offsets, targets, memory):
+    """As project_pairs, for components of any shape; corrected once more for the rounding of the first time.
+
+    memory.total holds the multipliers. Returns 1, or −1 − the constraint that depends on others.
+    """
+    r, x, total, lower, upper = memory.r, memory.x, memory.total, memory.lower, memory.upper
     for c in range(graph.starts.size - 1):
         start, end = graph.starts[c], graph.starts[c + 1]
         find_separations(positions, graph, offsets, start, end, r)
@@ -211,13 +237,33 @@ def project_velocities(positions, velocities, inverse_masses, graph, offsets, me
         singular = factorize(graph, start, end, lower, upper)
         if singular >= 0:
             return NOTHING - singular
-        for _ in range(2):
+        for correction in range(2):
             for k in range(start, end):
                 i, j = graph.first[k], graph.second[k]
-                x[k] = 0.0
+                x[k] = targets[k]
                 for d in range(3):
-                    x[k] -= r[k, d] * (velocities[j, d] - velocities[i, d])
+                    x[k] -= r[k, d] * (vectors[j, d] - vectors[i, d])
             solve(graph, start, end, lower, upper, x)
             for k in range(start, end):
-                add_opposite(velocities, inverse_masses, graph.first[k], graph.second[k], x[k], r[k])
+                total[k] = x[k] + (total[k] if correction else 0.0)
+                add_opposite(vectors, inverse_masses, graph.first[k], graph.second[k], x[k], r[k])
     return 1
+
+
+@kernel
+def dependent_constraint(positions, graph, offsets, memory):
+    """A constraint whose pivot vanishes beside its diagonal, so that it follows from others or contradicts them; −1 if there is none."""
+    r, total, lower, upper = memory.r, memory.total, memory.lower, memory.upper
+    for c in range(graph.starts.size - 1):
+        start, end = graph.starts[c], graph.starts[c + 1]
+        find_separations(positions, graph, offsets, start, end, r)
+        assemble(graph, start, end, r, r, lower, upper)
+        for k in range(start, end):
+            total[k] = upper[graph.begins[k + 1] - 1]
+        singular = factorize(graph, start, end, lower, upper)
+        if singular >= 0:
+            return singular
+        for k in range(start, end):
+            if not upper[graph.begins[k + 1] - 1] > DEPENDENT * total[k]:
+                return k
+    return NOTHING

@@ -29,7 +29,10 @@ class Step(Protocol):
     A step may remember what it knows about the state it returned last (its force, say), and recognizes that very array.
     """
 
-    nfev: int
+    @property
+    def nfev(self) -> int:
+        """Evaluations of the right-hand side so far."""
+        ...
 
     def __call__(self, t: float, y: NDArray, h: float) -> NDArray:
         """y(t+h) from y(t); h may be negative."""

@@ -11,6 +11,7 @@ then solved as an implicit one, and is done at once where it turns out to be exp
 
 import inspect
 from collections.abc import Callable
+from math import prod
 from typing import Any, Protocol
 
 import numpy as np
@@ -55,11 +56,22 @@ class Field:
     def __init__(self, function: Function, usual: str, name: str) -> None:
         self.takes = _arguments(function, usual, name)
         self.name = name
+        self.shape: tuple[int, ...] | None = None  # of its answers, known once there is a start
         self._call = _CALLS[self.takes](function)
 
     def __call__(self, t: float, q: Array, v: Array) -> Array:
         """(n,) values of the function."""
-        return np.array(self._call(t, q, v), dtype=float).reshape(-1)
+        return _values(self._call(t, q, v), self.shape, self.name)
+
+
+def _values(answer: Any, shape: tuple[int, ...] | None, name: str) -> Array:
+    """A fresh flat array of what a function of the user answered, if that has the right shape; one number may come without its brackets."""
+    values = np.array(answer)
+    if values.dtype.kind not in "fiub":
+        raise TypeError(f"{name} must answer with real numbers; got {answer!r}")
+    if shape is not None and values.shape != shape and not values.size == prod(shape) == 1:
+        raise ValueError(f"{name} must answer with an array of shape {shape}; got shape {values.shape}")
+    return values.reshape(-1).astype(float, copy=False)
 
 
 _CALLS: dict[str, Callable[[Function], Function]] = {
@@ -76,18 +88,26 @@ _CALLS: dict[str, Callable[[Function], Function]] = {
 
 def _arguments(function: Function, usual: str, name: str) -> str:
     """Which of t, q, v a function takes: by their names, else by their number if it is the usual one or three."""
+    names = _names(function, name)
+    if names is None:
+        return usual
+    if set(names) <= set("tqv") and "".join(names) in _CALLS:
+        return "".join(names)
+    letters = "tqv" if len(names) == 3 else usual
+    if len(names) == len(letters) and all(given == letter or given not in ("t", "q", "v") for given, letter in zip(names, letters, strict=True)):
+        return letters
+    raise TypeError(f"{name} must take some of t, q, v, in this order and under these names; it takes ({', '.join(names)})")
+
+
+def _names(function: Function, name: str) -> list[str] | None:
+    """Names of the arguments that a function must be given; None if they cannot be known."""
     if not callable(function):
         raise TypeError(f"{name} must be a function; got {function!r}")
     try:
-        names = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
-    except ValueError:  # written in C, such as numpy.sin
-        return usual
-    takes = "".join(names)
-    if takes in _CALLS:
-        return takes
-    if len(names) in (len(usual), 3):
-        return "tqv" if len(names) == 3 else usual
-    raise TypeError(f"{name} must take some of t, q, v, in this order and under these names; it takes ({', '.join(names)})")
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):  # written in C, such as numpy.sin
+        return None
+    return [f"*{p.name}" if p.kind is p.VAR_POSITIONAL else p.name for p in parameters if p.default is p.empty and p.kind is not p.VAR_KEYWORD]
 
 
 class Partitioned:
@@ -95,7 +115,8 @@ class Partitioned:
 
     Parameters
     ----------
-    g, f : functions of t, q, v, or of those of them they depend on: g(v), f(q), f(t, q), …; q and v have the shape of the start.
+    g, f : functions of t, q, v, or of those of them they depend on: g(v), f(q), f(t, q), …; q and v have the shape of the start,
+        and so have the answers. q and v are not to be changed.
     g_q, f_v : (n, n) Jacobians ∂g/∂q and ∂f/∂v, functions of t, q, v; found by finite differences if not given.
     solver : Newton() or FixedPoint(), for steps that turn out implicit.
 
@@ -108,7 +129,7 @@ class Partitioned:
         self.g, self.f = Field(g, "v", "g"), Field(f, "q", "f")
         self.g_q = g_q if g_q is None else Field(g_q, "tqv", "g_q")
         self.f_v = f_v if f_v is None else Field(f_v, "tqv", "f_v")
-        self.solver = solver
+        self.solver = _checked(solver)
         self.shape: tuple[int, ...] = ()  # of q and of v, known once there is a start
         self.g_is_v = False
 
@@ -122,17 +143,16 @@ class Partitioned:
 
         Raises
         ------
-        ValueError : if q, v, g and f do not have the same shape, or a value is not finite.
+        ValueError : if q and v do not have the same shape, or a value is not finite; g and f answer with that shape, or raise it.
         """
+        if not isinstance(start, (tuple, list, np.ndarray)) or len(start) != 2:
+            raise ValueError(f"the start must be a pair, (q, v); got {start!r}")
         q, v = (np.array(part, dtype=float) for part in start)
         if q.shape != v.shape or q.size == 0:
             raise ValueError(f"q and v of the start must have the same shape, and at least one element; got {q.shape} and {v.shape}")
-        self.shape = q.shape
+        self.shape = self.g.shape = self.f.shape = q.shape
         y = np.concatenate([q.reshape(-1), v.reshape(-1)])
         _check_finite(y)
-        for field in (self.g, self.f):
-            if field(0.0, q, v).size != q.size:
-                raise ValueError(f"{field.name} must answer with the shape of q, {q.shape}; got {field(0.0, q, v).size} values")
         return y
 
     def row_step(self, row: Row) -> Step:
@@ -190,26 +210,24 @@ class FirstOrder:
     def __init__(self, f: Function, jacobian: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
         self._f = _of_time_and_state(f, "f")
         self.jacobian = jacobian if jacobian is None else _of_time_and_state(jacobian, "jacobian")
-        self.solver = solver
+        self.solver = _checked(solver)
 
     def begin(self, start: ArrayLike) -> Array:
         """The start as a state of length n.
 
         Raises
         ------
-        ValueError : if f(start) has another length, or a value is not finite.
+        ValueError : if it is no array of one dimension, or a value is not finite; f answers with its shape, or raises it.
         """
         y = np.array(start, dtype=float)
         if y.ndim != 1 or y.size == 0:
             raise ValueError(f"the start must be a one-dimensional array with at least one element; got shape {y.shape}")
         _check_finite(y)
-        if self.field(0.0, y).shape != y.shape:
-            raise ValueError(f"f must answer with the shape of y, {y.shape}; got {self.field(0.0, y).shape}")
         return y
 
     def field(self, t: float, y: Array) -> Array:
         """f(t, y)."""
-        return np.array(self._f(t, y), dtype=float)
+        return _values(self._f(t, y), y.shape, "f")
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """y′ − f(t, y)."""
@@ -217,13 +235,18 @@ class FirstOrder:
 
 
 def _of_time_and_state(function: Function, name: str) -> Function:
-    try:
-        n_arguments = len([p for p in inspect.signature(function).parameters.values() if p.default is p.empty])
-    except ValueError:
-        n_arguments = 1
-    if n_arguments not in (1, 2):
-        raise TypeError(f"{name} must take y, or t and y; it takes {n_arguments} arguments")
-    return function if n_arguments == 2 else lambda t, y: function(y)
+    names = _names(function, name) or ["y"]
+    if names == ["t"]:
+        return lambda t, y: function(t)
+    if len(names) > 2 or (len(names) == 2 and (names[0] == "y" or names[1] == "t")):
+        raise TypeError(f"{name} must take y, or t and y, in this order; it takes ({', '.join(names)})")
+    return function if len(names) == 2 else lambda t, y: function(y)
+
+
+def _checked(solver: Solver) -> Solver:
+    if not isinstance(solver, Newton):
+        raise TypeError(f"solver must be Newton() or FixedPoint(); got {solver!r}")
+    return solver
 
 
 def _check_finite(y: Array) -> None:

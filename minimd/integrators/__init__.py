@@ -12,13 +12,16 @@ from minimd.integrators.compositions import (
     Suzuki4,
     Yoshida6,
 )
+from minimd.integrators.constraints import DistanceConstraints, RigidBonds
 from minimd.integrators.drivers import run_steps, run_until
 from minimd.integrators.holonomic import Holonomic
+from minimd.integrators.invariants import Invariants, stabilized
 from minimd.integrators.method import Method
 from minimd.integrators.methods import METHODS, SPLITTINGS
 from minimd.integrators.nonlinear import FixedPoint, Newton
 from minimd.integrators.orders import nystrom_order, separable_order
 from minimd.integrators.problems import FirstOrder, Partitioned, SecondOrder
+from minimd.integrators.projection import projected, symmetrically_projected, with_multipliers
 from minimd.integrators.reversible import run_reversible
 from minimd.integrators.rows import Drift, Kick
 from minimd.integrators.runge_kutta import (
@@ -46,6 +49,7 @@ __all__ = [
     "SPLITTINGS",
     "BlanesMoan4",
     "CandyRozmus4",
+    "DistanceConstraints",
     "Drift",
     "FirstOrder",
     "FixedPoint",
@@ -55,6 +59,7 @@ __all__ = [
     "GaussLegendre4",
     "Holonomic",
     "ImplicitEuler",
+    "Invariants",
     "KahanLi6",
     "KahanLi8",
     "Kick",
@@ -66,6 +71,7 @@ __all__ = [
     "PositionVerlet",
     "RadauIIA2",
     "RadauIIA3",
+    "RigidBonds",
     "RungeKutta",
     "Ruth3",
     "SecondOrder",
@@ -81,12 +87,16 @@ __all__ = [
     "compose",
     "gauss",
     "nystrom_order",
+    "projected",
     "radau_iia",
     "run_adaptive",
     "run_reversible",
     "run_steps",
     "run_until",
     "separable_order",
+    "stabilized",
     "stormer_summed",
     "stormer_two_step",
+    "symmetrically_projected",
+    "with_multipliers",
 ]

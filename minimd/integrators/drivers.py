@@ -27,13 +27,14 @@ def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: fl
 
     Raises
     ------
-    ValueError : for counts below 1, or a start that does not fit the problem.
+    TypeError : for anything but a problem and a method with its time step.
+    ValueError : for counts below 1, a time that is not finite, or a start that does not fit the problem.
     ConvergenceError, NonFiniteError : if a step cannot be made; the message names it, error.solution holds the path before.
     """
     check_method(method)
-    for name, value in (("n_steps", n_steps), ("every", every)):
-        if not isinstance(value, (int, np.integer)) or value < 1:
-            raise ValueError(f"{name} must be a whole number, at least 1; {name} = {value!r}")
+    check_count("n_steps", n_steps)
+    if not isfinite(t0):
+        raise ValueError(f"t0 must be finite; t0 = {t0!r}")
     h = method.timestep
     return _fixed(problem, method, start, t0, (h for _ in range(n_steps)), every)
 
@@ -61,6 +62,8 @@ def check_ahead(t0: float, t_end: float) -> None:
 
 
 def _fixed(problem: Problem, method: Method, start: Any, t0: float, steps: Iterator[float], every: int, t_end: float | None = None) -> Solution:
+    check_problem(problem)
+    check_count("every", every)
     y = problem.begin(start)
     step = type(method).on(problem)
     t, n, times, states = t0, 0, [t0], [y]
@@ -73,7 +76,11 @@ def _fixed(problem: Problem, method: Method, start: Any, t0: float, steps: Itera
                 states.append(y)
     except ConvergenceError as reason:
         error = ConvergenceError(f"step {n} from t = {t:g} with timestep {h:g}: {reason}; reduce the timestep")
+        if (n - 1) % every != 0:
+            times.append(t)
+            states.append(y)
         error.solution = _path(problem, times, states, step)
+        error.solution.success, error.solution.message = False, str(error)
         raise error from None
     if n % every != 0:
         times.append(t)
@@ -96,6 +103,18 @@ def _finite(solution: Solution, h: float) -> Solution:
                            f"reduce the timestep ({h:g}), or look for a singularity of the problem")  # fmt: skip
     error.solution = Solution(solution.t[:first], solution.y[:first], solution.nfev, solution.shape, False, str(error))
     raise error
+
+
+def check_problem(problem: Problem) -> None:
+    """TypeError for anything but a problem."""
+    if not hasattr(problem, "begin"):
+        raise TypeError(f"problem must be a differential equation, such as SecondOrder(f); got {problem!r}")
+
+
+def check_count(name: str, value: int) -> None:
+    """ValueError for anything but a whole number, at least 1."""
+    if not isinstance(value, (int, np.integer)) or value < 1:
+        raise ValueError(f"{name} must be a whole number, at least 1; {name} = {value!r}")
 
 
 def check_method(method: Method) -> None:

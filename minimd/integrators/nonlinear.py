@@ -30,9 +30,15 @@ class Newton:
     ----------
     max_iterations : int, after which the equations count as unsolved.
     small : relative size of corrections that may be taken for rounding once they no longer shrink.
+
+    Raises
+    ------
+    ValueError : if max_iterations is below 1.
     """
 
     def __init__(self, max_iterations: int = 50, small: float = SMALL) -> None:
+        if not max_iterations >= 1:
+            raise ValueError(f"max_iterations must be at least 1; max_iterations = {max_iterations!r}")
         self.max_iterations, self.small = max_iterations, small
 
     def __repr__(self) -> str:
@@ -119,7 +125,8 @@ class Iteration:
             else:
                 is_fresh, before = False, size
         self._factors = None
-        raise ConvergenceError(f"the equations of the step were not solved: largest residual {np.abs(r).max():.1e}")
+        largest = f"largest residual {np.abs(r).max():.1e}" if np.isfinite(r).all() else "their residual is not finite"
+        raise ConvergenceError(f"the equations of the step were not solved: {largest}")
 
 
 def _relative_size(dx: Array, x: Array, scale: Array | float) -> float:
@@ -129,9 +136,9 @@ def _relative_size(dx: Array, x: Array, scale: Array | float) -> float:
 
 
 def finite_differences(function: Residual, x: Array, at_x: Array) -> Array:
-    """∂function/∂x by forward differences, one column per unknown."""
+    """∂function/∂x by forward differences, one column per unknown, over steps in proportion to the unknowns whatever their unit."""
     jacobian = np.empty((at_x.size, x.size))
-    steps = np.sqrt(EPS) * np.maximum(np.abs(x), max(np.abs(x).max() * 1e-3, 1e-8))
+    steps = np.sqrt(EPS) * np.maximum(np.abs(x), 1e-3 * (np.abs(x).max() or 1.0))
     for k in range(x.size):
         moved = x.copy()
         moved[k] += steps[k]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.errors import ConvergenceError, NonFiniteError
-from minimd.integrators.drivers import ROUNDING, check_ahead, check_method
+from minimd.integrators.drivers import ROUNDING, check_ahead, check_count, check_method, check_problem
 from minimd.integrators.method import Method
 from minimd.integrators.problems import Partitioned
 from minimd.integrators.solution import Solution
@@ -59,8 +59,10 @@ def run_reversible(
     ValueError : if the method is not symmetric, or t_end does not lie ahead.
     ConvergenceError, NonFiniteError : if a step cannot be made, or ρ is no longer positive; error.solution holds the path before.
     """
+    check_problem(problem)
     check_method(method)
     check_ahead(t0, t_end)
+    check_count("every", every)
     if not method.is_symmetric:
         raise ValueError(f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not")
     if (t_end - t0) * method.timestep < 0.0 or not density > 0.0:
@@ -92,6 +94,7 @@ class _Path:
         except ArithmeticError as reason:
             error = type(reason)(f"step {n} from t = {self.t:g}: {reason}; reduce the timestep ({self.epsilon:g})")
             error.solution = self.solution()  # type: ignore[attr-defined]
+            error.solution.success, error.solution.message = False, str(error)  # type: ignore[attr-defined]
             raise error from None
         if n % every != 0:
             self.kept.append((self.t, self.y, self.rho))

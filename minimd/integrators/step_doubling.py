@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.errors import ConvergenceError
-from minimd.integrators.drivers import ROUNDING, check_ahead
+from minimd.integrators.drivers import ROUNDING, check_ahead, check_problem
 from minimd.integrators.method import Method, Step
 from minimd.integrators.problems import Problem
 from minimd.integrators.solution import Solution
@@ -49,16 +49,20 @@ def run_adaptive(
 
     Raises
     ------
-    ValueError : for tolerances or steps out of range.
+    TypeError : for anything but a problem and a method without a time step.  ValueError : for tolerances or steps out of range.
     A run that needs steps below min_step, or below the spacing of numbers at t, ends there: solution.success is False.
     """
+    check_problem(problem)
     check_ahead(t0, t_end)
+    if not (isinstance(method, type) and issubclass(method, Method)):
+        raise TypeError(f"method must be a method without a time step, such as VelocityVerlet; got {method!r}")
     tolerance = Tolerance(rtol, np.asarray(atol, dtype=float))
-    lengths = Lengths(min_step, max_step, abs(t_end - t0))
+    lengths = Lengths(min_step, max_step, abs(t_end - t0), first_step)
     y = problem.begin(start)
+    tolerance.check_size(y.size)
     coarse, fine, order = method.on(problem), method.on(problem), method.order_on(problem)
     direction = copysign(1.0, t_end - t0)
-    h = lengths.clipped(abs(first_step) if first_step else tolerance.first_step(problem.field(t0, y), y, abs(t_end - t0)))
+    h = lengths.clipped(first_step or max(tolerance.first_step(problem.field(t0, y), y, abs(t_end - t0)), lengths.shortest(t0)))
     solution = Solution(np.array([t0]), np.array([y]), 0, problem.shape)
     t, times, states = t0, [t0], [y]
     while (t_end - t) * direction > 0.0 and solution.success:
@@ -105,10 +109,19 @@ class Tolerance:
     def first_step(self, slope: Array, y: Array, span: float) -> float:
         """A hundredth of the time in which the state changes by its own size."""
         size, rate = self._norm(y, np.abs(y)), self._norm(slope, np.abs(y))
-        return min(span, 0.01 * size / rate if size > 0.0 < rate else 1e-3 * span)
+        return min(span, 0.01 * size / rate if size > 0.0 < rate < np.inf else 1e-3 * span)
+
+    def check_size(self, n: int) -> None:
+        """ValueError unless atol is one number, or one for each component."""
+        if self.atol.shape not in ((), (n,)):
+            raise ValueError(f"atol must be a number, or an array of length {n}, one for each component of y; got shape {self.atol.shape}")
 
     def _norm(self, difference: Array, size: Array) -> float:
-        return float(np.linalg.norm(difference / (self.atol + self.rtol * size))) / np.sqrt(size.size)
+        """Root mean square; what is exactly zero and stays so counts as exact, without an absolute tolerance too."""
+        allowed = self.atol + self.rtol * size
+        with np.errstate(divide="ignore"):
+            ratio = np.divide(difference, allowed, out=np.zeros(size.size), where=difference != 0.0)
+        return float(np.linalg.norm(ratio)) / np.sqrt(size.size)
 
 
 @dataclass(frozen=True)
@@ -118,8 +131,11 @@ class Lengths:
     min_step: float
     max_step: float
     span: float
+    first_step: float | None
 
     def __post_init__(self) -> None:
+        if self.first_step is not None and not 0.0 < self.first_step < np.inf:
+            raise ValueError(f"first_step must be positive and finite; first_step = {self.first_step!r}")
         if not 0.0 <= self.min_step <= self.max_step or self.max_step == 0.0:
             raise ValueError(f"0 <= min_step <= max_step is needed; min_step = {self.min_step!r}, max_step = {self.max_step!r}")
 

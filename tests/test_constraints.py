@@ -83,13 +83,10 @@ def test_constraint_forces_conserve_momentum_and_angular_momentum(name, solver):
     assert np.abs(masses @ np.cross(positions, velocities) - angular).max() < 1e-9
 
 
-@pytest.mark.parametrize("name", ["diatomics", "water", "cube", "rod", "ring"])
+@pytest.mark.parametrize("name", ["diatomics", "water", "cube", "ring"])
 def test_a_drift_satisfies_its_equations(name):
     """M (r′ − r − Δt v) = Gᵀ λ with |r′_ij| = d, solved by SciPy."""
     pairs, positions, velocities, masses = scene(name)
-    if name == "rod":
-        pairs = pairs[:0]  # three lengths in a line determine no forces; its law is tested below
-        return
     bonds = DistanceConstraints(pairs).on(positions, 1.0 / masses)
     bonds.project_velocities(velocities, positions)
     start, speed, duration = positions.copy(), velocities.copy(), 0.02
@@ -102,9 +99,24 @@ def test_a_drift_satisfies_its_equations(name):
         np.add.at(displaced, pairs[:, 0], -multipliers[:, None] * old / masses[pairs[:, 0], None])
         return displaced
 
-    exact = moved(fsolve(lambda x: bonds_squared(moved(x), pairs) - bonds.lengths**2, np.zeros(len(pairs)), xtol=1e-14))
+    exact = moved(fsolve(lambda x: bonds_squared(moved(x), pairs) - bonds.lengths**2, np.zeros(len(pairs)), xtol=1e-12))
     assert np.abs(positions - exact).max() < 1e-12
     assert np.abs(velocities - (exact - start) / duration).max() < 1e-10
+
+
+@pytest.mark.parametrize("solver", ["auto", "newton", "shake"])
+@pytest.mark.parametrize("name", ["diatomics", "water", "ring", "rod"])
+def test_a_drift_does_not_see_what_a_projection_would_take_from_the_velocities(name, solver):
+    """So velocities are projected only where somebody looks."""
+    pairs, positions, velocities, masses = scene(name)
+    bonds = DistanceConstraints(pairs, tolerance=1e-13, solver=solver).on(positions, 1.0 / masses)
+    others, projected = positions.copy(), velocities.copy()
+    bonds.project_velocities(projected, others)
+    assert np.abs(projected - velocities).max() > 0.1
+    bonds.drift(positions, velocities, 0.01)
+    bonds.drift(others, projected, 0.01)
+    assert np.abs(positions - others).max() < 1e-13
+    assert np.abs(velocities - projected).max() < 1e-11
 
 
 def bonds_squared(positions, pairs):
@@ -220,12 +232,9 @@ def test_random_connected_graphs_are_kept_to_rounding_or_refused(n_atoms, seed):
     velocities = rng.normal(size=positions.shape)
     bonds.project_velocities(velocities, positions)
     for _ in range(5):
-        try:
-            bonds.drift(positions, velocities, 1e-3)
-        except md.ConstraintError:
-            return
+        bonds.drift(positions, velocities, 1e-3)
         bonds.project_velocities(velocities, positions)
-        assert bonds.violation(positions).max() <= 1e-11
+        assert bonds.violation(positions).max() <= 5.0 * rounding(positions, bonds.lengths)
         assert np.isfinite(velocities).all()
 
 

@@ -198,9 +198,9 @@ def test_constraints_that_follow_from_others_are_named():
     corners, pairs = cube()
     with pytest.raises(ValueError, match=r"constraint \d+ \(atoms \d-\d\) follows from the others"):
         DistanceConstraints([*pairs.tolist(), [0, 7]]).on(corners, np.ones(8))
-    with pytest.raises(ValueError, match="both|held fixed"):
+    with pytest.raises(ValueError, match="held fixed"):
         DistanceConstraints([[0, 1]]).on(corners, np.zeros(8))
-    with pytest.raises(ValueError, match="unknown|one of"):
+    with pytest.raises(ValueError, match="one of"):
         DistanceConstraints([[0, 1]], solver="lincs")
 
 

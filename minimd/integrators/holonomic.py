@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.errors import ConvergenceError
+from minimd.integrators.differences import central_differences
 from minimd.integrators.method import Step
-from minimd.integrators.nonlinear import Newton, Solver, finite_differences
+from minimd.integrators.nonlinear import Newton, Solver
 from minimd.integrators.orders import nystrom_order
 from minimd.integrators.partitioned import push
 from minimd.integrators.problems import Function, SecondOrder
@@ -36,7 +37,7 @@ class Holonomic(SecondOrder):
     Parameters
     ----------
     f : acceleration without the constraints, a function of q, or of t and q [length/time²].
-    g : (m,) constraints, a function of q.  jacobian : (m, n) G = ∂g/∂q, by finite differences if not given.
+    g : (m,) constraints, a function of q.  jacobian : (m, n) G = ∂g/∂q, by central differences if not given.
     masses : (n,) mass of each coordinate, or one number [mass].
 
     A start that violates g = 0 or G v = 0 is projected, with a warning that says how far it was off.
@@ -59,7 +60,7 @@ class Holonomic(SecondOrder):
     def gradient(self, q: Array) -> Array:
         """G(q), (m, n)."""
         if self._jacobian is None:
-            return finite_differences(self.violation, q, self.violation(q))
+            return central_differences(self.violation, q)
         return np.array(self._jacobian(q.reshape(self.shape)), dtype=float).reshape(-1, q.size)
 
     def inverse_mass_gradient(self, q: Array) -> Array:

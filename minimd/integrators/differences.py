@@ -1,0 +1,22 @@
+"""Derivatives of functions that come without one."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+CENTRAL = float(np.finfo(float).eps) ** (1.0 / 3.0)  # of a variable: truncation and rounding are then alike, some 1e-11
+LEAST = 1e-3  # of the largest variable, for the steps of small ones
+
+
+def central_differences(function: Callable[[Array], Array], x: Array) -> Array:
+    """∂function/∂x, one column per variable, with steps in proportion to the variables whatever their unit."""
+    steps = CENTRAL * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0))
+    columns = []
+    for k in range(x.size):
+        ahead, behind = x.copy(), x.copy()
+        ahead[k] += steps[k]
+        behind[k] -= steps[k]
+        columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
+    return np.stack(columns, axis=-1)

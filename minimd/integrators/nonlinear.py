@@ -3,8 +3,10 @@
     x ← x − J⁻¹ r(x),   J ≈ ∂r/∂x        simplified Newton: J is kept from solution to solution, and renewed when progress is slow
     x ← x − r(x)                          fixed point: the same with J = 1, for r(x) = x − φ(x)
 
-An iteration has converged when the correction is at rounding, or no longer shrinks and is small: a looser tolerance would make
-symmetric and symplectic methods drift. E. Hairer, R. I. McLachlan, A. Razakarivony, BIT Numer. Math. 48, 231 (2008), 4.
+An iteration has converged when the correction is at rounding, or is small and no longer shrinks though J is new: a looser
+tolerance would make symmetric and symplectic methods drift. Where the unknowns have sizes of their own, J is scaled by them, and
+its rows to one: the equations of a differential-algebraic step differ by powers of h.
+E. Hairer, R. I. McLachlan, A. Razakarivony, BIT Numer. Math. 48, 231 (2008), 4; E. Hairer, G. Wanner, Solving ODEs II (1996), IV.8, VII.4.
 """
 
 from collections.abc import Callable
@@ -20,7 +22,8 @@ Array = NDArray[np.float64]
 Residual = Callable[[Array], Array]
 EPS = float(np.finfo(float).eps)
 SLOW = 0.3  # a correction shrinks at least by this factor per iteration, or the Jacobian is renewed
-SMALL = 1e-8  # corrections, relative to the unknowns, that may be taken for rounding once they no longer shrink
+NEAR = 16.0 * EPS  # corrections, relative to the unknowns, that are taken for rounding once they shrink slowly
+SMALL = 1e-8  # the same, once they no longer shrink with a new Jacobian either
 
 
 class Newton:
@@ -36,6 +39,8 @@ class Newton:
     ValueError : if max_iterations is below 1.
     """
 
+    slow = SLOW
+
     def __init__(self, max_iterations: int = 50, small: float = SMALL) -> None:
         if not max_iterations >= 1:
             raise ValueError(f"max_iterations must be at least 1; max_iterations = {max_iterations!r}")
@@ -48,17 +53,23 @@ class Newton:
         """An iteration with a memory of its own for the Jacobian."""
         return Iteration(self)
 
-    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None) -> Any:
-        """LU factors of ∂r/∂x at x."""
+    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None, sizes: Array | float) -> Any:
+        """LU factors of ∂r/∂x at x, of unknowns in units of their sizes and with rows scaled to one where sizes are given."""
         matrix = finite_differences(residual, x, r) if jacobian is None else jacobian(x)
+        rows = None
+        if np.ndim(sizes):
+            matrix = matrix * sizes
+            rows = 1.0 / np.maximum(np.abs(matrix).max(axis=1), np.finfo(float).tiny)
+            matrix *= rows[:, None]
         factors, pivots, zero_pivot = dgetrf(matrix)
         if zero_pivot:
             raise ConvergenceError(f"the equations of the step are singular: unknown {zero_pivot - 1} is not determined")
-        return factors, pivots
+        return factors, pivots, sizes, rows
 
     def correction(self, factors: Any, r: Array) -> Array:
         """J⁻¹ r."""
-        return dgetrs(*factors, r)[0]
+        lu, pivots, sizes, rows = factors
+        return dgetrs(lu, pivots, r)[0] if rows is None else sizes * dgetrs(lu, pivots, rows * r)[0]
 
 
 class FixedPoint(Newton):
@@ -69,10 +80,12 @@ class FixedPoint(Newton):
     max_iterations, small : as for Newton.
     """
 
+    slow = 1.0  # nothing but more iterations helps
+
     def __init__(self, max_iterations: int = 200, small: float = SMALL) -> None:
         super().__init__(max_iterations, small)
 
-    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None) -> Any:
+    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None, sizes: Array | float) -> Any:
         """Nothing: the Jacobian is taken for 1."""
 
     def correction(self, factors: Any, r: Array) -> Array:
@@ -92,7 +105,13 @@ class Iteration:
         self._key: Any = None
 
     def solve(
-        self, residual: Residual, x: Array, jacobian: Callable[[Array], Array] | None = None, key: Any = None, scale: Array | float = 0.0
+        self,
+        residual: Residual,
+        x: Array,
+        jacobian: Callable[[Array], Array] | None = None,
+        key: Any = None,
+        scale: Array | float = 0.0,
+        floor: Array | float | None = None,
     ) -> Array:
         """x with residual(x) = 0, to rounding.
 
@@ -100,13 +119,14 @@ class Iteration:
         ----------
         residual : function of x.  x : first guess.  jacobian : ∂residual/∂x, a function of x.
         key : the kept Jacobian is renewed when this changes, such as the time step.
-        scale : sizes of the unknowns below which errors do not matter, as an array or a number.
+        scale : sizes of the unknowns below which errors do not matter, as an array (by which the equations are scaled too) or a number.
+        floor : the same for corrections that no longer shrink, if larger ones may then be rounding.
 
         Raises
         ------
         ConvergenceError : with the largest residual.
         """
-        before, is_fresh = np.inf, False
+        before, was_small, slow = np.inf, False, self.solver.slow
         for _ in range(self.solver.max_iterations):
             r = residual(x)
             if not r.any():
@@ -114,16 +134,19 @@ class Iteration:
             if not np.isfinite(r).all():
                 break
             if self._factors is None or key != self._key:
-                self._factors, self._key, is_fresh = self.solver.factorized(residual, x, r, jacobian), key, True
+                self._factors, self._key = self.solver.factorized(residual, x, r, jacobian, scale), key
             dx = self.solver.correction(self._factors, r)
             x = x - dx
             size = _relative_size(dx, x, scale)
-            if size <= EPS or (size > SLOW * before and size <= self.solver.small):
+            if size <= EPS:
                 return x
-            if size > SLOW * before and not is_fresh:
-                self._factors, before = None, np.inf
+            if size > slow * before:
+                is_small = _relative_size(dx, x, scale if floor is None else floor) <= self.solver.small
+                if size <= NEAR or (is_small and was_small):
+                    return x
+                was_small, before, self._factors = is_small, np.inf, None
             else:
-                is_fresh, before = False, size
+                before = size
         self._factors = None
         largest = f"largest residual {np.abs(r).max():.1e}" if np.isfinite(r).all() else "their residual is not finite"
         raise ConvergenceError(f"the equations of the step were not solved: {largest}")

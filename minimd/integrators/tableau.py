@@ -9,7 +9,6 @@ the nodes. E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import Polynomial
 from numpy.polynomial.legendre import Legendre
 from numpy.typing import ArrayLike, NDArray
 
@@ -80,9 +79,7 @@ def _first_failure(defects: NDArray[np.float64], axis: int = 0) -> int:
 def collocation(nodes: ArrayLike) -> Tableau:
     """The collocation method on s different nodes, in units of the step."""
     c = np.array(nodes, dtype=float)
-    integrals = [_lagrange(c, j).integ() for j in range(c.size)]
-    beta = np.array([[integral(node) for integral in integrals] for node in c])
-    return Tableau(beta, np.array([integral(1.0) for integral in integrals]), c)
+    return Tableau(np.array([_lagrange_integrals(c, node) for node in c]), _lagrange_integrals(c, 1.0), c)
 
 
 def gauss(n_stages: int) -> Tableau:
@@ -93,7 +90,9 @@ def gauss(n_stages: int) -> Tableau:
     if n_stages == 2:
         r = np.sqrt(3.0) / 6.0
         return Tableau(np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]]), np.array([0.5, 0.5]), np.array([0.5 - r, 0.5 + r]))
-    return collocation((1.0 + np.polynomial.legendre.leggauss(n_stages)[0]) / 2.0)
+    rounded = collocation((1.0 + np.polynomial.legendre.leggauss(n_stages)[0]) / 2.0)
+    beta = rounded.beta - rounded.symplecticity_defect / (2.0 * rounded.weights[:, None])  # what rounding leaves of M would make invariants drift
+    return Tableau(beta, rounded.weights, rounded.nodes)
 
 
 def radau_iia(n_stages: int) -> Tableau:
@@ -107,7 +106,10 @@ def radau_iia(n_stages: int) -> Tableau:
     return collocation(nodes)
 
 
-def _lagrange(nodes: NDArray[np.float64], j: int) -> Polynomial:
-    """ℓ_j, one on node j and zero on the others."""
-    others = np.delete(nodes, j)
-    return Polynomial.fromroots(others) / np.prod(nodes[j] - others) if others.size else Polynomial([1.0])
+def _lagrange_integrals(nodes: NDArray[np.float64], end: float) -> NDArray[np.float64]:
+    """∫₀^end ℓ_j for all j, by a Gauss quadrature that is exact for them; ℓ_j is one on node j and zero on the others."""
+    x, w = np.polynomial.legendre.leggauss(nodes.size)
+    x, w = end * (1.0 + x) / 2.0, end * w / 2.0
+    factors = (x[:, None, None] - nodes) / np.where(np.eye(nodes.size, dtype=bool), 1.0, nodes[:, None] - nodes)  # of ℓ_j at x_k, for [k, j]
+    factors[:, np.arange(nodes.size), np.arange(nodes.size)] = 1.0
+    return w @ factors.prod(axis=2)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.errors import ConvergenceError, NonFiniteError
+from minimd.integrators.differential_algebraic import begun
 from minimd.integrators.method import Method, Step
 from minimd.integrators.problems import Problem
 from minimd.integrators.solution import Solution
@@ -64,7 +65,7 @@ def check_ahead(t0: float, t_end: float) -> None:
 def _fixed(problem: Problem, method: Method, start: Any, t0: float, steps: Iterator[float], every: int, t_end: float | None = None) -> Solution:
     check_problem(problem)
     check_count("every", every)
-    y = problem.begin(start)
+    y = begun(problem, start, t0)
     step = type(method).on(problem)
     t, n, times, states = t0, 0, [t0], [y]
     try:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.errors import ConvergenceError, NonFiniteError
+from minimd.integrators.differential_algebraic import begun
 from minimd.integrators.drivers import ROUNDING, check_ahead, check_count, check_method, check_problem
 from minimd.integrators.method import Method
 from minimd.integrators.problems import Partitioned
@@ -76,7 +77,7 @@ class _Path:
 
     def __init__(self, problem: Partitioned, method: Method, start, t0: float, density: float, control: Control | None) -> None:
         self.problem, self.epsilon = problem, method.timestep
-        self.y, self.t = problem.begin(start), t0
+        self.y, self.t = begun(problem, start, t0), t0
         self.step = type(method).on(problem)
         self.control = control or _Fall(problem)
         self.rho = density  # at the last state, half a change after the last step's and half a change before the next one's

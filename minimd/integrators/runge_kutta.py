@@ -13,11 +13,15 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.errors import ConvergenceError
+from minimd.integrators.differential_algebraic import DifferentialAlgebraic
 from minimd.integrators.method import Answer, Method, Step
 from minimd.integrators.problems import Problem
-from minimd.integrators.tableau import Tableau, gauss, radau_iia
+from minimd.integrators.stages import StageEquations
+from minimd.integrators.tableau import ROUNDING, Tableau, gauss, radau_iia
 
 Array = NDArray[np.float64]
+FARTHEST = 3.0  # lengths of the last step to which its slopes are continued
 
 
 class RungeKutta(Method):
@@ -40,42 +44,67 @@ class RungeKutta(Method):
         """The step on any problem."""
         return StageStep(problem, cls.tableau)
 
+    @classmethod
+    def order_on(cls, problem: Problem) -> int:
+        """Order of the error estimate: where algebraic variables are less accurate it is theirs, those of index 2 and 3 weighted by h and h²."""
+        if not isinstance(problem, DifferentialAlgebraic) or (problem.index <= 1 and cls.tableau.is_stiffly_accurate):
+            return cls.order
+        return _stage_order(cls.tableau)
+
+
+def _stage_order(tableau: Tableau) -> int:
+    """Largest η with Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k for k = 1 … η."""
+    c, eta = tableau.nodes, 0
+    while eta < c.size and np.abs(tableau.beta @ c**eta - c ** (eta + 1) / (eta + 1)).max() < ROUNDING:
+        eta += 1
+    return eta
+
 
 class StageStep:
-    """One step with a tableau. The slopes of a step are the first guess for the next."""
+    """One step with a tableau. The slopes of a step, continued as a polynomial, are the first guess for the next."""
 
     def __init__(self, problem: Problem, tableau: Tableau) -> None:
-        self.nfev = 0
         self._problem, self._tableau = problem, tableau
-        self._iteration = problem.solver.iteration()
-        self._known: tuple[Array | None, Array | None, Array | float] = None, None, 0.0  # last state, its slopes, what rounding took from it
+        self._equations = StageEquations(problem)
+        self._coefficients = np.linalg.inv(np.vander(tableau.nodes))  # of the polynomial through values at the nodes
+        self._known: tuple[Array | None, Array | float] = None, 0.0  # last state, and what rounding took from it
+        self._last: tuple[float, float, Array] | None = None  # time, length and slopes of the last step
+
+    @property
+    def nfev(self) -> int:
+        """Evaluations of the right-hand side."""
+        return self._equations.nfev
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
-        tableau, n_stages = self._tableau, self._tableau.nodes.size
-        known, guess, lost = self._known
-        if known is not y:
-            guess, lost = None, 0.0
-        if guess is None:
-            guess = np.tile(self._problem.field(t, y), n_stages)
-        slopes = self._solved(t, y, h, guess)
-        stages = slopes.reshape(n_stages, -1)
-        increment = h * (tableau.weights @ stages) + lost
+        known, lost = self._known
+        slopes = self._slopes(t, y, h)
+        increment = h * (self._tableau.weights @ slopes) + (lost if known is y else 0.0)
         y_new = y + increment
-        self._known = y_new, slopes, increment - (y_new - y)
+        self._known, self._last = (y_new, increment - (y_new - y)), (t, h, slopes)
         return y_new
 
-    def _solved(self, t: float, y: Array, h: float, guess: Array) -> Array:
-        """Slopes of all stages, one after the other."""
-        times, beta = t + self._tableau.nodes * h, self._tableau.beta
+    def _slopes(self, t: float, y: Array, h: float) -> Array:
+        """(s, n) slopes of all stages; begun anew from the field if what was known misleads."""
+        tableau = self._tableau
+        times, weights = t + tableau.nodes * h, h * tableau.beta
+        guess = self._continued(t, h)
+        if guess is not None:
+            try:
+                return self._equations.slopes(times, y, weights, guess, h)
+            except ConvergenceError:
+                pass
+        return self._equations.slopes(times, y, weights, np.tile(self._problem.field(t, y), (times.size, 1)), h)
 
-        def residual(slopes: Array) -> Array:
-            k = slopes.reshape(times.size, -1)
-            stages = y + h * (beta @ k)
-            self.nfev += times.size
-            return np.concatenate([self._problem.residual(*stage) for stage in zip(times, stages, k, strict=True)])
-
-        return self._iteration.solve(residual, guess, key=h)
+    def _continued(self, t: float, h: float) -> Array | None:
+        """The slopes of the last step as a polynomial, at the stages of this one; none if that is far."""
+        if self._last is None:
+            return None
+        t_last, h_last, slopes = self._last
+        nodes = (t - t_last + self._tableau.nodes * h) / h_last
+        if nodes.min() < -1.0 or nodes.max() > FARTHEST:
+            return None
+        return np.vander(nodes, len(slopes)) @ (self._coefficients @ slopes)
 
 
 class GaussLegendre1(RungeKutta):

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.errors import ConvergenceError
+from minimd.integrators.differential_algebraic import begun, error_weights
 from minimd.integrators.drivers import ROUNDING, check_ahead, check_problem
 from minimd.integrators.method import Method, Step
 from minimd.integrators.problems import Problem
@@ -58,7 +59,7 @@ def run_adaptive(
         raise TypeError(f"method must be a method without a time step, such as VelocityVerlet; got {method!r}")
     tolerance = Tolerance(rtol, np.asarray(atol, dtype=float))
     lengths = Lengths(min_step, max_step, abs(t_end - t0), first_step)
-    y = problem.begin(start)
+    y = begun(problem, start, t0)
     tolerance.check_size(y.size)
     coarse, fine, order = method.on(problem), method.on(problem), method.order_on(problem)
     direction = copysign(1.0, t_end - t0)
@@ -70,7 +71,7 @@ def run_adaptive(
         h = min(h, abs(t_end - t))
         try:
             y_new, difference = doubled(coarse, fine, t, y, direction * h)
-            error = tolerance.excess(difference / (2.0**order - 1.0), y, y_new)
+            error = tolerance.excess(error_weights(problem, h) * difference / (2.0**order - 1.0), y, y_new)
             why = f"its error is {error:.1e} times what is allowed"
         except ConvergenceError as reason:
             error, why = np.inf, str(reason)

@@ -1,0 +1,77 @@
+"""Starts that obey all constraints, given and hidden: time derivatives without formulas, and the nearest root.
+
+    c(ε) = g(t + ε, y + ε y′ + ε²/2 y″)        dᵏg/dtᵏ along the solution is dᵏc/dεᵏ at ε = 0
+    x ← x − C⁺ c(x)                            Gauss-Newton, C⁺ the pseudo-inverse of C = ∂c/∂x: the root nearest to the guess
+
+C. C. Pantelides, SIAM J. Sci. Stat. Comput. 9, 213 (1988); B. Leimkuhler, L. R. Petzold, C. W. Gear, SIAM J. Numer. Anal. 28, 205 (1991).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.integrators.differences import CENTRAL, central_differences
+
+Array = NDArray[np.float64]
+EPS = float(np.finfo(float).eps)
+SPACINGS = 0.1 / 3.0 ** np.arange(8)  # of the points of a difference formula, in units of the time in which the path changes by its size
+WEIGHTS = {  # of the values at −3 … 3 spacings, for the derivative of the same number: formulas of order 6 and 4
+    1: (np.array([-1, 9, -45, 0, 45, -9, 1]) / 60.0, np.array([0, 1, -8, 0, 8, -1, 0]) / 12.0),
+    2: (np.array([2, -27, 270, -490, 270, -27, 2]) / 180.0, np.array([0, -1, 16, -30, 16, -1, 0]) / 12.0),
+}
+DEPENDENT = 1e-8  # ratio of singular values below which constraints count as dependent on each other
+MAX_ITERATIONS = 50
+RESTING = 1e-100  # rates below which nothing moves [1/time]
+WIDE = 1e-3  # step of a difference of functions that are time derivatives
+SMALL = 1e-6  # corrections that may be rounding once they no longer shrink
+KEPT = 1e-11  # moves, relative to the size of the variables, below which a start is left as it is
+REFUSED = 1e-8  # and above which it counts as inconsistent; those between are made in silence
+
+
+def time_derivative(path: Callable[[float], Array], order: int, unit: float) -> Array:
+    """The first or second derivative at 0 of a path, to some 1e-12 or 1e-10: from the spacing at which two formulas agree best.
+
+    unit : time in which the path changes by its size [time].
+    """
+    best, least = path(0.0) * np.nan, np.inf
+    for spacing in SPACINGS * unit:
+        values = np.array([path(k * spacing) for k in range(-3, 4)])
+        sixth, fourth = (weights @ values / spacing**order for weights in WEIGHTS[order])
+        difference = np.abs(sixth - fourth).max(initial=0.0)
+        if difference < least:
+            best, least = sixth, difference
+    return best
+
+
+def unit_of_time(y: Array, *derivatives: Array) -> float:
+    """The time in which a path y + ε y′ + ε²/2 y″ changes by its own size; 1 if it rests."""
+    size = np.abs(y).max() or 1.0
+    rates = [0.0, *((np.abs(d).max() / size) ** (1.0 / k) for k, d in enumerate(derivatives, start=1))]
+    return 1.0 / max(rates) if max(rates) > RESTING else 1.0
+
+
+def nearest_root(function: Callable[[Array], Array], x: Array, step: float = CENTRAL) -> Array:
+    """The x nearest to the guess with function(x) = 0, as near as Gauss-Newton comes; of dependent equations, the least correction.
+
+    step : of central differences, in proportion to x; wide for functions that are derivatives already.
+    """
+    best, least, scale = x, np.inf, np.abs(x).max()
+    for _ in range(MAX_ITERATIONS):
+        c = function(x)
+        if not (c.any() and np.isfinite(c).all()):
+            return best if c.any() else x
+        dx = np.linalg.lstsq(central_differences(function, x, step), -c, rcond=DEPENDENT)[0]
+        move, size = float(np.abs(dx).max()), float(max(scale, np.abs(x + dx).max()))
+        if move > 0.5 * least and move <= SMALL * size:
+            return best
+        x, best, least = x + dx, x + dx, move
+        if move <= EPS * size:
+            return x
+    return best
+
+
+def are_independent(function: Callable[[Array], Array], x: Array, step: float = CENTRAL) -> bool:
+    """Whether the Jacobian of the function has full row rank."""
+    sizes = np.linalg.svd(central_differences(function, x, step), compute_uv=False)
+    return bool(function(x).size <= x.size and sizes[-1] > DEPENDENT * sizes[0])

@@ -1,0 +1,231 @@
+"""Differential-algebraic equations in Hessenberg form, of index 1, 2 and 3, and constrained mechanics.
+
+    index 1     y′ = f(t, y, z)                             0 = g(t, y, z)    gives z
+    index 2     y′ = f(t, y, z)                             0 = g(t, y)       0 = dg/dt = g_t + g_y f gives z
+    index 3     y′ = f(t, y, z),  z′ = k(t, y, z, u)        0 = g(t, y)       0 = dg/dt is hidden, 0 = d²g/dt² gives u
+    mechanics   q′ = v,  M(q) v′ = f(t, q, v) − G(q)ᵀ λ     0 = g(t, q)       0 = G v + g_t is hidden, 0 = d²g/dt² gives λ
+
+The state holds the parts one after the other. A start that violates one of these constraints is refused, with the reason.
+E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
+"""
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.integrators.consistent_start import KEPT, REFUSED, WIDE, are_independent, nearest_root, time_derivative, unit_of_time
+from minimd.integrators.differences import CENTRAL
+from minimd.integrators.differential_algebraic import DifferentialAlgebraic, Function, taking
+from minimd.integrators.nonlinear import Newton, Solver
+
+Array = NDArray[np.float64]
+Parts = tuple[Array, ...]
+
+
+class Hessenberg(DifferentialAlgebraic):
+    """What the forms have in common: parts of the state, and a chain of constraints, one for each of the last parts."""
+
+    names: ClassVar[tuple[str, ...]]  # of the parts
+    chain: ClassVar[tuple[str, ...]]  # what is zero, from g on; the last one gives the algebraic variables
+    regular: ClassVar[str]  # the matrix that must have full rank for that
+    _ends: tuple[int, ...] = ()
+
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
+        """The start as a state, its algebraic variables solved for.
+
+        Parameters
+        ----------
+        start : the parts one after the other, such as (q, v); algebraic variables may be left out, or are taken for a first guess.
+
+        Raises
+        ------
+        ValueError : for a start that violates a constraint, given or hidden; problem.corrected gives one that does not.
+        """
+        return self._consistent(start, t0, self._refused)
+
+    def corrected(self, start: Any, t0: float = 0.0) -> Array:
+        """The consistent state next to a start, part after part."""
+        return self._consistent(start, t0, lambda k, t, parts, root: root)
+
+    def parts(self, y: ArrayLike) -> Parts:
+        """Views of the parts of a state, or of many: y may be (n,), or (n_times, n) as in a solution."""
+        return tuple(np.split(np.asarray(y), self._ends, axis=-1))
+
+    def constraint(self, k: int, t: float, *parts: Array) -> Array:
+        """The k-th of the chain, zero on solutions: dᵏg/dtᵏ, from central differences along the solution."""
+        raise NotImplementedError
+
+    def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
+        """1 for the differential variables, 0 for the algebraic ones."""
+        return np.diag(np.repeat([1.0, 0.0], [self._ends[-1], y.size - self._ends[-1]]))
+
+    def _consistent(self, start: Any, t: float, judged: Any) -> Array:
+        parts = self._begun(start, t)
+        first, last = len(parts) - len(self.chain), len(self.chain) - 1
+        for k in range(last + 1):
+            i, step = first + k, WIDE if k > 0 else CENTRAL
+
+            def violation(x: Array) -> Array:
+                return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
+
+            if not are_independent(violation, parts[i], step):
+                raise ValueError(f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher than {self.index}: "
+                                 f"the constraints 0 = {self.chain[k]} do not determine {self.names[i]}")  # fmt: skip
+            root = nearest_root(violation, parts[i], step)
+            parts[i] = root if k == last else judged(k, t, parts, root)
+        return np.concatenate(parts)
+
+    def _refused(self, k: int, t: float, parts: list[Array], root: Array) -> Array:
+        """The part of the chain's k-th constraint, unless it is far from the root."""
+        i = len(parts) - len(self.chain) + k
+        name, part = self.names[i], parts[i]
+        move, size = np.abs(root - part).max(), max(np.abs(part).max(), np.abs(root).max())
+        if move > REFUSED * size:
+            violation = self.constraint(k, t, *parts)
+            worst = int(np.argmax(np.abs(violation)))
+            raise ValueError(f"the start violates the {'hidden ' if k else ''}constraint 0 = {self.chain[k]}: its element {worst} is "
+                             f"{violation[worst]:.2e} at t = {t:g}, and {name} would have to move by {move:.1e}; "
+                             "give consistent values, or take them from problem.corrected(start, t0)")  # fmt: skip
+        return root if move > KEPT * size else part
+
+    def _begun(self, start: Any, t: float) -> list[Array]:
+        """The parts of a start, zeros for algebraic variables that are not given; sizes are remembered."""
+        if not isinstance(start, tuple) or len(start) not in (len(self.names) - 1, len(self.names)):
+            raise ValueError(f"the start must be a tuple of {', '.join(self.names)}, of which {self.names[-1]} may be left out; got {start!r}")
+        parts = [np.array(part, dtype=float).reshape(-1) for part in start]
+        if len(parts) < len(self.names):
+            parts.append(np.zeros(self._n_multipliers(t, *parts)))
+        for name, part in zip(self.names, parts, strict=True):
+            if part.size == 0 or not np.isfinite(part).all():
+                raise ValueError(f"{name} of the start must have at least one element, and finite ones; got {part}")
+        self._ends = tuple(int(n) for n in np.cumsum([part.size for part in parts])[:-1])
+        self.levels = np.repeat(np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), [part.size for part in parts])
+        y = np.concatenate(parts)
+        n_equations = self.residual(t, y, np.zeros(y.size)).size
+        if n_equations != y.size:
+            raise ValueError(f"there must be as many equations as variables; got {n_equations} and {y.size}")
+        return parts
+
+    def _n_multipliers(self, t: float, *parts: Array) -> int:
+        """How many algebraic variables there are."""
+        return self.constraint(0, t, *parts).size
+
+
+class Hessenberg1(Hessenberg):
+    """y′ = f(t, y, z), 0 = g(t, y, z), with g_z regular: index 1.
+
+    Parameters
+    ----------
+    f, g : functions of t, y, z, or of some of them under these names.
+
+    The start is (y, z), with a guess of z.
+    """
+
+    index, names, chain, regular = 1, ("y", "z"), ("g",), "g_z"
+
+    def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
+        super().__init__(solver)
+        self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y", "z"), "g")
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """y′ − f and g."""
+        parts = self.parts(y)
+        return np.concatenate([self.parts(slope)[0] - self.f(t, *parts), self.g(t, *parts)])
+
+    def field(self, t: float, y: Array) -> Array:
+        """f, and zero for z."""
+        parts = self.parts(y)
+        return np.concatenate([self.f(t, *parts), np.zeros(parts[1].size)])
+
+    def constraint(self, k: int, t: float, *parts: Array) -> Array:
+        """G itself."""
+        return self.g(t, *parts)
+
+    def _n_multipliers(self, t: float, *parts: Array) -> int:
+        raise ValueError("the start must be a tuple of y and a guess of z, for g(t, y, z) depends on both")
+
+
+class Hessenberg2(Hessenberg):
+    """y′ = f(t, y, z), 0 = g(t, y), with g_y f_z regular: index 2.
+
+    Parameters
+    ----------
+    f : function of t, y, z.  g : of t, y; or of some of them under these names.
+
+    The start is (y,), or (y, z) with a guess of z.
+    """
+
+    index, names, chain, regular = 2, ("y", "z"), ("g", "dg/dt = g_t + g_y f"), "g_y f_z"
+
+    def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
+        super().__init__(solver)
+        self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y"), "g")
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """y′ − f and g."""
+        parts = self.parts(y)
+        return np.concatenate([self.parts(slope)[0] - self.f(t, *parts), self.g(t, parts[0])])
+
+    def field(self, t: float, y: Array) -> Array:
+        """f, and zero for z."""
+        parts = self.parts(y)
+        return np.concatenate([self.f(t, *parts), np.zeros(parts[1].size)])
+
+    def constraint(self, k: int, t: float, *parts: Array) -> Array:
+        """G, and its time derivative."""
+        y = parts[0]
+        if k == 0:
+            return self.g(t, y)
+        f = self.f(t, *parts)
+        return time_derivative(lambda e: self.g(t + e, y + e * f), 1, unit_of_time(y, f))
+
+
+class Hessenberg3(Hessenberg):
+    """y′ = f(t, y, z), z′ = k(t, y, z, u), 0 = g(t, y), with g_y f_z k_u regular: index 3.
+
+    Parameters
+    ----------
+    f : function of t, y, z.  k : of t, y, z, u.  g : of t, y; or of some of them under these names.
+
+    The start is (y, z), or (y, z, u) with a guess of u.
+    """
+
+    index, names, regular = 3, ("y", "z", "u"), "g_y f_z k_u"
+    chain = ("g", "dg/dt = g_t + g_y f", "d²g/dt²")
+
+    def __init__(self, f: Function, k: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
+        super().__init__(solver)
+        self.f, self.k, self.g = taking(f, ("t", "y", "z"), "f"), taking(k, ("t", "y", "z", "u"), "k"), taking(g, ("t", "y"), "g")
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """y′ − f, z′ − k and g."""
+        position, velocity, u = self.parts(y)
+        y_slope, z_slope, _ = self.parts(slope)
+        return np.concatenate([y_slope - self.f(t, position, velocity), z_slope - self.k(t, position, velocity, u), self.g(t, position)])
+
+    def field(self, t: float, y: Array) -> Array:
+        """f, k, and zero for u."""
+        position, velocity, u = self.parts(y)
+        return np.concatenate([self.f(t, position, velocity), self.k(t, position, velocity, u), np.zeros(u.size)])
+
+    def constraint(self, k: int, t: float, *parts: Array) -> Array:
+        """G, and its time derivatives."""
+        y, z = parts[:2]
+        if k == 0:
+            return self.g(t, y)
+        rate = self._rate(t, y, z)
+        if k == 1:
+            return time_derivative(lambda e: self.g(t + e, y + e * rate), 1, unit_of_time(y, rate))
+        second = self._second(t, y, z, rate, parts[2])
+        return time_derivative(lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), 2, unit_of_time(y, rate, second))
+
+    def _rate(self, t: float, y: Array, z: Array) -> Array:
+        """y′."""
+        return self.f(t, y, z)
+
+    def _second(self, t: float, y: Array, z: Array, rate: Array, u: Array) -> Array:
+        """y″ = f_t + f_y f + f_z k."""
+        z_rate = self.k(t, y, z, u)
+        unit = min(unit_of_time(y, rate), unit_of_time(z, z_rate))
+        return time_derivative(lambda e: self.f(t + e, y + e * rate, z + e * z_rate), 1, unit)

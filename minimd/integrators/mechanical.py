@@ -1,0 +1,77 @@
+"""Constrained mechanics as a differential-algebraic equation of index 3, for methods that solve its equations together.
+
+    q′ = v        M(q) v′ = f(t, q, v) − G(t, q)ᵀ λ        0 = g(t, q)        G = ∂g/∂q
+
+Hidden are 0 = G v + g_t and, for λ, 0 = G v′ + (G v + g_t)_q v + …. Any mass matrix, any force, constraints that move with time;
+for particles and forces without velocity, RATTLE on a Holonomic problem is the cheaper way, and symplectic.
+E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, eq. 1.46.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.integrators.differences import central_differences
+from minimd.integrators.differential_algebraic import Function, taking
+from minimd.integrators.hessenberg import Hessenberg3
+from minimd.integrators.nonlinear import Newton, Solver
+
+Array = NDArray[np.float64]
+
+
+class Mechanical(Hessenberg3):
+    """q′ = v, M v′ = f(t, q, v) − Gᵀ λ, 0 = g(t, q): index 3.
+
+    Parameters
+    ----------
+    mass : number, (n,) diagonal, (n, n) matrix, or a function of q that answers with one of them [mass].
+    force : function of t, q, v, or of some of them under these names [force].
+    g : (m,) constraints, function of t, q.  gradient : (m, n) G = ∂g/∂q, a function of the same, by central differences if not given.
+
+    The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ.
+    """
+
+    names, regular = ("q", "v", "λ"), "G M⁻¹ Gᵀ"
+    chain = ("g", "dg/dt = G v + g_t", "d²g/dt²")
+
+    def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, gradient: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
+        super().__init__(lambda t, y, z: z, lambda t, y, z, u: self._acceleration(t, y, z, u), g=_renamed(g, "g"), solver=solver)
+        self._force = taking(force, ("t", "q", "v"), "force")
+        self._gradient = gradient if gradient is None else taking(gradient, ("t", "q"), "gradient")
+        self._mass = taking(mass, ("q",), "mass") if callable(mass) else lambda q: np.array(mass, dtype=float).reshape(-1)
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """q′ − v, M v′ − f + Gᵀ λ and g."""
+        q, v, multipliers = self.parts(y)
+        q_slope, v_slope, _ = self.parts(slope)
+        return np.concatenate([q_slope - v, self.mass(q) @ v_slope - self._pull(t, q, v, multipliers), self.g(t, q)])
+
+    def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
+        """1, M and 0."""
+        matrix = super().slope_jacobian(t, y, slope)
+        n = self._ends[0]
+        matrix[n : 2 * n, n : 2 * n] = self.mass(y[:n])
+        return matrix
+
+    def mass(self, q: Array) -> Array:
+        """M(q), (n, n)."""
+        mass = self._mass(q)
+        return mass.reshape(q.size, q.size) if mass.size == q.size**2 > 1 else np.diag(np.broadcast_to(mass, q.shape))
+
+    def gradient(self, t: float, q: Array) -> Array:
+        """G(t, q), (m, n)."""
+        return central_differences(lambda x: self.g(t, x), q) if self._gradient is None else self._gradient(t, q).reshape(-1, q.size)
+
+    def _pull(self, t: float, q: Array, v: Array, multipliers: Array) -> Array:
+        return self._force(t, q, v) - multipliers @ self.gradient(t, q)
+
+    def _acceleration(self, t: float, q: Array, v: Array, multipliers: Array) -> Array:
+        return np.asarray(np.linalg.solve(self.mass(q), self._pull(t, q, v, multipliers)))
+
+    def _second(self, t: float, y: Array, z: Array, rate: Array, u: Array) -> Array:
+        return self._acceleration(t, y, z, u)
+
+
+def _renamed(g: Function, label: str) -> Function:
+    """G, a function of t and q, as one of t and y."""
+    of_both = taking(g, ("t", "q"), label)
+    return lambda t, y: of_both(t, y)

@@ -1,0 +1,83 @@
+"""The equations of the stages of an implicit step, for all stages and all variables together.
+
+    F(t_i, b_i + h Σ_j β_ij K_j, K_i) = 0,  i = 1 … s             unknown are the slopes K
+    ∂/∂K_j = δ_ij F_y′ + h β_ij F_y                              of stage i
+
+F is the residual of the problem. Slopes are sought to the rounding of what they add to the state, h K, in every variable by
+itself; in those of index 2 and 3 rounding is amplified by 1/h and 1/h² (E. Hairer, G. Wanner, Solving ODEs II (1996), VII.4).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.integrators.differential_algebraic import DifferentialAlgebraic
+from minimd.integrators.nonlinear import FixedPoint, finite_differences
+from minimd.integrators.problems import FirstOrder, Problem
+
+Array = NDArray[np.float64]
+VANISHING = 1e-30  # of the largest variable: sizes below are no sizes
+
+
+class StageEquations:
+    """Solves for slopes, step after step; counts evaluations of the right-hand side in nfev."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.nfev = 0
+        self._problem, self._iteration = problem, problem.solver.iteration()
+        self._needs_jacobian = not isinstance(problem.solver, FixedPoint)
+
+    def slopes(self, times: Array, base: Array, weights: Array, guess: Array, h: float) -> Array:
+        """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.
+
+        Parameters
+        ----------
+        times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h : the step [time].
+
+        Raises
+        ------
+        ConvergenceError : with the largest residual.
+        """
+
+        def residual(unknowns: Array) -> Array:
+            k = unknowns.reshape(guess.shape)
+            return np.concatenate([self._residual(*stage) for stage in zip(times, base + weights @ k, k, strict=True)])
+
+        def jacobian(unknowns: Array) -> Array:
+            k = unknowns.reshape(guess.shape)
+            n, matrix = base.size, np.empty((k.size, k.size))
+            for i, stage in enumerate(zip(times, base + weights @ k, k, strict=True)):
+                of_state, of_slope = self._jacobians(*stage)
+                rows = matrix[i * n : (i + 1) * n]
+                rows[:] = np.kron(weights[i], of_state)
+                rows[:, i * n : (i + 1) * n] += of_slope
+            return matrix
+
+        scale, floor = self._sizes(base, guess, h)
+        key = h, *weights[0]
+        solved = self._iteration.solve(residual, guess.reshape(-1), jacobian, key, scale, floor)
+        return solved.reshape(guess.shape)
+
+    def _residual(self, t: float, y: Array, slope: Array) -> Array:
+        self.nfev += 1
+        return self._problem.residual(t, y, slope)
+
+    def _jacobians(self, t: float, y: Array, slope: Array) -> tuple[Array, Array]:
+        """F_y and F_y′."""
+        problem = self._problem
+        if isinstance(problem, DifferentialAlgebraic):
+            self.nfev += y.size
+            return problem.state_jacobian(t, y, slope), problem.slope_jacobian(t, y, slope)
+        if isinstance(problem, FirstOrder) and problem.jacobian is not None:
+            return -np.asarray(problem.jacobian(t, y), dtype=float), np.eye(y.size)
+        at_y = self._residual(t, y, slope)
+        return finite_differences(lambda x: self._residual(t, x, slope), y, at_y), np.eye(y.size)
+
+    def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float | None]:
+        """Sizes of the unknowns: each in itself, and beside the largest one. Explicit problems have one size for all."""
+        if not isinstance(self._problem, DifferentialAlgebraic):
+            return 0.0, None
+        amplified = 1.0 / (abs(h) * self._problem.error_weights(h))
+        sizes = np.maximum(np.abs(base), np.abs(h * guess).max(axis=0))
+        largest = sizes.max() or 1.0
+        own = np.maximum(sizes, VANISHING * largest) * amplified
+        return np.tile(own, len(guess)), np.tile(largest * amplified, len(guess))

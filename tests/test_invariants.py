@@ -282,7 +282,7 @@ def test_scipy_keeps_no_energy():
 
 def test_a_given_value_is_reached_in_the_first_step():
     for wrapper in WRAPPERS:
-        path = run_steps(KEPLER, wrapper(GaussLegendre2, Invariants(energy, value=-0.49))(0.05), START, 3)
+        path = run_steps(KEPLER, wrapper(GaussLegendre2, Invariants(energy, energy_slope, value=-0.49))(0.05), START, 3)
         assert values(energy, path) == pytest.approx([-0.5, -0.49, -0.49, -0.49], abs=10 * ROUNDING)
 
 

@@ -180,22 +180,24 @@ def arrival(manifold: Manifold, arrive: Arrival, slope: Callable[[], Array]) -> 
     C. G. Broyden, Math. Comput. 19, 577 (1965), eq. 4.2.
     """
     z = np.zeros(manifold.value.size)
-    y = arrive(z)
+    y = best = arrive(z)
     defect, scale = manifold.defect(y), _rounding_scale(manifold, y)
-    best, error, before = y, _relative(defect, scale), np.inf
-    matrix = slope() if error > EPS else np.zeros(0)
+    least, n_stalls = _relative(defect, scale), 0
+    matrix = slope() if least > EPS else np.eye(z.size)
     for _ in range(MAX_CORRECTIONS):
-        if error <= EPS or (error >= before and error <= SMALL) or not np.isfinite(error):
+        if least <= EPS or n_stalls > 1 or not np.isfinite(defect).all() or not np.linalg.det(matrix):
             break
         dz = -np.linalg.solve(matrix, defect)
-        z, before = z + dz, error
+        z = z + dz
         y = arrive(z)
         defect = manifold.defect(y)
         error = _relative(defect, scale)
-        matrix = matrix + np.outer(defect, dz) / (dz @ dz)
-        best = y if error < before else best
-    if error <= SMALL:
-        return y if error <= before else best
+        if error < least or error > SMALL:  # and not rounding, from which no slope can be learnt
+            matrix = matrix + np.outer(defect, dz) / (dz @ dz)
+        n_stalls += least <= error <= SMALL
+        best, least = (y, error) if error < least else (best, least)
+    if least <= SMALL:
+        return best
     k = int(np.argmax(np.abs(defect) / scale))
     raise ConvergenceError(f"the state could not be brought to the manifold of the invariants: invariant {k} is off by {defect[k]:.1e}")
 

@@ -22,6 +22,7 @@ from minimd.integrators import (
     RadauIIA3,
     SecondOrder,
     VelocityVerlet,
+    index_two,
     projected,
     run_adaptive,
     run_reversible,
@@ -221,6 +222,19 @@ def test_a_problem_on_its_manifold_is_not_changed_by_stabilization():
     assert np.abs(run_until(problem, GaussLegendre4(0.02), START, PERIOD).y - exact.y).max() < 1e-10  # truncation of both
 
 
+@pytest.mark.parametrize(("method", "h"), [(ImplicitEuler, 0.002), (RadauIIA2, 0.02), (RadauIIA3, 0.05)])
+def test_the_problem_of_index_2_has_the_solutions_of_the_problem_itself(method, h):
+    """The energy is a constraint, to rounding; the multiplier vanishes with h, and the error as hᵖ."""
+    problem = index_two(KEPLER, ENERGY)
+    paths = [run_until(problem, method(step), START, 7.5) for step in (h, h / 2.0)]
+    errors = [np.linalg.norm(problem.parts(path.y)[0][-1] - kepler_end()) for path in paths]
+    multipliers = [np.abs(problem.parts(path.y)[1]).max() for path in paths]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(method.order, abs=0.3)  # truncation
+    assert 1e-14 < multipliers[1] < 0.6 * multipliers[0]
+    energies = [energy(y[:2], y[2:]) for y in problem.parts(paths[1].y)[0]]
+    assert np.abs(np.array(energies) + 0.5).max() < 3 * ROUNDING
+
+
 @pytest.mark.parametrize("wrapper", WRAPPERS)
 @pytest.mark.parametrize("method", [VelocityVerlet, GaussLegendre1, RadauIIA2])
 def test_reversal_returns_to_the_start_if_and_only_if_the_answer_is_symmetric(wrapper, method):
@@ -325,6 +339,10 @@ def test_bad_input_is_told():
         Invariants(3.0)
     with pytest.raises(TypeError, match="must not depend on t"):
         Invariants(lambda t, q, v: q[0])
+    with pytest.raises(TypeError, match="problem must be SecondOrder, Partitioned or FirstOrder; got object"):
+        index_two(object(), ENERGY)
+    with pytest.raises(ValueError, match="the start violates the constraint 0 = g"):
+        run_steps(index_two(KEPLER, Invariants(energy, value=-0.4)), RadauIIA2(0.05), START, 5)
     with pytest.raises(TypeError, match="Partitioned and FirstOrder problems; got object"):
         stabilized(object(), ENERGY, 1.0)
 

@@ -21,7 +21,7 @@ from minimd.integrators.methods import METHODS, SPLITTINGS
 from minimd.integrators.nonlinear import FixedPoint, Newton
 from minimd.integrators.orders import nystrom_order, separable_order
 from minimd.integrators.problems import FirstOrder, Partitioned, SecondOrder
-from minimd.integrators.projection import projected, symmetrically_projected, with_multipliers
+from minimd.integrators.projection import index_two, projected, symmetrically_projected, with_multipliers
 from minimd.integrators.reversible import run_reversible
 from minimd.integrators.rows import Drift, Kick
 from minimd.integrators.runge_kutta import (
@@ -86,6 +86,7 @@ __all__ = [
     "collocation",
     "compose",
     "gauss",
+    "index_two",
     "nystrom_order",
     "projected",
     "radau_iia",

@@ -2,23 +2,26 @@
 
     ỹ = Φ_h(y₀)                     y₁ = ỹ + G(ỹ)ᵀ μ                  projected: standard projection
     ỹ = Φ_h(y₀ + G(y₀)ᵀ μ)          y₁ = ỹ + G(y₁)ᵀ μ                 symmetrically_projected
-    y′ = f(t, y) − G(y)ᵀ z          z constant over the step          with_multipliers: the index-2 form
+    y′ = f(t, y) − G(y)ᵀ z          z constant over the step          with_multipliers: the index-2 form, for any method
+    the same, 0 = g(y) − g₀         z as the method has it            index_two: the problem, for differential-algebraic methods
 
-with μ, or z, such that g(y₁) = g₀. As the exact flow keeps g, all three leave the order of the method as it is, and μ, z → 0 with h.
+with μ, or z, such that g(y₁) = g₀. As the exact flow keeps g, all leave the order of the method as it is, and μ, z → 0 with h.
 They act on the whole state at once: of a symplectic method they leave an energy that is constant and a step that is no longer symplectic.
 E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IV.4 and V.4.1;
 U. M. Ascher, L. R. Petzold, SIAM J. Numer. Anal. 28, 1097 (1991), for the index-2 form.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.errors import ConvergenceError
+from minimd.integrators.hessenberg import Hessenberg2
 from minimd.integrators.invariants import EPS, Invariants, Manifold, Shape, check_invariants, corrected
 from minimd.integrators.method import Method, Step
-from minimd.integrators.problems import Problem
+from minimd.integrators.problems import FirstOrder, Partitioned, Problem
 
 Array = NDArray[np.float64]
 Arrival = Callable[[Array], Array]
@@ -165,6 +168,47 @@ class _Pull:
 
     def __call__(self, y: Array) -> Array:
         return -self._manifold.jacobian(y).T @ self._z if self._z.any() else np.zeros(y.size)
+
+
+class IndexTwo(Hessenberg2):
+    """y′ = f(t, y) − G(y)ᵀ z, 0 = g(y) − g₀. A state holds y and z; z is zero on exact solutions."""
+
+    def __init__(self, problem: Problem, invariants: Invariants) -> None:
+        def f(t: float, y: Array, z: Array) -> Array:
+            return problem.field(t, y) - self._manifold.jacobian(y).T @ z
+
+        super().__init__(f, lambda y: self._manifold.defect(y), solver=problem.solver)
+        self._problem, self._invariants = problem, invariants
+
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
+        """The start of the problem itself, (q, v) or y, as a state.
+
+        Raises
+        ------
+        ValueError : if it is not on the manifold of the values that were given, or the gradients of the invariants are not independent.
+        """
+        y = self._problem.begin(start)
+        self._manifold = self._invariants.through(y, self._problem.shape)
+        return super().begin((y,), t0)
+
+
+def index_two(problem: Problem, invariants: Invariants) -> IndexTwo:
+    """The differential-algebraic problem y′ = f − Gᵀ z, 0 = g − g₀ of index 2, for methods such as RadauIIA3.
+
+    It is given the start of the problem; index_two(…).parts(solution.y) are y, with q and v in a row, and z.
+
+    Parameters
+    ----------
+    problem : SecondOrder, Partitioned or FirstOrder, with Newton's method for its solver.
+
+    Raises
+    ------
+    TypeError : for problems of other kinds.
+    """
+    check_invariants(invariants)
+    if not isinstance(problem, (Partitioned, FirstOrder)):
+        raise TypeError(f"problem must be SecondOrder, Partitioned or FirstOrder; got {type(problem).__name__}")
+    return IndexTwo(problem, invariants)
 
 
 def arrival(manifold: Manifold, arrive: Arrival, slope: Callable[[], Array]) -> Array:

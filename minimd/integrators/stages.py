@@ -73,9 +73,11 @@ class StageEquations:
         return finite_differences(lambda x: self._residual(t, x, slope), y, at_y), np.eye(y.size)
 
     def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float | None]:
-        """Sizes of the unknowns: each in itself, and beside the largest one. Explicit problems have one size for all."""
+        """Sizes of the unknowns: each in itself, and beside the largest one. Those of explicit problems have one size for all, and are
+        rounding once what they add to the state is: at rest slopes vanish, and the state does not.
+        """
         if not isinstance(self._problem, DifferentialAlgebraic):
-            return 0.0, None
+            return 0.0, float(np.abs(base).max()) / abs(h)
         amplified = 1.0 / (abs(h) * self._problem.error_weights(h))
         sizes = np.maximum(np.abs(base), np.abs(h * guess).max(axis=0))
         largest = sizes.max() or 1.0

@@ -1,5 +1,6 @@
 """Kicks, drifts and the methods composed from them."""
 
+from minimd.integrators.bdf import BDF1, BDF2, BDF3, BDF4, BDF5
 from minimd.integrators.composing import adjoint, compose
 from minimd.integrators.compositions import (
     PEFRL,
@@ -14,12 +15,16 @@ from minimd.integrators.compositions import (
 )
 from minimd.integrators.constraints import DistanceConstraints, RigidBonds
 from minimd.integrators.drivers import run_steps, run_until
+from minimd.integrators.hessenberg import Hessenberg1, Hessenberg2, Hessenberg3
 from minimd.integrators.holonomic import Holonomic
+from minimd.integrators.implicit import Implicit
 from minimd.integrators.invariants import Invariants, stabilized
+from minimd.integrators.mechanical import Mechanical
 from minimd.integrators.method import Method
 from minimd.integrators.methods import METHODS, SPLITTINGS
 from minimd.integrators.nonlinear import FixedPoint, Newton
 from minimd.integrators.orders import nystrom_order, separable_order
+from minimd.integrators.pencil import pencil_index
 from minimd.integrators.problems import FirstOrder, Partitioned, SecondOrder
 from minimd.integrators.projection import index_two, projected, symmetrically_projected, with_multipliers
 from minimd.integrators.reversible import run_reversible
@@ -42,6 +47,11 @@ from minimd.integrators.two_step import stormer_summed, stormer_two_step
 from minimd.integrators.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
 
 __all__ = [
+    "BDF1",
+    "BDF2",
+    "BDF3",
+    "BDF4",
+    "BDF5",
     "METHODS",
     "PEFRL",
     "SE1",
@@ -57,7 +67,11 @@ __all__ = [
     "GaussLegendre2",
     "GaussLegendre3",
     "GaussLegendre4",
+    "Hessenberg1",
+    "Hessenberg2",
+    "Hessenberg3",
     "Holonomic",
+    "Implicit",
     "ImplicitEuler",
     "Invariants",
     "KahanLi6",
@@ -65,6 +79,7 @@ __all__ = [
     "Kick",
     "Leapfrog",
     "McLachlanAtela4",
+    "Mechanical",
     "Method",
     "Newton",
     "Partitioned",
@@ -88,6 +103,7 @@ __all__ = [
     "gauss",
     "index_two",
     "nystrom_order",
+    "pencil_index",
     "projected",
     "radau_iia",
     "run_adaptive",

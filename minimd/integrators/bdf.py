@@ -31,49 +31,49 @@ class BDF(Method):
 
     Attributes of each method
     -------------------------
-    k : number of last states that are looked back at, and order; up to 5, as one more leaves too little stability.
+    n_past : number k of last states that are looked back at, and order; up to 5, as one more leaves too little stability.
     """
 
-    k: ClassVar[int]
+    n_past: ClassVar[int]
     source = SOURCE
-    order = Answer(lambda method: method.k)
+    order = Answer(lambda method: method.n_past)
     stages = 1
     is_symmetric = is_symplectic = is_explicit = False
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
         """The step on any problem."""
-        return BDFStep(problem, cls.k)
+        return BDFStep(problem, cls.n_past)
 
 
 class BDF1(BDF):
     """BDF with one step, implicit Euler: order 1."""
 
-    name, k = "bdf-1", 1
+    name, n_past = "bdf-1", 1
 
 
 class BDF2(BDF):
     """BDF with two steps: order 2."""
 
-    name, k = "bdf-2", 2
+    name, n_past = "bdf-2", 2
 
 
 class BDF3(BDF):
     """BDF with three steps: order 3."""
 
-    name, k = "bdf-3", 3
+    name, n_past = "bdf-3", 3
 
 
 class BDF4(BDF):
     """BDF with four steps: order 4."""
 
-    name, k = "bdf-4", 4
+    name, n_past = "bdf-4", 4
 
 
 class BDF5(BDF):
     """BDF with five steps: order 5."""
 
-    name, k = "bdf-5", 5
+    name, n_past = "bdf-5", 5
 
 
 class BDFStep:

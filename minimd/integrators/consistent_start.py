@@ -15,14 +15,14 @@ from minimd.integrators.differences import CENTRAL, central_differences
 
 Array = NDArray[np.float64]
 EPS = float(np.finfo(float).eps)
-SPACINGS = 0.1 / 3.0 ** np.arange(8)  # of the points of a difference formula, in units of the time in which the path changes by its size
+SPACINGS = 0.1 / 3.0 ** np.arange(12)  # of the points of a difference formula, in units of the time in which the path changes by its size
 WEIGHTS = {  # of the values at −3 … 3 spacings, for the derivative of the same number: formulas of order 6 and 4
     1: (np.array([-1, 9, -45, 0, 45, -9, 1]) / 60.0, np.array([0, 1, -8, 0, 8, -1, 0]) / 12.0),
     2: (np.array([2, -27, 270, -490, 270, -27, 2]) / 180.0, np.array([0, -1, 16, -30, 16, -1, 0]) / 12.0),
 }
 DEPENDENT = 1e-8  # ratio of singular values below which constraints count as dependent on each other
 MAX_ITERATIONS = 50
-RESTING = 1e-100  # rates below which nothing moves [1/time]
+RESTING = 1e-13  # rates below are rounding: nothing moves, but perhaps what depends on time [1/time]
 WIDE = 1e-3  # step of a difference of functions that are time derivatives
 SMALL = 1e-6  # corrections that may be rounding once they no longer shrink
 KEPT = 1e-11  # moves, relative to the size of the variables, below which a start is left as it is
@@ -51,22 +51,23 @@ def unit_of_time(y: Array, *derivatives: Array) -> float:
     return 1.0 / max(rates) if max(rates) > RESTING else 1.0
 
 
-def nearest_root(function: Callable[[Array], Array], x: Array, step: float = CENTRAL) -> Array:
+def nearest_root(function: Callable[[Array], Array], x: Array, step: float = CENTRAL, dependent: float = DEPENDENT, size: float = 0.0) -> Array:
     """The x nearest to the guess with function(x) = 0, as near as Gauss-Newton comes; of dependent equations, the least correction.
 
     step : of central differences, in proportion to x; wide for functions that are derivatives already.
+    dependent : ratio of singular values below which equations count as dependent.  size : of the largest variable, where x can be smaller by chance.
     """
-    best, least, scale = x, np.inf, np.abs(x).max()
+    best, least, size = x, np.inf, max(size, np.abs(x).max())
     for _ in range(MAX_ITERATIONS):
         c = function(x)
         if not (c.any() and np.isfinite(c).all()):
             return best if c.any() else x
-        dx = np.linalg.lstsq(central_differences(function, x, step), -c, rcond=DEPENDENT)[0]
-        move, size = float(np.abs(dx).max()), float(max(scale, np.abs(x + dx).max()))
-        if move > 0.5 * least and move <= SMALL * size:
+        dx = np.linalg.lstsq(central_differences(function, x, step, size), -c, rcond=dependent)[0]
+        move, largest = float(np.abs(dx).max()), float(max(size, np.abs(x + dx).max()))
+        if move > 0.5 * least and move <= SMALL * largest:
             return best
         x, best, least = x + dx, x + dx, move
-        if move <= EPS * size:
+        if move <= EPS * largest:
             return x
     return best
 

@@ -10,9 +10,12 @@ CENTRAL = float(np.finfo(float).eps) ** (1.0 / 3.0)  # of a variable: truncation
 LEAST = 1e-3  # of the largest variable, for the steps of small ones
 
 
-def central_differences(function: Callable[[Array], Array], x: Array, step: float = CENTRAL) -> Array:
-    """∂function/∂x, one column per variable, with steps in proportion to the variables whatever their unit; wide ones for noisy functions."""
-    steps = step * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0))
+def central_differences(function: Callable[[Array], Array], x: Array, step: float = CENTRAL, size: float = 0.0) -> Array:
+    """∂function/∂x, one column per variable, with steps in proportion to the variables whatever their unit; wide ones for noisy functions.
+
+    size : of the largest variable, where x can be smaller by chance.
+    """
+    steps = step * np.maximum(np.abs(x), LEAST * (max(np.abs(x).max(), size) or 1.0))
     columns = []
     for k in range(x.size):
         ahead, behind = x.copy(), x.copy()

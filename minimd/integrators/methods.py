@@ -1,5 +1,6 @@
 """The tables of methods, by name."""
 
+from minimd.integrators.bdf import BDF1, BDF2, BDF3, BDF4, BDF5
 from minimd.integrators.compositions import (
     PEFRL,
     BlanesMoan4,
@@ -54,6 +55,11 @@ IMPLICIT: dict[str, type[Method]] = {
         ImplicitEuler,
         RadauIIA2,
         RadauIIA3,
+        BDF1,
+        BDF2,
+        BDF3,
+        BDF4,
+        BDF5,
     )
 }
 

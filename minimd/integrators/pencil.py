@@ -8,10 +8,11 @@ F. R. Gantmacher, The Theory of Matrices, vol. 2 (1959), XII; D. G. Luenberger, 
 ranks by singular values: P. Van Dooren, Linear Algebra Appl. 27, 103 (1979).
 """
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from typing import Any
 
-Array = NDArray[np.float64]
+import numpy as np
+from numpy.typing import ArrayLike
+
 TOLERANCE = 1e-10
 
 
@@ -49,7 +50,7 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = TOLERANCE) -> in
     raise ValueError(_singular(n - rank, n, independent))
 
 
-def _singular(n_constraints: int, index: int, sizes: Array) -> str:
+def _singular(n_constraints: int, index: int, sizes: Any) -> str:
     return (
         f"the pencil is singular, det(λM − A) = 0 for all λ: after {index} differentiations {n_constraints} equations without y′ "
         f"depend on each other (singular values from {sizes[0]:.1e} to {sizes[-1]:.1e}), so that some variable is not determined"

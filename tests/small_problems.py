@@ -8,7 +8,8 @@ from scipy.integrate import solve_ivp
 
 from minimd.integrators import METHODS, Partitioned, SecondOrder
 
-ONE_STEP = [method for method in METHODS.values() if not getattr(method, "is_stochastic", False) and not hasattr(method, "n_past")]
+DETERMINISTIC = [method for method in METHODS.values() if not getattr(method, "is_thermostat", False)]
+ONE_STEP = [method for method in DETERMINISTIC if getattr(method, "n_past", 1) == 1]  # a BDF looks back at several states
 SYMMETRIC = [method for method in ONE_STEP if method.is_symmetric]
 NOT_SYMMETRIC = [method for method in ONE_STEP if not method.is_symmetric]
 SYMPLECTIC = [method for method in ONE_STEP if method.is_symplectic]

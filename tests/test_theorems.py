@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from small_problems import (
+    DETERMINISTIC,
     DRIVEN,
     HENON_HEILES,
     HENON_HEILES_START,
@@ -65,12 +66,11 @@ def measured_order(method, problem, start, time, t0, end, n_steps):
     return np.log2(errors[0] / errors[1])
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
-@pytest.mark.parametrize("method", ONE_STEP)
+@pytest.mark.parametrize(("name", "method"), [(name, m) for name in PROBLEMS for m in (ONE_STEP if name == "kepler" else DETERMINISTIC)])
 def test_measured_order_is_the_answered_order(method, name):
-    """Methods made for q″ = f(q) alone answer a lower one elsewhere."""
+    """Methods made for q″ = f(q) alone answer a lower one elsewhere. Near a pericentre the errors of BDFs change their sign."""
     order = method.order_on(PROBLEMS[name][0])
-    n_steps = STEPS[order] * {"kepler": 8 if method is Ruth3 else 2}.get(name, 1)
+    n_steps = STEPS[order] * {"kepler": 8 if method is Ruth3 else 2}.get(name, 1) * (6 if method not in ONE_STEP and order > 3 else 1)
     assert measured_order(method, *PROBLEMS[name], n_steps) == pytest.approx(order, abs=0.2)  # truncation
     assert order == (3 if method is McLachlanAtela4 and "separable" in name else method.order)
 
@@ -194,7 +194,7 @@ class Unsolvable(Newton):
         raise AssertionError("solved")
 
 
-@pytest.mark.parametrize("method", ONE_STEP)
+@pytest.mark.parametrize("method", DETERMINISTIC)
 def test_explicit_methods_solve_nothing(method):
     problem = SecondOrder(attraction, solver=Unsolvable())
     if method.is_explicit:
@@ -204,7 +204,7 @@ def test_explicit_methods_solve_nothing(method):
             run_steps(problem, method(0.1), ORBIT_START, 3)
 
 
-@pytest.mark.parametrize("method", ONE_STEP)
+@pytest.mark.parametrize("method", DETERMINISTIC)
 def test_stages_are_the_evaluations_or_the_stage_equations_of_a_step(method):
     """As the function of the user counts them; those of implicit methods by the times they are at."""
     times = []

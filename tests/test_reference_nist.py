@@ -5,6 +5,7 @@ import pytest
 from references import load
 
 import minimd as md
+from minimd.potentials.truncation import SWITCHES
 
 CASES = [(f"nist_lj/config{c}.json", k) for c in (1, 4) for k in range(3)]
 SCHEMES = {"truncated_plus_LRC": "truncated", "linear_force_shift": "force-shifted"}
@@ -35,7 +36,7 @@ def test_tail_pressure_is_the_closed_form():
     assert abs(correction - expected) < 1e-14 * scale  # rounding of the difference
 
 
-@pytest.mark.parametrize("truncation", ["switched", "charmm"])
+@pytest.mark.parametrize("truncation", SWITCHES)
 def test_tail_makes_a_switched_fluid_that_of_the_full_law(truncation):
     """At uniform density, energy and virial with the tail are those of the full law, wherever the cutoff lies."""
     counts, volume = np.array([1000]), 2000.0

@@ -1,6 +1,6 @@
 """Pair potentials: a law, its parameters for each pair of species, a cutoff and a truncation."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf, isfinite, pi
 from numbers import Real
 from typing import Any
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.potentials.law import UserLaw, check_user_law, evaluate_law, user_law
 from minimd.potentials.mixing import MIXING, Parameters
-from minimd.potentials.truncation import TRUNCATIONS
+from minimd.potentials.truncation import SWITCHES, TRUNCATIONS
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
 NODES = (64, 32)  # of two Gauss-Legendre rules; where they differ by more than this, relatively, an integral does not exist
@@ -31,14 +31,15 @@ class PairPotential:
         [energy/length²]; plain Python of numbers, or already compiled by numba.njit.
     parameters : tuple of numbers for all atoms alike, or a mapping from species to such tuples.
     cutoff : r_c [length], or a mapping from pairs of species to it; None for none, in scenes without periodicity only.
-    truncation : "shifted" (default), "truncated", "force-shifted", "switched" or "charmm": see minimd.potentials.truncation.
+    truncation : "shifted" (default), "truncated", "force-shifted", or a switch, "switched", "charmm" or "smooth" (for
+        methods of order above 2): see minimd.potentials.truncation.
     mixing : name of a rule or a function of two parameter tuples, for pairs of species not in pairs.
     pairs : mapping from pairs of species, in either order, to their parameters.
-    switch_start : r_on [length] of the two switches; 0.8 r_c if not given.
+    switch_start : r_on [length] of the switches; 0.8 r_c if not given.
     bonded_scale : factors for pairs one, two and three bonds apart; 0 excludes, 1 (default) changes nothing. In a cell
         smaller than the cutoff they hold for the nearest image of the pair only.
     tail_correction : add the energy and virial of the pairs that the truncation leaves out, at uniform density
-        (g = 1). For "truncated", "switched" and "charmm".
+        (g = 1). For "truncated" and the switches.
 
     Raises
     ------
@@ -70,9 +71,9 @@ class PairPotential:
         self.switch_start = self._checked_switch_start(switch_start)
         self.bonded_scale = _checked_scale(bonded_scale)
         self.tail_correction = tail_correction
-        if tail_correction and (truncation in ("shifted", "force-shifted") or self.cutoff == inf):
+        if tail_correction and (truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
             raise ValueError(
-                f"tail_correction needs a cutoff and truncation 'truncated', 'switched' or 'charmm'; "
+                f"tail_correction needs a cutoff and truncation 'truncated', {_listed(SWITCHES)}; "
                 f"cutoff = {self.cutoff}, truncation = {truncation!r} have no tail"
             )
 
@@ -173,8 +174,8 @@ class PairPotential:
         if self.cutoff == inf and self.truncation not in ("truncated", "shifted"):
             raise ValueError(f"cutoff must be given for truncation {self.truncation!r}; it is None")
         smallest = min(self._cutoffs.values()) if isinstance(self._cutoffs, dict) else self.cutoff
-        if start is not None and self.truncation not in ("switched", "charmm"):
-            raise ValueError(f"switch_start is for truncation 'switched' or 'charmm'; truncation = {self.truncation!r}")
+        if start is not None and self.truncation not in SWITCHES:
+            raise ValueError(f"switch_start is for truncation {_listed(SWITCHES)}; truncation = {self.truncation!r}")
         if start is not None and not 0.0 < start < smallest:
             raise ValueError(f"switch_start must lie between 0 and the cutoff {smallest}; switch_start = {start}")
         return start
@@ -242,5 +243,5 @@ def _symmetric(by_pair: Mapping) -> dict:
     return {key: value for (a, b), value in by_pair.items() for key in ((a, b), (b, a))}
 
 
-def _listed(mapping: Mapping) -> str:
-    return ", ".join(repr(key) for key in mapping)
+def _listed(keys: Iterable) -> str:
+    return ", ".join(repr(key) for key in keys)

@@ -7,6 +7,10 @@ Beyond the cutoff r_c every truncated law is zero; the loop sees to that. Inside
     force-shifted   u(r) − u(r_c) − (r − r_c) u′(r_c)             u and force continuous (NIST: linear force shift)
     switched        u(r) S(x), x = (r − r_on)/(r_c − r_on)        u, force and its slope continuous (C²)
     charmm          u(r) C(r²) between r_on and r_c               u and force continuous; ASE's smooth=True
+    smooth          u(r) S(y), y = (r² − r_on²)/(r_c² − r_on²)    seven derivatives continuous (C⁷)
+
+A method keeps its order only where u is smooth enough: an atom that crosses a jump of the k-th derivative is left with an error
+of Δtᵏ in its energy, whatever the method. So a switched law is for methods up to order 3, a smooth one for those up to 8.
 """
 
 from collections.abc import Callable
@@ -65,6 +69,25 @@ def charmm(r2, law, parameters):
     return c * u, c * f - 2.0 * slope * u
 
 
+@scalar
+def smooth(r2, law, parameters):
+    """u(r) S(y) with y = (r² − r_on²)/(r_c² − r_on²), clipped to [0, 1], and the polynomial of degree 15 that falls from 1 to 0 with
+
+        S(y) = (1 − y)⁸ Σₖ C(7 + k, k) yᵏ, k = 0 … 7,   S′(y) = −15!/(7!)² y⁷ (1 − y)⁷
+
+    so that seven derivatives vanish at both ends: the incomplete beta function I₁₋ᵧ(8, 8), NIST DLMF 8.17. All terms are positive.
+    parameters : (r_on², r_c², *parameters of law).
+    """
+    u, f = evaluate_law(law, r2, parameters[2:])
+    scale = 1.0 / (parameters[1] - parameters[0])
+    y = max(0.0, min(1.0, (r2 - parameters[0]) * scale))
+    z = 1.0 - y
+    y3, z3 = y * y * y, z * z * z
+    s = z3 * z3 * z * z * (1.0 + y * (8.0 + y * (36.0 + y * (120.0 + y * (330.0 + y * (792.0 + y * (1716.0 + y * 3432.0)))))))
+    slope = -51480.0 * y3 * y3 * y * z3 * z3 * z * scale  # dS/d(r²)
+    return s * u, s * f - 2.0 * slope * u
+
+
 @marks(shifted)
 class Shifted(NamedTuple):
     """Marker of shifted around a law."""
@@ -89,6 +112,13 @@ class Switched(NamedTuple):
 @marks(charmm)
 class CharmmSwitched(NamedTuple):
     """Marker of charmm around a law."""
+
+    law: Any
+
+
+@marks(smooth)
+class Smooth(NamedTuple):
+    """Marker of smooth around a law."""
 
     law: Any
 
@@ -131,4 +161,7 @@ TRUNCATIONS = {
     "force-shifted": Truncation(ForceShifted, _value_and_slope_at_cutoff),
     "switched": Truncation(Switched, _switching_range),
     "charmm": Truncation(CharmmSwitched, _squared_switching_range),
+    "smooth": Truncation(Smooth, _squared_switching_range),
 }
+
+SWITCHES = ("switched", "charmm", "smooth")  # those that start at r_on

@@ -4,11 +4,12 @@ from minimd import integrators, units
 from minimd.cell import Cell
 from minimd.errors import ConstraintError, ConvergenceError, NonFiniteError
 from minimd.forces import Evaluation, Forces, evaluate
-from minimd.integrators import Leapfrog, PositionVerlet, VelocityVerlet
+from minimd.integrators import DistanceConstraints, LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
 from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
 from minimd.record import Record
 from minimd.report import Report
+from minimd.rigidity import FixedAtoms
 from minimd.simulation import Simulation
 from minimd.system import System
 
@@ -18,10 +19,13 @@ __all__ = [
     "Cell",
     "ConstraintError",
     "ConvergenceError",
+    "DistanceConstraints",
     "Evaluation",
+    "FixedAtoms",
     "Forces",
     "HarmonicAngle",
     "HarmonicBond",
+    "LangevinBAOAB",
     "Leapfrog",
     "LennardJones",
     "NonFiniteError",
@@ -30,6 +34,7 @@ __all__ = [
     "Record",
     "Report",
     "Simulation",
+    "StochasticVelocityRescaling",
     "System",
     "VelocityVerlet",
     "evaluate",

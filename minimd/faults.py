@@ -44,5 +44,15 @@ def autopsy(system: System, fault: str, step: int, timestep: float, last_good_st
     )
 
 
+def broken_constraint(system: System, reason: ArithmeticError, step: int, timestep: float, last_good_step: int) -> str:
+    """A constraint that could not be kept, with its circumstances; system is in the last good state."""
+    units = system.units
+    return (
+        f"{reason}, at step {step}; reduce the timestep ({timestep * units.to_picosecond * units.shown_small_time:g} {units.small_time}), "
+        f"or look for overlapping atoms: the closest pair is {closest_pair(system)}. "
+        f"The system holds the last good state, that of step {last_good_step}"
+    )
+
+
 def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))

@@ -113,7 +113,7 @@ class H5MDWriter:
             simulation = self._simulation
             if completed and simulation.step > self._last_step:
                 with self._telling(f"take the end of the run, step {simulation.step}"):
-                    self._write_restart(simulation.step, simulation.time, simulation.positions, simulation.velocities)
+                    self._write_restart(simulation.step, simulation.time, simulation.positions, simulation.velocities, simulation.heat)
         finally:
             self._shut()
 
@@ -137,7 +137,8 @@ class H5MDWriter:
         with self._telling(f"take the frame of step {frames[0].step}"):
             self._append(frames)
             last = frames[-1]
-            self._write_restart(last.step, last.time, last.positions, last.velocities)
+            heat = last.observables["total_energy"] - last.observables.get("conserved_energy", last.observables["total_energy"])
+            self._write_restart(last.step, last.time, last.positions, last.velocities, heat)
         self._n_frames += len(frames)
         self._pending = []
         self._flushed = monotonic()
@@ -151,11 +152,12 @@ class H5MDWriter:
             series.resize(end, axis=0)
             series[self._n_frames :] = np.array([column.entry(frame) for frame in frames])
 
-    def _write_restart(self, step: int, time: float, positions: NDArray[np.float64], velocities: NDArray[np.float64]) -> None:
+    def _write_restart(self, step: int, time: float, positions: NDArray[np.float64], velocities: NDArray[np.float64], heat: float) -> None:
         restart = self._h5["minimd/restart"]
         restart["positions"][...], restart["velocities"][...] = positions, velocities
         restart.attrs.modify("step", np.int64(step))
         restart.attrs.modify("time", np.float64(time))
+        restart.attrs.modify("heat", np.float64(heat))
         self._h5.flush()
 
     def _reserve(self, n_bytes: int) -> None:

@@ -44,7 +44,8 @@ class H5MDContents:
     Attributes
     ----------
     record : Record, one entry for each frame.  system : System at the restart, to the last bit.
-    step, time : int, [time], of the restart.  timestep : [time].  method : key in integrators.SPLITTINGS.
+    step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
+    heat : [energy], that a thermostat had put in at the restart; 0 without one.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
     """
 
@@ -54,6 +55,7 @@ class H5MDContents:
     time: float
     timestep: float
     method: str
+    heat: float
     n_frames: int
     has_forces: bool
     title: str
@@ -134,12 +136,12 @@ def describe(h5: h5py.File, simulation: "Simulation") -> None:
     group["masses"], group["bonds"] = h5[f"{TRAJECTORY}/mass"], h5["connectivity/bonds"]
     restart = group.create_group("restart")
     restart["positions"], restart["velocities"] = system.positions, system.velocities
-    restart.attrs.update({"step": np.int64(simulation.step), "time": np.float64(simulation.time)})
+    restart.attrs.update({"step": np.int64(simulation.step), "time": np.float64(simulation.time), "heat": np.float64(simulation.heat)})
 
 
 def describe_method(group: h5py.Group, simulation: "Simulation") -> None:
     """Method and time step of the frames that come next."""
-    group.attrs.update({"method": simulation.method.name, "timestep": np.float64(simulation.method.timestep)})
+    group.attrs.update({"method": simulation.method.name, **{name: np.asarray(value) for name, value in simulation.method.parameters.items()}})
 
 
 def _describe_standard(h5: h5py.File, system: System) -> None:
@@ -226,6 +228,7 @@ def read_file(path: str | Path) -> H5MDContents:
             time=float(restart["time"]),
             timestep=float(group.attrs["timestep"]),
             method=str(group.attrs["method"]),
+            heat=float(restart["heat"]),
             n_frames=n_frames,
             has_forces=f"{TRAJECTORY}/force" in h5,
             title=str(group.attrs["title"]),

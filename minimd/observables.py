@@ -15,27 +15,29 @@ def kinetic_energy(velocities: Array, masses: Array) -> float:
     return 0.5 * float(np.einsum("i,ij,ij->", masses, velocities, velocities))
 
 
-def degrees_of_freedom(n_atoms: int, n_constraints: int = 0) -> int:
-    """3N − 3 − n_constraints: the three of the total momentum are constants; a single atom keeps its three.
+def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True) -> int:
+    """3N − 3 − n_constraints where the total momentum is a constant, else 3N − n_constraints; a single atom keeps its three.
+
+    n_atoms : those that are not held fixed.
 
     Raises
     ------
     ValueError : if none is left.
     """
-    n_dof = (3 * n_atoms - 3 if n_atoms > 1 else 3) - n_constraints
+    n_dof = 3 * n_atoms - (3 if n_atoms > 1 and conserves_momentum else 0) - n_constraints
     if n_dof <= 0:
         raise ValueError(f"no degree of freedom is left for {n_atoms} atoms with {n_constraints} constraints")
     return n_dof
 
 
-def temperature(velocities: Array, masses: Array, k_B: float = 1.0, n_constraints: int = 0) -> float:  # noqa: N803
-    """Kinetic temperature T = 2K / (n_dof k_B), for total momentum zero; see degrees_of_freedom.
+def temperature(velocities: Array, masses: Array, k_B: float = 1.0, n_dof: int | None = None) -> float:  # noqa: N803
+    """Kinetic temperature T = 2K / (n_dof k_B), for total momentum zero; n_dof is 3N − 3 if not given, see degrees_of_freedom.
 
     Raises
     ------
     ValueError : if no degree of freedom is left.
     """
-    return 2.0 * kinetic_energy(velocities, masses) / (degrees_of_freedom(len(masses), n_constraints) * k_B)
+    return 2.0 * kinetic_energy(velocities, masses) / ((n_dof or degrees_of_freedom(len(masses))) * k_B)
 
 
 def pressure(kinetic: float, virial: Array, volume: float) -> float:

@@ -11,6 +11,7 @@ SERIES = {  # name in record and file: the attribute of UnitSystem that names it
     "potential_energy": "energy",
     "kinetic_energy": "energy",
     "total_energy": "energy",
+    "conserved_energy": "energy",
     "temperature": "temperature",
     "pressure": "pressure",
     "momentum": "momentum",
@@ -42,6 +43,7 @@ class Record:
     ----------
     step : (T,) int.  time : (T,) [time].
     potential_energy, kinetic_energy, total_energy : (T,) [energy].  temperature : (T,).
+    conserved_energy : (T,) [energy], total energy minus heat, only with a thermostat.
     pressure : (T,) [energy/length³], only where the cell has a volume.
     momentum, angular_momentum : (T, 3).  absolute_momentum : (T,) Σ |m v|.
     absolute_angular_momentum : (T,) Σ m |r − r_cm| |v|.
@@ -65,6 +67,9 @@ class Record:
         self._series["time"].append(frame.time)
         for name, value in frame.observables.items():
             self._series.setdefault(name, []).append(value)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._series
 
     def __len__(self) -> int:
         return len(self._series["step"])

@@ -72,9 +72,9 @@ class Report:
 
     Attributes
     ----------
-    energy_drift : Drift of the total energy per atom [energy/time]; time in ps, or τ in reduced units.
+    energy_drift : Drift of the total energy per atom [energy/time], minus heat if has_bath; time in ps, or τ in reduced units.
     energy_oscillation : standard deviation of the total energy per atom about that line [energy].
-    momentum_change : largest |P(t) − P(0)| / Σ|mv|.
+    momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None where P is not a constant.
     angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None where L is not a constant.
     mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
     duration : [ps or τ].  n_frames, n_steps : observed, and between the first and the last.  cost : of the run, if known.
@@ -83,7 +83,7 @@ class Report:
 
     energy_drift: Drift
     energy_oscillation: float
-    momentum_change: float
+    momentum_change: float | None
     angular_momentum_change: float | None
     mean_temperature: float
     temperature_deviation: float
@@ -92,6 +92,7 @@ class Report:
     n_frames: int
     n_steps: int
     units: tuple[str, str, str]
+    has_bath: bool = False
     cost: Cost | None = None
 
     @property
@@ -103,17 +104,18 @@ class Report:
 
     @property
     def momentum_is_conserved(self) -> bool:
-        """True if the change is what rounding explains, which adds up like a random walk."""
-        return self.momentum_change < ROUNDING * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        """True if the change is what rounding explains, which adds up like a random walk, or if nothing else was promised."""
+        return self.momentum_change is None or self.momentum_change < ROUNDING * max(1.0, (self.n_steps / 1e4) ** 0.5)
 
     def __str__(self) -> str:
         energy, time, temperature = self.units
         drift_, per = self.energy_drift, f"{energy} per atom"
         lines = [
-            f"total energy   drift {drift_.slope:+.2e} ± {drift_.error:.1e} {per} per {time}",
+            f"{'energy - heat ' if self.has_bath else 'total energy  '} drift {drift_.slope:+.2e} ± {drift_.error:.1e} {per} per {time}",
             f"               oscillation {self.energy_oscillation:.2e} {per} (standard deviation)",
-            f"momentum       change {self.momentum_change:.1e} of the sum of |mv|",
         ]
+        if self.momentum_change is not None:
+            lines.append(f"momentum       change {self.momentum_change:.1e} of the sum of |mv|")
         if self.angular_momentum_change is not None:
             lines.append(f"ang. momentum  change {self.angular_momentum_change:.1e} of the sum of m|r||v|")
         lines.append(f"temperature    {self.mean_temperature:.4g} ± {self.temperature_deviation:.2g} {temperature}")
@@ -126,21 +128,30 @@ class Report:
         """One sentence."""
         if self.energy_is_conserved is None:
             return f"{self.n_frames} frames are too few to judge; observe more often"
-        energy = "the total energy is conserved" if self.energy_is_conserved else "THE TOTAL ENERGY DRIFTS: reduce the time step or smooth the cutoff"
+        name = "total energy minus heat" if self.has_bath else "total energy"
+        energy = f"the {name} is conserved" if self.energy_is_conserved else f"THE {name.upper()} DRIFTS: reduce the time step or smooth the cutoff"
+        if self.momentum_change is None:
+            return f"{energy}; momentum is not a constant here."
         momentum = "momentum is conserved to rounding" if self.momentum_is_conserved else "THE TOTAL MOMENTUM CHANGES: a force is not pairwise"
         return f"{energy}; {momentum}."
 
 
-def conservation_report(record: Record, angular: bool, cost: Cost | None = None) -> Report:
-    """The report of a record.  angular : whether the scene conserves angular momentum (nothing periodic)."""
+def conservation_report(record: Record, angular: bool, cost: Cost | None = None, linear: bool = True) -> Report:
+    """The report of a record.
+
+    linear, angular : whether the scene conserves momentum (no bath, nothing fixed) and angular momentum (nor anything periodic).
+    Of a run with a thermostat it is the total energy minus the heat that is judged.
+    """
     units = record.units
-    time, energy = record.time * units.to_picosecond, record.total_energy / record.n_atoms
+    has_bath = "conserved_energy" in record
+    time, energy = record.time * units.to_picosecond, (record.conserved_energy if has_bath else record.total_energy) / record.n_atoms
     slope = drift(time, energy)
     about_line = energy - energy.mean() - slope.slope * (time - time.mean())
     return Report(
         energy_drift=slope,
         energy_oscillation=float(about_line.std()),
-        momentum_change=_largest_change(record.momentum, record.absolute_momentum),
+        momentum_change=_largest_change(record.momentum, record.absolute_momentum) if linear else None,
+        has_bath=has_bath,
         angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum) if angular else None,
         mean_temperature=float(record.temperature.mean()),
         temperature_deviation=float(record.temperature.std()),

@@ -1,7 +1,7 @@
 """The state of a scene: checked once, here, and trusted everywhere afterwards."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,7 @@ class System:
     species : N labels (str or int); all alike if not given.
     bonds : (B, 2) int, pairs of bonded atoms.
     units : minimd.units.LJ (reduced, default) or minimd.units.ASE (eV, Å, u).
+    constraints : DistanceConstraints and FixedAtoms that a Simulation keeps if it is not given others.
 
     Attributes
     ----------
@@ -51,10 +52,11 @@ class System:
         species: Sequence[str] | Sequence[int] | NDArray | None = None,
         bonds: ArrayLike | None = None,
         units: UnitSystem = unit_systems.LJ,
+        constraints: Sequence[Any] = (),
     ) -> None:
         if not isinstance(units, UnitSystem):
             raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {units!r}")
-        self.units = units
+        self.units, self.constraints = units, tuple(constraints)
         self.positions = _vectors("positions", positions)
         self.masses = _masses(masses, len(self.positions), units)
         self.velocities = np.zeros_like(self.positions) if velocities is None else _vectors("velocities", velocities, len(self))
@@ -93,6 +95,7 @@ class System:
             species=self.species,
             bonds=self.bonds,
             units=self.units,
+            constraints=self.constraints,
         )
 
     @classmethod

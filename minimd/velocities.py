@@ -31,15 +31,15 @@ def without_momentum(velocities: Array, masses: Array) -> Array:
     return velocities - momentum(velocities, masses) / masses.sum()
 
 
-def rescaled(velocities: Array, masses: Array, target: float, k_B: float = 1.0) -> Array:  # noqa: N803
-    """Velocities times √(T_target/T): kinetic temperature exactly the target, (N, 3).
+def rescaled(velocities: Array, masses: Array, target: float, k_B: float = 1.0, n_dof: int | None = None) -> Array:  # noqa: N803
+    """Velocities times √(T_target/T): kinetic temperature exactly the target, (N, 3).  n_dof : 3N − 3 if not given.
 
     Raises
     ------
     ValueError : if the target is negative or not finite, or nothing moves.
     """
     _check(target)
-    now = temperature(velocities, masses, k_B)
+    now = temperature(velocities, masses, k_B, n_dof)
     if now == 0.0:
         raise ValueError("velocities are all zero and cannot be rescaled; draw them with set_temperature")
     return velocities * np.sqrt(target / now)

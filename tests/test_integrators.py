@@ -1,12 +1,10 @@
 """Laws of the splittings: order, symplecticity, reversal, invariants. SPLITTINGS is where a new one is registered."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy import optimize
 
-from minimd.integrators import SE1, SE2, SPLITTINGS, Drift, Kick, Leapfrog, PositionVerlet, Splitting, VelocityVerlet, adjoint, compose
+from minimd.integrators import SE1, SE2, SPLITTINGS, Drift, Kick, Leapfrog, PositionVerlet, Splitting, State, VelocityVerlet, adjoint, compose
 from minimd.integrators.two_step import stormer_summed, stormer_two_step
 
 REVERSIBLE = [method for method in SPLITTINGS.values() if method.is_symmetric]
@@ -18,14 +16,7 @@ STEPS = {1: 3000, 2: 300, 3: 1000, 4: 100, 6: 60, 8: 20}  # per unit of time, by
 def state(positions, velocities, masses=None):
     positions = np.array(positions, dtype=float).reshape(-1, 3)
     masses = np.ones(len(positions)) if masses is None else np.array(masses, dtype=float)
-    return SimpleNamespace(
-        positions=positions,
-        velocities=np.array(velocities, dtype=float).reshape(-1, 3),
-        forces=np.zeros_like(positions),
-        inverse_masses=1.0 / masses,
-        forces_are_current=False,
-        stop_requested=False,
-    )
+    return State(positions, np.array(velocities, dtype=float).reshape(-1, 3), np.zeros_like(positions), 1.0 / masses)
 
 
 def kepler(s, look=False):

@@ -21,7 +21,7 @@ from minimd.integrators.implicit import Implicit
 from minimd.integrators.invariants import Invariants, stabilized
 from minimd.integrators.mechanical import Mechanical
 from minimd.integrators.method import Method
-from minimd.integrators.methods import METHODS, SPLITTINGS
+from minimd.integrators.methods import METHODS, SPLITTINGS, THERMOSTATS
 from minimd.integrators.nonlinear import FixedPoint, Newton
 from minimd.integrators.orders import nystrom_order, separable_order
 from minimd.integrators.pencil import pencil_index
@@ -43,6 +43,7 @@ from minimd.integrators.solution import Solution
 from minimd.integrators.splitting import Splitting, State
 from minimd.integrators.step_doubling import run_adaptive
 from minimd.integrators.tableau import Tableau, collocation, gauss, radau_iia
+from minimd.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling
 from minimd.integrators.two_step import stormer_summed, stormer_two_step
 from minimd.integrators.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
 
@@ -57,6 +58,7 @@ __all__ = [
     "SE1",
     "SE2",
     "SPLITTINGS",
+    "THERMOSTATS",
     "BlanesMoan4",
     "CandyRozmus4",
     "DistanceConstraints",
@@ -77,6 +79,7 @@ __all__ = [
     "KahanLi6",
     "KahanLi8",
     "Kick",
+    "LangevinBAOAB",
     "Leapfrog",
     "McLachlanAtela4",
     "Mechanical",
@@ -93,6 +96,7 @@ __all__ = [
     "Solution",
     "Splitting",
     "State",
+    "StochasticVelocityRescaling",
     "Suzuki4",
     "Tableau",
     "VelocityVerlet",

@@ -7,12 +7,10 @@ A. George, J. W. Liu, Computer Solution of Large Sparse Positive Definite System
 """
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -46,6 +44,9 @@ class Graph(NamedTuple):
 
 def graph_of(pairs: Ints, inverse_masses: Floats) -> Graph:
     """The graph of (K, 2) pairs of atoms, with (N,) 1/mass; zero for atoms that are held fixed."""
+    from scipy.sparse import coo_array  # not before somebody constrains something
+    from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
+
     n = len(inverse_masses)
     bodies = np.where(inverse_masses[pairs] > 0.0, pairs, n + np.arange(pairs.size).reshape(-1, 2))  # a fixed atom couples nothing
     component = connected_components(coo_array((np.ones(len(pairs)), bodies.T), shape=(n + pairs.size,) * 2), directed=False)[1]
@@ -62,7 +63,7 @@ def graph_of(pairs: Ints, inverse_masses: Floats) -> Graph:
     return _enveloped(pairs, inverse_masses, order, starts, matrix)
 
 
-def _enveloped(pairs: Ints, inverse_masses: Floats, order: Ints, starts: Ints, matrix: coo_array) -> Graph:
+def _enveloped(pairs: Ints, inverse_masses: Floats, order: Ints, starts: Ints, matrix: Any) -> Graph:
     """With the envelope of the lower triangle, and the atoms of each component."""
     k = np.arange(order.size)
     row, column = matrix.coords

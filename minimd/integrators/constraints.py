@@ -176,9 +176,9 @@ class RigidBonds:
         return np.abs(np.einsum("ij,ij->i", bonds, bonds) - self.lengths**2) / self.lengths**2
 
     def velocity_violation(self, positions: Array, velocities: Array) -> Array:
-        """|r · v|/(d |v|), (K,), v the velocity of one end beside the other; zero where there is none."""
+        """|r · (v_j − v_i)|/(d v), (K,), v the speed of the faster end; zero where nothing moves."""
         turning = velocities[self.pairs[:, 1]] - velocities[self.pairs[:, 0]]
-        speeds = np.linalg.norm(turning, axis=1)
+        speeds = np.linalg.norm(velocities, axis=1)[self.pairs].max(axis=1)
         return np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning)) / (self.lengths * np.where(speeds > 0.0, speeds, 1.0))
 
     def _fail(self, constraint: int, positions: Array, what: str, duration: float) -> None:

@@ -23,6 +23,7 @@ from minimd.integrators.runge_kutta import (
     RadauIIA3,
 )
 from minimd.integrators.splitting import Splitting
+from minimd.integrators.thermostats import THERMOSTATS
 from minimd.integrators.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
 
 SPLITTINGS: dict[str, type[Splitting]] = {
@@ -79,4 +80,4 @@ def _entries(method: type[Method]) -> tuple[str, ...]:
     return (method.name, str(method.order), str(method.stages), *("yes" if answer else "no" for answer in answers), method.source)
 
 
-METHODS = MethodTable({**SPLITTINGS, **IMPLICIT})
+METHODS = MethodTable({**SPLITTINGS, **THERMOSTATS, **IMPLICIT})

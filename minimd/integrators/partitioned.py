@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiling import kernel
-from minimd.integrators.rows import ROUNDING, Drift, Kick, Row
+from minimd.integrators.rows import ROUNDING, Kick, Letter, Row
 
 if TYPE_CHECKING:
     from minimd.integrators.problems import Field, Partitioned
@@ -117,7 +117,7 @@ class EulerStep:
         )
 
 
-def euler_factors(row: Row) -> list[tuple[type[Kick] | type[Drift], float]]:
+def euler_factors(row: Row) -> list[tuple[type[Letter], float]]:
     """The row as symplectic Euler methods in turn, kick-first and drift-first, with their weights."""
     factors, rest = [], 0.0
     for letter in row:

@@ -1,4 +1,4 @@
-"""Rows of letters: kicks and drifts in the order in which a step applies them, and what one can do with such a row."""
+"""Rows of letters: kicks and drifts, and contacts with a bath, in the order in which a step applies them, and what one can do with such a row."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,14 @@ class Kick:
     coefficient: float
 
 
-Letter = Kick | Drift
+@dataclass(frozen=True, slots=True)
+class Thermalize:
+    """Contact with a bath over coefficient · Δt: velocities change at random, positions stand still. See thermostats."""
+
+    coefficient: float
+
+
+Letter = Kick | Drift | Thermalize
 Row = tuple[Letter, ...]
 
 

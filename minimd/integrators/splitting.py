@@ -9,7 +9,7 @@ reads the same from both ends. E. Hairer, C. Lubich, G. Wanner, Geometric Numeri
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,10 @@ from minimd.compiling import kernel
 from minimd.integrators.method import Answer, Method, Step
 from minimd.integrators.orders import nystrom_order
 from minimd.integrators.problems import Partitioned, Problem
-from minimd.integrators.rows import Drift, Kick, Row, is_palindrome, merged
+from minimd.integrators.rows import Drift, Kick, Row, Thermalize, is_palindrome, merged
+
+if TYPE_CHECKING:
+    from minimd.integrators.constraints import RigidBonds
 
 
 @dataclass
@@ -28,6 +31,9 @@ class State:
     positions, velocities, forces : (N, 3) [length], [length/time], [energy/length].  inverse_masses : (N,) [1/mass].
     forces_are_current : whether forces belong to positions; whoever moves positions sets it to False.
     stop_requested : set it to True to end a run of steps after the present one.
+    constraints : lengths to keep, if any; inverse_masses are then zero for atoms that are held fixed.
+    step : steps made since the start; noise depends on it.  n_dof : degrees of freedom.  k_B : in units of the others.
+    heat : what a thermostat has put in since the start [energy].
     """
 
     positions: NDArray[np.float64]
@@ -36,6 +42,11 @@ class State:
     inverse_masses: NDArray[np.float64]
     forces_are_current: bool = False
     stop_requested: bool = False
+    constraints: "RigidBonds | None" = None
+    step: int = 0
+    n_dof: int = 0
+    k_B: float = 1.0
+    heat: float = 0.0
 
 
 ComputeForces = Callable[[State, bool], None]  # fills state.forces; True if somebody will look at the energy
@@ -61,8 +72,8 @@ def drift(positions, velocities, duration):
 
 
 def stages(method: "type[Splitting]") -> int:
-    """Force evaluations per step of a long run: the kicks of a step, the last and the first being one."""
-    kicks = [isinstance(letter, Kick) for letter in merged(method.letters)]
+    """Force evaluations per step of a long run: the kicks of a step, those with no drift between them being one, the last and the first too."""
+    kicks = [isinstance(letter, Kick) for letter in merged(letter for letter in method.letters if not isinstance(letter, Thermalize))]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
 
 
@@ -71,7 +82,8 @@ class Splitting(Method):
 
     A row that begins and ends with the same letter is run with the two merged between steps: where nobody looks, velocity
     Verlet makes one kick and one drift per step, as leapfrog does. Forces are computed when a kick needs them and
-    positions have moved since.
+    positions have moved since. With constraints every drift is projected, and the velocities where somebody looks: a drift does
+    not see what a projection would take from them.
 
     Parameters
     ----------
@@ -80,6 +92,7 @@ class Splitting(Method):
     Attributes of each method
     -------------------------
     name, letters, source : key in METHODS; kicks and drifts of one step; literature.
+    conserves_momentum : true unless a bath acts on atoms one by one.  is_thermostat : whether a bath acts at all.
     opening, closing : letters before the first and after the last of a run of steps, for velocities at half steps.
 
     Answers computed from them
@@ -97,9 +110,16 @@ class Splitting(Method):
     closing: ClassVar[Row] = ()
     is_symplectic: ClassVar[bool] = True
     is_explicit: ClassVar[bool] = True
+    conserves_momentum: ClassVar[bool] = True
+    is_thermostat: ClassVar[bool] = False
     order = Answer(lambda method: nystrom_order(method.row()))
     is_symmetric = Answer(lambda method: is_palindrome(method.row()))
     stages = Answer(stages)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """What it takes to make this method again, by name."""
+        return {"timestep": self.timestep}
 
     @classmethod
     def row(cls) -> Row:
@@ -131,11 +151,18 @@ class Splitting(Method):
         opening, body, between, closing = self._merged()
         self._apply(opening, state, compute_forces)
         for step in range(1, n_steps + 1):
-            if step == n_steps or state.stop_requested:
-                self._apply(body + closing, state, compute_forces, look_at_last=look)
+            is_last = step == n_steps or state.stop_requested
+            self._apply(body + (closing if is_last else between), state, compute_forces, look_at_last=look and is_last)
+            state.step += 1
+            if is_last:
                 break
-            self._apply(body + between, state, compute_forces)
+        if state.constraints is not None:
+            state.constraints.project_velocities(state.velocities, state.positions)
         return step
+
+    def thermalize(self, state: State, duration: float) -> None:
+        """What a letter Thermalize does. Methods without a bath have no such letter."""
+        raise NotImplementedError(f"{self.name} has no thermostat")
 
     def _merged(self) -> tuple[Row, ...]:
         """The row as letters before, in, between and after the steps, with equal neighbors made one."""
@@ -148,11 +175,16 @@ class Splitting(Method):
     def _apply(self, letters: Row, state: State, compute_forces: ComputeForces, look_at_last: bool = False) -> None:
         for k, letter in enumerate(letters, start=1):
             duration = letter.coefficient * self.timestep
-            if isinstance(letter, Drift):
-                drift(state.positions, state.velocities, duration)
+            if isinstance(letter, Kick):
+                if not state.forces_are_current:
+                    compute_forces(state, look_at_last and k == len(letters))
+                    state.forces_are_current = True
+                kick(state.velocities, state.forces, state.inverse_masses, duration)
+            elif isinstance(letter, Thermalize):
+                self.thermalize(state, duration)
+            else:
+                if state.constraints is None:
+                    drift(state.positions, state.velocities, duration)
+                else:
+                    state.constraints.drift(state.positions, state.velocities, duration)
                 state.forces_are_current = False
-                continue
-            if not state.forces_are_current:
-                compute_forces(state, look_at_last and k == len(letters))
-                state.forces_are_current = True
-            kick(state.velocities, state.forces, state.inverse_masses, duration)

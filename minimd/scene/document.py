@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from minimd import units
 from minimd.cell import Cell
-from minimd.integrators import SPLITTINGS, Splitting
+from minimd.integrators import SPLITTINGS, LangevinBAOAB, Splitting, StochasticVelocityRescaling
 from minimd.lattice import constant_from_density, crystal
 from minimd.scene.problems import problems
 from minimd.scene.sections import Reading, SceneSections
@@ -58,9 +58,14 @@ class Scene:
         return made
 
     def method(self) -> Splitting:
-        """The integrator with its time step."""
+        """The integrator with its time step, and its bath."""
         dynamics = self.sections.dynamics
-        return SPLITTINGS[dynamics.method](dynamics.timestep)
+        bath, time = dynamics.temperature, dynamics.relaxation_time
+        if bath is None or time is None:
+            return SPLITTINGS[dynamics.method](dynamics.timestep)
+        if dynamics.method == LangevinBAOAB.name:
+            return LangevinBAOAB(dynamics.timestep, bath, 1.0 / time, dynamics.seed)
+        return StochasticVelocityRescaling(dynamics.timestep, bath, time, dynamics.seed)
 
     def simulation(self, system: System | None = None) -> Simulation:
         """The simulation at its start, with velocities drawn at the temperature of the scene, if it names one.

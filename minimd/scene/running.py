@@ -101,7 +101,7 @@ def resume_run(
     scene = scene or parse_scene(contents.scene, Path(file))
     steps = _steps_left(contents, scene, file) if steps is None else steps
     simulation = scene.simulation(contents.system)
-    simulation.step, simulation.time = contents.step, contents.time
+    simulation.step, simulation.time, simulation.heat = contents.step, contents.time, contents.heat
     for line in description(scene, simulation, steps):
         tell(line)
     tell(f"resumed        at step {contents.step}, {_time(contents.time, scene.units)}, behind {contents.n_frames} frames")
@@ -177,9 +177,16 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
         f"system         {_atoms(simulation)}",
         f"cell           {_cell(simulation)}",
         *(f"potential      {_potential(potential, scene.units)}" for potential in scene.potentials()),
-        f"method         {dynamics.method}, timestep {_time(dynamics.timestep, scene.units)}",
+        f"method         {dynamics.method}, timestep {_time(dynamics.timestep, scene.units)}" + _bath(scene),
     ]
     return [*lines, f"run            {n_steps} steps = {_time(duration, scene.units)}, observed every {output.every}"]
+
+
+def _bath(scene: Scene) -> str:
+    dynamics = scene.sections.dynamics
+    if dynamics.relaxation_time is None:
+        return ""
+    return f", bath at {dynamics.temperature:g} {scene.units.temperature}, relaxation time {_time(dynamics.relaxation_time, scene.units)}"
 
 
 def _atoms(simulation: Simulation) -> str:

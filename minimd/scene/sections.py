@@ -1,7 +1,6 @@
 """What may stand in a scene file: one class for each section, one line for each key.
 
-A key that holds a quantity carries its unit: timestep_fs, cutoff_A, epsilon_K. A field of a section is named without it;
-reading a section takes the units from the keys and multiplies them into the numbers.
+A key that holds a quantity carries its unit, timestep_fs; a field of a section is named without it, and holds the quantity.
 """
 
 from collections.abc import Iterable
@@ -10,29 +9,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
-from minimd.integrators import SPLITTINGS
+from minimd.integrators import SPLITTINGS, THERMOSTATS
 from minimd.lattice import BASES
 from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones
 from minimd.potentials.mixing import MIXING
 from minimd.potentials.truncation import TRUNCATIONS
-from minimd.units import BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3
+from minimd.scene.key_units import KEY_UNITS
 
-KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension: ending of the key: size of that unit
-    "ASE": {
-        "length": {"_A": 1.0},
-        "time": {"_fs": FEMTOSECOND},
-        "temperature": {"_K": 1.0},
-        "energy": {"_K": BOLTZMANN_EV_PER_K, "_eV": 1.0},
-        "density": {"_g_cm3": GRAM_PER_CM3},
-        "stiffness": {"_eV_A2": 1.0},
-        "angle": {"_degree": DEGREE},
-        "angular stiffness": {"_eV_rad2": 1.0},
-    },
-    "LJ": {
-        **{dimension: {"": 1.0} for dimension in ("length", "time", "temperature", "energy", "density", "stiffness", "angular stiffness")},
-        "angle": {"_degree": DEGREE},
-    },
-}
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 
 
@@ -238,15 +221,25 @@ class HarmonicAngleSection(Section):
 
 
 class DynamicsSection(Section):
-    """[dynamics]: the method, and how long it runs. Without a temperature the velocities of the structure stay."""
+    """[dynamics]: method and length. Without a temperature velocities stay; a bath needs one, and a relaxation time (1/friction)."""
 
-    method: Annotated[str, _one_of(SPLITTINGS)] = "velocity-verlet"
+    method: Annotated[str, _one_of([*SPLITTINGS, *THERMOSTATS])] = "velocity-verlet"
     timestep: Annotated[Positive, Dimension("time")]
     steps: NonNegativeInt
     temperature: Annotated[NotNegative | None, Dimension("temperature")] = None
+    relaxation_time: Annotated[Positive | None, Dimension("time")] = None
     seed: NonNegativeInt = 1
     threads: PositiveInt | None = None
     precision: Literal["double", "mixed"] = "double"
+
+    @model_validator(mode="after")
+    def _has_a_bath_if_it_needs_one(self) -> Self:
+        is_bath = self.method in THERMOSTATS
+        if is_bath != (self.relaxation_time is not None) or (is_bath and self.temperature is None):
+            raise ValueError(
+                f"a thermostat ({', '.join(THERMOSTATS)}) needs a temperature and a relaxation time, other methods take no relaxation time"
+            )
+        return self
 
 
 class EquilibrationSection(Section):

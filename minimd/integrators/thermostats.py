@@ -1,0 +1,202 @@
+"""Methods in contact with a bath: the letters of a splitting, and one more that changes velocities at random.
+
+The noise of a step depends on the seed and on the number of the step, on nothing else: a run that is stopped and resumed, replayed
+after a failure, or made on other threads, meets the same noise. What the bath puts in is counted as heat, so that total energy
+minus heat is conserved as the total energy is without a bath. G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007).
+"""
+
+from math import exp, isfinite, sqrt
+from numbers import Integral, Real
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiling import kernel
+from minimd.integrators.method import Step
+from minimd.integrators.problems import Problem
+from minimd.integrators.rows import Drift, Kick, Thermalize
+from minimd.integrators.splitting import Splitting, State
+
+STEPS = 2**64  # counters of noise; steps before the start, of an equilibration, count from the other end
+
+
+class Thermostat(Splitting):
+    """A splitting with a bath.
+
+    Parameters
+    ----------
+    timestep : Δt [time], positive.  temperature : of the bath, ≥ 0.  seed : int ≥ 0, of the noise.
+
+    Raises
+    ------
+    ValueError : for a time step that is not positive, a temperature or a rate below zero, or a seed that is none.
+    """
+
+    temperature: float
+    seed: int
+    is_symmetric = False
+    is_symplectic = False
+    is_thermostat = True
+
+    def __init__(self, timestep: float, temperature: float, seed: int) -> None:
+        super().__init__(timestep)
+        if self.timestep < 0.0:
+            raise ValueError(f"time cannot run backwards with a thermostat; timestep = {timestep!r}")
+        if not isinstance(seed, Integral) or seed < 0:
+            raise ValueError(f"seed must be a whole number, not negative; seed = {seed!r}")
+        self.temperature, self.seed = _not_negative("temperature", temperature), int(seed)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """See Splitting."""
+        return {**super().parameters, "temperature": self.temperature, "seed": self.seed}
+
+    @classmethod
+    def on(cls, problem: Problem) -> Step:
+        """Not for small problems: a bath needs masses.
+
+        Raises
+        ------
+        TypeError : always.
+        """
+        raise TypeError(f"{cls.name} runs in a Simulation, where atoms have masses and a temperature has a unit")
+
+    def noise(self, state: State) -> np.random.Generator:
+        """The random numbers of the present step."""
+        return np.random.Generator(np.random.Philox(key=self.seed, counter=np.array([0, 0, 0, state.step % STEPS], dtype=np.uint64)))
+
+
+class LangevinBAOAB(Thermostat):
+    """Langevin dynamics, each atom with a friction and a noise of its own: kick, drift, bath, drift, kick.
+
+        v(t+Δt/2) = v(t) + Δt/2 F(t)/m                         B
+        r(t+Δt/2) = r(t) + Δt/2 v                              A
+        v ← e^(−γΔt) v + √(k_B T (1 − e^(−2γΔt))/m) ξ          O, the exact Ornstein-Uhlenbeck process; ξ normal
+        r(t+Δt)   = r(t+Δt/2) + Δt/2 v                         A
+        v(t+Δt)   = v + Δt/2 F(t+Δt)/m                         B
+
+    Of order 2 in averages; those of positions are exact for harmonic forces at any stable Δt. Momentum is not conserved, so
+    that all 3N degrees of freedom are thermal. Without friction it is velocity Verlet.
+
+    Parameters
+    ----------
+    friction : γ ≥ 0 [1/time].  Others : see Thermostat.
+
+    B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013); J. Chem. Phys. 138, 174102 (2013), eq. 7.
+    """
+
+    name = "langevin-baoab"
+    letters = (Kick(0.5), Drift(0.5), Thermalize(1.0), Drift(0.5), Kick(0.5))
+    source = "B. Leimkuhler, C. Matthews, J. Chem. Phys. 138, 174102 (2013)"
+    conserves_momentum = False
+    order = 2
+
+    def __init__(self, timestep: float, temperature: float, friction: float, seed: int) -> None:
+        super().__init__(timestep, temperature, seed)
+        self.friction = _not_negative("friction", friction)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """See Splitting."""
+        return {**super().parameters, "friction": self.friction}
+
+    def thermalize(self, state: State, duration: float) -> None:
+        """The Ornstein-Uhlenbeck process over a duration."""
+        kept = exp(-self.friction * duration)
+        spread = sqrt(state.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
+        _project(state)
+        before = _kinetic_energy(state)
+        noise = self.noise(state).standard_normal(state.velocities.shape)
+        mix(state.velocities, noise, state.inverse_masses, kept, spread)
+        _project(state)
+        state.heat += _kinetic_energy(state) - before
+
+
+class StochasticVelocityRescaling(Thermostat):
+    """Velocity Verlet, then one factor for all velocities, drawn so that the kinetic energy is that of the canonical ensemble.
+
+        dK = (K̄ − K) dt/τ + 2 √(K K̄/n_dof) dW/√τ,  K̄ = n_dof k_B T/2
+
+    solved exactly over Δt: with c = e^(−Δt/τ), normal ξ and S the sum of n_dof − 1 squares of others,
+
+        K′ = c K + (1 − c) K̄/n_dof (S + ξ²) + 2 ξ √(c (1 − c) K K̄/n_dof)
+
+    Momentum and the direction of motion are kept; dynamics are hardly disturbed.
+
+    Parameters
+    ----------
+    relaxation_time : τ > 0 [time].  Others : see Thermostat.
+
+    G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007), eq. A7.
+    """
+
+    name = "stochastic-velocity-rescaling"
+    letters = (Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(1.0))
+    source = "G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007)"
+    order = 2
+
+    def __init__(self, timestep: float, temperature: float, relaxation_time: float, seed: int) -> None:
+        super().__init__(timestep, temperature, seed)
+        if not _not_negative("relaxation_time", relaxation_time) > 0.0:
+            raise ValueError(f"relaxation_time must be positive; relaxation_time = {relaxation_time!r}")
+        self.relaxation_time = float(relaxation_time)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """See Splitting."""
+        return {**super().parameters, "relaxation_time": self.relaxation_time}
+
+    def thermalize(self, state: State, duration: float) -> None:
+        """The exact change of the kinetic energy over a duration."""
+        _project(state)
+        kinetic = _kinetic_energy(state)
+        if kinetic == 0.0:
+            return
+        noise, kept = self.noise(state), exp(-duration / self.relaxation_time)
+        one, others = noise.standard_normal(), 2.0 * noise.standard_gamma(0.5 * (state.n_dof - 1))
+        share = (1.0 - kept) * 0.5 * state.k_B * self.temperature / kinetic
+        scale = sqrt(max(kept + share * (others + one * one) + 2.0 * one * sqrt(kept * share), 0.0))
+        if one + sqrt(kept / share) < 0.0 if share > 0.0 else False:
+            scale = -scale
+        state.velocities *= scale
+        state.heat += kinetic * (scale * scale - 1.0)
+
+
+@kernel
+def mix(velocities, noise, inverse_masses, kept, spread):
+    """velocities = kept · velocities + spread √(1/m) · noise.  (N, 3), (N, 3), (N,), dimensionless, √energy."""
+    for i in range(velocities.shape[0]):
+        scale = spread * sqrt(inverse_masses[i])
+        for x in range(3):
+            velocities[i, x] = kept * velocities[i, x] + scale * noise[i, x]
+
+
+def _project(state: State) -> None:
+    """Velocities without what constraints will take from them, for their kinetic energy to be counted."""
+    if state.constraints is not None:
+        state.constraints.project_velocities(state.velocities, state.positions)
+
+
+def _kinetic_energy(state: State) -> float:
+    """Σ ½ m v² of the atoms that move [energy]."""
+    return kinetic_energy(state.velocities, state.inverse_masses)
+
+
+@kernel
+def kinetic_energy(velocities, inverse_masses):
+    """Σ ½ m v² of the atoms with a finite mass.  (N, 3), (N,); [energy]."""
+    total = 0.0
+    for i in range(velocities.shape[0]):
+        if inverse_masses[i] > 0.0:
+            v2 = velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2
+            total += 0.5 * v2 / inverse_masses[i]
+    return total
+
+
+def _not_negative(name: str, value: float) -> float:
+    if not (isinstance(value, Real) and isfinite(value) and value >= 0.0):
+        raise ValueError(f"{name} must be finite and not negative; {name} = {value!r}")
+    return float(value)
+
+
+THERMOSTATS: dict[str, type[Thermostat]] = {method.name: method for method in (LangevinBAOAB, StochasticVelocityRescaling)}

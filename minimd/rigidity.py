@@ -1,0 +1,129 @@
+"""What a simulation holds fixed: lengths and atoms, and the degrees of freedom that are left."""
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.cell import minimum_image_translations
+from minimd.integrators.constraints import DistanceConstraints, RigidBonds
+from minimd.integrators.splitting import State
+from minimd.observables import degrees_of_freedom
+from minimd.system import System
+
+TOLD = 1e-8  # violations of a start, relative, that are put right with a word; smaller ones without
+
+
+class FixedAtoms:
+    """Atoms that stay where they are.
+
+    Parameters
+    ----------
+    atoms : indices, or one bool for each atom.
+
+    Raises
+    ------
+    ValueError : for anything else.
+    """
+
+    def __init__(self, atoms: ArrayLike) -> None:
+        chosen = np.asarray(atoms)
+        self.atoms = np.flatnonzero(chosen) if chosen.dtype == bool else np.unique(chosen)
+        if chosen.ndim != 1 or not np.issubdtype(self.atoms.dtype, np.integer) or self.atoms.min(initial=0) < 0:
+            raise ValueError(f"fixed atoms must be a list of indices, counted from 0, or one bool for each atom; got {atoms!r}")
+
+    def __repr__(self) -> str:
+        return f"FixedAtoms({len(self.atoms)} atoms)"
+
+
+Constraint = DistanceConstraints | FixedAtoms
+
+
+class Rigidity:
+    """The constraints of one simulation.
+
+    Attributes
+    ----------
+    inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : RigidBonds, or None.  n_constraints, n_fixed : int.
+    """
+
+    def __init__(self, system: System, constraints: Constraint | Sequence[Constraint]) -> None:
+        given = list(constraints) if isinstance(constraints, Sequence) else [constraints]
+        for constraint in given:
+            if not isinstance(constraint, (DistanceConstraints, FixedAtoms)):
+                raise TypeError(f"constraints must be DistanceConstraints or FixedAtoms; got {constraint!r}")
+        distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
+        if len(distances) > 1:
+            raise ValueError("all pairs must be given in one DistanceConstraints: those that share atoms are solved together")
+        self.given = tuple(given)
+        self.inverse_masses = self._masses(system, [constraint.atoms for constraint in given if isinstance(constraint, FixedAtoms)])
+        self.n_fixed = int((self.inverse_masses == 0.0).sum())
+        self._distances = distances[0] if distances else None
+        self.bonds = self._rigid_bonds(system)
+        self.n_constraints = self.bonds.n_constraints if self.bonds else 0
+
+    @staticmethod
+    def _masses(system: System, fixed: list[NDArray[np.int64]]) -> NDArray[np.float64]:
+        inverse_masses = 1.0 / system.masses
+        for atoms in fixed:
+            if atoms.max(initial=-1) >= len(system):
+                raise ValueError(f"fixed atoms must be among 0 to {len(system) - 1}; they name atom {atoms.max()}")
+            inverse_masses[atoms] = 0.0
+        return inverse_masses
+
+    def _rigid_bonds(self, system: System) -> RigidBonds | None:
+        if self._distances is None:
+            return None
+        if self._distances.pairs.max() >= len(system):
+            raise ValueError(f"constraints must name atoms 0 to {len(system) - 1}; they name atom {self._distances.pairs.max()}")
+        return self._distances.on(system.positions, self.inverse_masses, nearest_images(system, self._distances.pairs))
+
+    def degrees_of_freedom(self, conserves_momentum: bool) -> int:
+        """Of the atoms that move; see observables. Raises ValueError if none is left."""
+        n_atoms = len(self.inverse_masses) - self.n_fixed
+        return degrees_of_freedom(n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed)
+
+    def fit(self, system: System) -> None:
+        """Take each bond at its nearest image, should somebody have moved atoms by lattice vectors."""
+        if self.bonds is None or self._distances is None or not system.cell.is_periodic:
+            return
+        offsets = nearest_images(system, self.bonds.pairs)
+        if not np.array_equal(offsets, self.bonds.offsets):
+            known = DistanceConstraints(self.bonds.pairs, self.bonds.lengths, self._distances.tolerance, self._distances.solver)
+            self.bonds = known.on(system.positions, self.inverse_masses, offsets)
+
+    def project(self, velocities: NDArray[np.float64], positions: NDArray[np.float64]) -> None:
+        """Velocities that constraints allow, (N, 3) both."""
+        velocities[self.inverse_masses == 0.0] = 0.0
+        if self.bonds is not None:
+            self.bonds.project_velocities(velocities, positions)
+
+    def begin(self, system: System, state: State) -> None:
+        """Put positions and velocities that violate a constraint right, with a warning that says how far they were off."""
+        self.fit(system)
+        state.constraints = self.bonds
+        system.velocities[self.inverse_masses == 0.0] = 0.0
+        if self.bonds is None:
+            return
+        off = float(self.bonds.violation(system.positions).max())
+        if off > self.bonds.tolerance:
+            self.bonds.project_positions(system.positions)
+        turned = float(self.bonds.velocity_violation(system.positions, system.velocities).max())
+        if turned > self.bonds.tolerance:
+            self.bonds.project_velocities(system.velocities, system.positions)
+        if max(off, turned) > TOLD:
+            warnings.warn(
+                f"the start was projected onto the constraints: lengths were off by {0.5 * off:.1e} of themselves, "
+                f"velocities along bonds by {turned:.1e} of the speed",
+                stacklevel=4,
+            )
+
+
+def nearest_images(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(K, 3) lattice vectors [length] that make r_j − r_i of each pair shortest."""
+    translations, cell = np.zeros((len(pairs), 3)), system.cell
+    if cell.is_periodic:
+        first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
+        minimum_image_translations(system.positions, first, second, cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations)
+    return translations

@@ -1,0 +1,222 @@
+"""Baths: the laws of their noise, the ensembles they sample, and that a resumed run meets the same noise."""
+
+import numpy as np
+import pytest
+from references import liquid
+from scipy import stats
+
+import minimd as md
+from minimd.h5md import read_file
+from minimd.integrators import THERMOSTATS, State
+from minimd.scene import parse_scene
+from minimd.scene.running import resume_run, run_scene
+
+LANGEVIN = md.LangevinBAOAB(0.01, temperature=1.3, friction=2.0, seed=5)
+BUSSI = md.StochasticVelocityRescaling(0.01, temperature=1.3, relaxation_time=0.5, seed=5)
+SCENE = """
+units = "LJ"
+[structure]
+lattice = "fcc"
+repeat = [3, 3, 3]
+density = 0.8
+[[potential]]
+type = "lennard-jones"
+epsilon = 1.0
+sigma = 1.0
+cutoff = 2.0
+[dynamics]
+method = "{method}"
+timestep = 0.004
+steps = 40
+temperature = 1.2
+relaxation_time = 0.3
+[output]
+every = 10
+"""
+
+
+def state(velocities, masses, n_dof=None, k_B=1.0):  # noqa: N803
+    velocities = np.array(velocities, dtype=float)
+    return State(np.zeros_like(velocities), velocities, np.zeros_like(velocities), 1.0 / masses, n_dof=n_dof or velocities.size, k_B=k_B)
+
+
+def test_the_bath_of_langevin_is_the_ornstein_uhlenbeck_process():
+    """Mean e^(−γΔt) v, variance k_B T (1 − e^(−2γΔt))/m, normal."""
+    n, k_B, masses = 40_000, 0.7, np.repeat([1.0, 4.0], 20_000)  # noqa: N806
+    s = state(np.full((n, 3), 0.8), masses, k_B=k_B)
+    LANGEVIN.thermalize(s, 0.3)
+    kept = np.exp(-2.0 * 0.3)
+    for mass in (1.0, 4.0):
+        v = s.velocities[masses == mass].ravel()
+        variance = k_B * 1.3 * (1.0 - kept**2) / mass
+        assert v.mean() == pytest.approx(0.8 * kept, abs=4.0 * np.sqrt(variance / v.size))  # statistics
+        assert v.var() == pytest.approx(variance, rel=4.0 * np.sqrt(2.0 / v.size))
+        assert stats.kstest((v - 0.8 * kept) / np.sqrt(variance), "norm").pvalue > 1e-3
+
+
+def rescaled_energies(kinetic, n_dof, duration, n=40_000):
+    """Kinetic energies after one contact with the bath, from many steps."""
+    energies = np.empty(n)
+    for k in range(n):
+        s = state(np.full((1, 3), np.sqrt(2.0 * kinetic / 3.0)), np.ones(1), n_dof)
+        s.step = k
+        BUSSI.thermalize(s, duration)
+        energies[k] = 0.5 * (s.velocities**2).sum()
+        assert s.heat == pytest.approx(energies[k] - kinetic, abs=1e-12)
+    return energies
+
+
+def test_rescaling_makes_the_kinetic_energy_relax_as_its_equation_says():
+    """Mean c K + (1 − c) K̄; variance 2 (1 − c)² K̄²/n + 4 c (1 − c) K K̄/n, of the exact solution."""
+    kinetic, n_dof, duration = 3.0, 5, 0.2
+    energies, kept, target = rescaled_energies(kinetic, n_dof, duration), np.exp(-0.2 / 0.5), 0.5 * 5 * 1.3
+    variance = 2.0 * ((1.0 - kept) * target) ** 2 / n_dof + 4.0 * kept * (1.0 - kept) * kinetic * target / n_dof
+    assert energies.mean() == pytest.approx(kept * kinetic + (1.0 - kept) * target, abs=4.0 * np.sqrt(variance / energies.size))
+    assert energies.var() == pytest.approx(variance, rel=0.05)
+
+
+def test_rescaling_for_long_draws_the_canonical_kinetic_energy():
+    energies = rescaled_energies(3.0, 5, 100.0, n=5000)
+    assert stats.kstest(energies / 1.3, stats.gamma(2.5).cdf).pvalue > 1e-3
+
+
+def test_noise_depends_on_seed_and_step_alone():
+    def after(step, seed=5):
+        s = state(np.ones((4, 3)), np.ones(4))
+        s.step = step
+        md.LangevinBAOAB(0.01, 1.3, 2.0, seed).thermalize(s, 0.01)
+        return s.velocities
+
+    assert (after(7) == after(7)).all()
+    assert (after(7) != after(8)).all()
+    assert (after(7) != after(7, seed=6)).all()
+    assert (after(-3) != after(3)).all()
+
+
+def test_configurations_of_an_oscillator_are_exact_at_large_timesteps():
+    """ωΔt = 1.5: ⟨q²⟩ = k_B T/k without error, ⟨v²⟩ = k_B T/m (1 − (ωΔt)²/4) with one. B. Leimkuhler, C. Matthews (2013)."""
+    n, omega, temperature = 3000, 1.5, 1.0
+    method = md.LangevinBAOAB(1.0, temperature, friction=1.0, seed=1)
+    rng = np.random.default_rng(2)
+    s = State(rng.normal(size=(n, 3)) / omega, rng.normal(size=(n, 3)), np.zeros((n, 3)), np.ones(n), n_dof=3 * n)
+
+    def springs(s, look):
+        s.forces[:] = -(omega**2) * s.positions
+
+    squares = []
+    for _ in range(60):
+        method.advance(s, springs, 5)
+        squares.append([(s.positions**2).mean(), (s.velocities**2).mean()])
+    squares = np.array(squares[10:])
+    error = squares.std(axis=0, ddof=1) / np.sqrt(len(squares))
+    assert error[0] * omega**2 < 0.005
+    assert abs(squares[:, 0].mean() - temperature / omega**2) < 4.0 * error[0]  # statistics
+    assert abs(squares[:, 1].mean() - temperature * (1.0 - omega**2 / 4.0)) < 4.0 * error[1]
+
+
+def simulation(method, seed=3):
+    lj = md.LennardJones(1.0, 1.0, cutoff=2.0, truncation="force-shifted")
+    sim = md.Simulation(liquid(3), lj, method)
+    sim.set_temperature(1.3, seed)
+    return sim
+
+
+@pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERMOSTATS))
+def test_temperature_counts_the_degrees_of_freedom_that_the_bath_leaves(method):
+    sim = simulation(method)
+    n = len(sim.system)
+    assert sim.n_dof == (3 * n if method is LANGEVIN else 3 * n - 3)
+    sim.run(0)
+    assert sim.record.temperature[0] == pytest.approx(1.3, rel=1e-14)
+    assert 2.0 * sim.record.kinetic_energy[0] == pytest.approx(1.3 * sim.n_dof, rel=1e-14)
+
+
+@pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERMOSTATS))
+def test_total_energy_minus_heat_is_conserved(method):
+    """As well as the total energy is without a bath, though the bath moves it by a hundred times more."""
+    parameters = {**method.parameters, "timestep": 0.002}
+    sim = simulation(type(method)(**parameters))
+    sim.equilibrate(500, 1.3)
+    record = sim.run(2000, every=25)
+    conserved, total = record.conserved_energy, record.total_energy
+    assert np.ptp(conserved) < 0.05 * np.ptp(total)
+    assert sim.report().energy_is_conserved
+    assert "minus heat is conserved" in sim.report().verdict
+    assert total[-1] - conserved[-1] == pytest.approx(sim.heat, rel=1e-9)
+
+
+def test_rescaling_keeps_momentum_and_langevin_does_not_promise_it():
+    report = simulation(BUSSI), simulation(LANGEVIN)
+    for sim in report:
+        sim.run(200, every=20)
+    assert report[0].report().momentum_change < 1e-13
+    assert report[1].report().momentum_change is None
+    assert "not a constant" in str(report[1].report())
+
+
+def test_without_friction_langevin_is_velocity_verlet():
+    free, verlet = simulation(md.LangevinBAOAB(0.004, 1.3, 0.0, 1)), simulation(md.VelocityVerlet(0.004))
+    verlet.velocities[:] = free.velocities
+    free.run(100)
+    verlet.run(100)
+    assert np.abs(free.positions - verlet.positions).max() < 1e-10  # rounding, amplified
+    assert free.heat == pytest.approx(0.0, abs=1e-10)
+
+
+@pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERMOSTATS))
+def test_a_run_in_two_parts_is_the_run_in_one(method):
+    whole, parts = simulation(method), simulation(method)
+    whole.run(60, every=30)
+    parts.run(30, every=30)
+    parts.run(30, every=30)
+    assert (whole.positions == parts.positions).all()
+    assert (whole.velocities == parts.velocities).all()
+    assert whole.heat == parts.heat
+
+
+@pytest.mark.parametrize("method", THERMOSTATS)
+def test_a_resumed_run_meets_the_noise_of_an_uninterrupted_one(method, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scene = parse_scene(SCENE.format(method=method), tmp_path / "bath.toml")
+    run_scene(scene, trajectory=tmp_path / "whole.h5md", tell=lambda _: None)
+    run_scene(scene, steps=20, trajectory=tmp_path / "parts.h5md", tell=lambda _: None)
+    resume_run(tmp_path / "parts.h5md", 20, tell=lambda _: None)
+    whole, parts = read_file(tmp_path / "whole.h5md"), read_file(tmp_path / "parts.h5md")
+    assert np.abs(whole.system.velocities - parts.system.velocities).max() < 1e-11  # rounding: the list is built anew, sums have another order
+    assert np.abs(whole.record.conserved_energy - parts.record.conserved_energy).max() < 1e-10
+    assert whole.heat == pytest.approx(parts.heat, rel=1e-10)
+    assert abs(whole.heat) > 0.1
+
+
+def test_equilibration_and_run_have_different_noise():
+    sim = simulation(LANGEVIN)
+    seen = []
+    thermalize = sim.method.thermalize
+    sim.method = md.LangevinBAOAB(0.01, 1.3, 2.0, 5)
+    sim.method.thermalize = lambda s, duration: (seen.append(s.step), thermalize(s, duration))
+    sim.equilibrate(5, 1.3)
+    sim.run(3)
+    assert seen == [-5, -4, -3, -2, -1, 0, 1, 2]
+    assert sim.step == 3
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: md.LangevinBAOAB(-0.01, 1.0, 1.0, 1), "time cannot run backwards"),
+        (lambda: md.LangevinBAOAB(0.01, -1.0, 1.0, 1), "temperature must be finite and not negative"),
+        (lambda: md.LangevinBAOAB(0.01, 1.0, np.nan, 1), "friction must be finite"),
+        (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 1.5), "seed must be a whole number"),
+        (lambda: md.StochasticVelocityRescaling(0.01, 1.0, 0.0, 1), "relaxation_time must be positive"),
+        (lambda: parse_scene(SCENE.format(method="velocity-verlet"), "x.toml"), "takes? no relaxation time"),
+        (lambda: parse_scene(SCENE.format(method="langevin-baoab").replace("relaxation_time = 0.3", ""), "x.toml"), "needs a temperature"),
+    ],
+)
+def test_bad_baths_are_told(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_small_problems_are_refused():
+    with pytest.raises(TypeError, match="runs in a Simulation"):
+        md.LangevinBAOAB.on(md.integrators.SecondOrder(lambda q: -q))

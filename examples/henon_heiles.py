@@ -1,0 +1,58 @@
+"""A star in a galaxy, after Hénon and Heiles: does it find a third invariant besides energy and time?
+
+H = (vx² + vy² + x² + y²)/2 + x² y − y³/3. Each time an orbit passes x = 0 with vx > 0 it leaves a point (y, vy). At low energy the
+points of an orbit form a curve: there is a third invariant. Nearly at the energy of escape, 1/6, most orbits fill an area: chaos.
+M. Hénon, C. Heiles, Astron. J. 69, 73 (1964).
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+import minimd as md
+from minimd.integrators import BlanesMoan4, KahanLi6, SecondOrder, Suzuki4, run_until
+
+
+def force(q):
+    x, y = q
+    return np.array([-x - 2 * x * y, -y - x * x + y * y])
+
+
+def potential(x, y):
+    return (x * x + y * y) / 2 + x * x * y - y**3 / 3
+
+
+def energy(path):
+    return 0.5 * (path.v**2).sum(axis=1) + potential(path.q[:, 0], path.q[:, 1])
+
+
+def points(path, k):
+    """Where orbit k passes x = 0 upwards: y and vy there."""
+    x, y = (CubicHermiteSpline(path.t, path.q[:, i, k], path.v[:, i, k]) for i in (0, 1))
+    passes = x.roots(extrapolate=False)
+    upwards = passes[x(passes, 1) > 0]
+    return y(upwards), y(upwards, 1)
+
+
+galaxy = SecondOrder(force)
+figure, (regular, chaotic, accuracy) = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
+for axes, level, heights in ((regular, 1 / 12, np.linspace(-0.34, 0.44, 14)), (chaotic, 1 / 6.05, np.linspace(-0.41, 0.9, 14))):
+    start = [0 * heights, heights], [np.sqrt(2 * (level - potential(0, heights))), 0 * heights]  # all orbits at once, q of shape (2, 14)
+    path = run_until(galaxy, BlanesMoan4(0.2), start, 2000.0)
+    for k in range(heights.size):
+        axes.plot(*points(path, k), ".", ms=2.5, mew=0)
+    axes.set(xlabel="y", ylabel="vy", title=f"energy 1/{1 / level:.3g}: {'regular' if level < 0.1 else 'mostly chaotic'}")
+    error = np.abs(energy(path) / level - 1).max()
+    print(f"energy 1/{1 / level:.3g}: off by at most {error:.0e} of itself in {path.t.size - 1} steps   (expected: below 1e-6)")
+
+for method in (md.VelocityVerlet, Suzuki4, BlanesMoan4, KahanLi6):
+    timesteps = 0.4 / 2.0 ** np.arange(4)
+    errors = [np.ptp(energy(run_until(galaxy, method(h), ([[0.0], [0.1]], [[0.5], [0.0]]), 100.0))) for h in timesteps]
+    slope = np.polyfit(np.log(timesteps[1:]), np.log(errors[1:]), 1)[0]
+    accuracy.loglog(timesteps, errors, "o-", ms=4, label=f"{method.name}, slope {slope:.1f}")
+    print(f"{method.name:16s} energy error ∝ timestep to the {slope:.2f}   (expected: order {method.order})")
+accuracy.set_xticks(timesteps, [f"{h:g}" for h in timesteps], minor=False)
+accuracy.set_xticks([], minor=True)
+accuracy.set(xlabel="timestep", ylabel="energy fluctuation", title="energy 0.13, time 100", ylim=(1e-13, 1e-1))
+accuracy.legend(loc="lower right", fontsize=8)
+figure.savefig("henon_heiles.png", dpi=150)

@@ -56,6 +56,8 @@ class Newton:
     def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None, sizes: Array | float) -> Any:
         """LU factors of ∂r/∂x at x, of unknowns in units of their sizes and with rows scaled to one where sizes are given."""
         matrix = finite_differences(residual, x, r) if jacobian is None else jacobian(x)
+        if not np.isfinite(matrix).all():
+            raise ConvergenceError("the equations of the step have no finite Jacobian")
         rows = None
         if np.ndim(sizes):
             matrix = matrix * sizes
@@ -140,7 +142,7 @@ class Iteration:
             size = _relative_size(dx, x, scale)
             if size <= EPS:
                 return x
-            if size > slow * before:
+            if size >= slow * before:
                 is_small = _relative_size(dx, x, scale if floor is None else floor) <= self.solver.small
                 if size <= NEAR or (is_small and was_small):
                     return x

@@ -1,0 +1,228 @@
+"""Steps on q′ = g(t, q, v), v′ = f(t, q, v): explicit where they can be, implicit where they must be, and the same path both ways."""
+
+import numpy as np
+import pytest
+from small_problems import DRIVEN, ONE_STEP, TWISTED, TWISTED_START, driven_f, driven_g, reference, slope
+
+import minimd as md
+from minimd.integrators import (
+    METHODS,
+    PEFRL,
+    SE1,
+    SE2,
+    BlanesMoan4,
+    CandyRozmus4,
+    FirstOrder,
+    FixedPoint,
+    GaussLegendre2,
+    McLachlanAtela4,
+    Newton,
+    Partitioned,
+    PositionVerlet,
+    RungeKutta,
+    SecondOrder,
+    VelocityVerlet,
+    run_steps,
+)
+
+ONE = (1.0,), (0.5,)
+IMPLICIT = [method for method in METHODS.values() if issubclass(method, RungeKutta)]
+EVERY_FEW = [VelocityVerlet, PositionVerlet, SE1, SE2, BlanesMoan4, CandyRozmus4]
+
+
+class Unsolvable(Newton):
+    """A solver that is not to be asked."""
+
+    def iteration(self):
+        return self
+
+    def solve(self, *_arguments, **_more):
+        raise AssertionError("solved")
+
+
+def drift_in_wind(t, v):
+    return v + np.sin(t)
+
+
+def spring_in_time(t, q):
+    return -q * (1.0 + 0.3 * np.cos(t))
+
+
+def friction(q, v):
+    return -q - 0.1 * v * np.abs(v)
+
+
+@pytest.mark.parametrize("method", EVERY_FEW)
+@pytest.mark.parametrize(
+    "problem", [Partitioned(drift_in_wind, spring_in_time, solver=Unsolvable()), SecondOrder(spring_in_time, solver=Unsolvable())]
+)
+def test_nothing_is_solved_where_g_does_not_take_q_and_f_does_not_take_v(problem, method):
+    run_steps(problem, method(0.1), ONE, 5)
+
+
+@pytest.mark.parametrize(
+    ("explicit", "problem"),
+    [
+        (SE2, SecondOrder(friction, solver=Unsolvable())),
+        (SE1, Partitioned(lambda q, v: v * (1.0 + q * q), lambda q: -q, solver=Unsolvable())),
+    ],
+)
+def test_symplectic_euler_is_explicit_in_the_half_that_comes_last(explicit, problem):
+    """SE2 takes f at the old velocity, SE1 takes g at the old position; their adjoints must solve."""
+    run_steps(problem, explicit(0.1), ONE, 5)
+    for other in (SE1 if explicit is SE2 else SE2, VelocityVerlet):
+        with pytest.raises(AssertionError, match="solved"):
+            run_steps(problem, other(0.1), ONE, 5)
+
+
+def test_evaluations_are_counted_as_the_function_counts_them():
+    """One per step if separable, two if explicit but not separable, more if there is something to solve."""
+    counts = []
+
+    def force(t, q):
+        counts.append(t)
+        return -q
+
+    def resisted(q, v):
+        counts.append(0.0)
+        return -q - v**3
+
+    expected = {SecondOrder(force): 51, Partitioned(drift_in_wind, force): 100, SecondOrder(resisted): None}
+    for problem, number in expected.items():
+        counts.clear()
+        solution = run_steps(problem, VelocityVerlet(0.1), ONE, 50)
+        assert solution.nfev == len(counts)
+        assert len(counts) == number if number else 200 < len(counts) < 1000
+
+
+@pytest.mark.parametrize("method", ONE_STEP)
+def test_functions_that_take_more_than_they_need_give_the_same_path(method):
+    """The equation of a step that is explicit after all is solved by its first guess."""
+    short = run_steps(Partitioned(drift_in_wind, spring_in_time), method(0.1), ONE, 50, t0=0.2)
+    full = run_steps(Partitioned(lambda t, q, v: drift_in_wind(t, v), lambda t, q, v: spring_in_time(t, q)), method(0.1), ONE, 50, t0=0.2)
+    assert full.y == pytest.approx(short.y, abs=1e-13)  # rounding
+    separable = run_steps(SecondOrder(lambda q: -np.sin(q)), method(0.1), ONE, 50)
+    hidden = run_steps(Partitioned(lambda t, q, v: v, lambda t, q, v: -np.sin(q)), method(0.1), ONE, 50)
+    assert hidden.y == pytest.approx(separable.y, abs=1e-13)
+
+
+def twisted_jacobians(q, v):
+    """∂g/∂q and ∂f/∂v of TWISTED."""
+    return 2.0 * np.outer(v, q) + np.array([[0.0, 0.0], [0.5, 0.0]]), -2.0 * np.outer(q, v) - np.array([[0.0, 0.5], [0.0, 0.0]])
+
+
+@pytest.mark.parametrize("method", EVERY_FEW)
+def test_jacobians_given_or_found_and_fixed_points_lead_to_the_same_path(method):
+    solved = [
+        Partitioned(driven_g, driven_f, lambda q, v: twisted_jacobians(q, v)[0], lambda q, v: twisted_jacobians(q, v)[1]),
+        Partitioned(driven_g, driven_f, solver=FixedPoint()),
+        Partitioned(driven_g, driven_f, lambda q, v: np.zeros((2, 2)), lambda q, v: np.zeros((2, 2))),  # wrong, and no harm but more iterations
+    ]
+    path = run_steps(DRIVEN, method(0.1), TWISTED_START, 30)
+    for problem in solved:
+        assert run_steps(problem, method(0.1), TWISTED_START, 30).y == pytest.approx(path.y, abs=1e-13)
+
+
+@pytest.mark.parametrize("damping", [0.5, 7.0, 15.0])
+def test_fixed_points_are_found_to_rounding_however_slowly(damping):
+    """Corrections that shrink by h damping/2 = 3/4 per iteration only are not taken for rounding before they are."""
+
+    def force(q, v):
+        return -q - damping * v
+
+    newton, fixed = (run_steps(SecondOrder(force, solver=s), VelocityVerlet(0.1), ONE, 30).y for s in (Newton(), FixedPoint(1000)))
+    assert fixed == pytest.approx(newton, abs=1e-14)
+
+
+@pytest.mark.parametrize("method", [*EVERY_FEW[:3], *IMPLICIT])
+@pytest.mark.parametrize("scale", [1e-20, 1e20])
+def test_units_change_nothing(method, scale):
+    """Lengths and velocities in other units: the same path in those units."""
+    problem = Partitioned(lambda q, v: v * (1.0 + (q / scale) ** 2), lambda q, v: -q * (1.0 + (v / scale) ** 2))
+    path = run_steps(problem, method(0.05), ([0.5 * scale], [0.3 * scale]), 20)
+    unit = run_steps(Partitioned(lambda q, v: v * (1.0 + q**2), lambda q, v: -q * (1.0 + v**2)), method(0.05), ([0.5], [0.3]), 20)
+    assert path.y / scale == pytest.approx(unit.y, abs=1e-12)
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+@pytest.mark.parametrize("timestep", [0.01, 0.1, 0.5])
+def test_implicit_steps_come_to_rest(method, timestep):
+    """At rest the slopes are rounding of the state, which is nothing to solve any further."""
+    problem = FirstOrder(lambda y: np.array([y[1] - y[0] ** 3 + 0.3, 1.0 - y[1] + 0.1 * np.sin(y[0])]))
+    end = run_steps(problem, method(timestep), [0.0, 2.0], round(60.0 / timestep), every=1000).y[-1]
+    assert np.abs(problem.field(0.0, end)).max() < 1e-14
+
+
+@pytest.mark.parametrize("solver", [Newton(), FixedPoint()])
+@pytest.mark.parametrize("method", [VelocityVerlet, GaussLegendre2])
+def test_equations_without_a_solution_end_the_run_and_leave_the_path_before(method, solver):
+    """v′ = v² grows without bound at t = 1; before, the step loses its solution."""
+    problem = SecondOrder(lambda q, v: v * v, solver=solver)
+    with (
+        np.errstate(all="ignore"),
+        pytest.raises(md.ConvergenceError, match=r"step \d+ from t = .* with timestep 0.1: .*residual.*; reduce") as caught,
+    ):
+        run_steps(problem, method(0.1), ([0.0], [1.0]), 100)
+    path = caught.value.solution
+    assert f"step {len(path.t)} " in str(caught.value)
+    assert not path.success
+    assert path.message == str(caught.value)
+    exact = 1.0 / (1.0 - path.t[:6])
+    assert path.v[:6, 0] == pytest.approx(exact, rel=0.02)
+    assert np.isfinite(path.y).all()
+
+
+# q″ = −q + cos 2t from (1, 0): q = (4 cos t − cos 2t)/3
+# q″ = −q − v/5: damped; q″ = v × e_z + (0.2, 0) from rest: cycloid
+DAMPING = 0.1
+W = np.sqrt(1.0 - DAMPING**2)
+CLOSED_FORMS = {
+    "driven oscillator": (
+        SecondOrder(lambda t, q: -q + np.cos(2.0 * t)),
+        ((1.0,), (0.0,)),
+        lambda t: [(4.0 * np.cos(t) - np.cos(2.0 * t)) / 3.0, (-4.0 * np.sin(t) + 2.0 * np.sin(2.0 * t)) / 3.0],
+    ),
+    "damped oscillator": (
+        SecondOrder(lambda q, v: -q - 2.0 * DAMPING * v),
+        ((1.0,), (-DAMPING,)),
+        lambda t: [np.exp(-DAMPING * t) * np.cos(W * t), -np.exp(-DAMPING * t) * (DAMPING * np.cos(W * t) + W * np.sin(W * t))],
+    ),
+    "electric and magnetic field": (
+        SecondOrder(lambda q, v: np.array([v[1] + 0.2, -v[0]])),
+        ((0.0, 0.0), (0.0, 0.0)),
+        lambda t: [0.2 * (1.0 - np.cos(t)), 0.2 * (np.sin(t) - t), 0.2 * np.sin(t), 0.2 * (np.cos(t) - 1.0)],
+    ),
+    "relativistic oscillator in proper units, H = √(1 + v²) + q⁴/4": (
+        Partitioned(lambda v: v / np.sqrt(1.0 + v * v), lambda q: -(q**3)),
+        ((1.0,), (0.8,)),
+        None,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CLOSED_FORMS)
+@pytest.mark.parametrize("method", [VelocityVerlet, PositionVerlet, SE1, SE2, PEFRL, McLachlanAtela4, BlanesMoan4, GaussLegendre2])
+def test_order_is_that_on_the_problem(method, name):
+    """McLachlan and Atela's last condition needs q′ = v and a force without v."""
+    problem, start, solution = CLOSED_FORMS[name]
+    exact = reference(problem, start, 6.0) if solution is None else solution(6.0)
+    order = method.order_on(problem)
+    assert order == (3 if method is McLachlanAtela4 and name != "driven oscillator" else method.order)
+    counts = np.array([1, 2]) * {1: 400, 2: 100, 3: 60, 4: 30}[order]
+    measured = slope(lambda h: np.linalg.norm(run_steps(problem, method(h), start, round(6.0 / h)).y[-1] - exact), 6.0 / counts)
+    assert measured == pytest.approx(order, abs=0.25)
+
+
+def test_a_magnetic_field_does_no_work_on_average():
+    """f takes v, so that the step is implicit; it is symmetric, and the energy error does not grow."""
+    problem = SecondOrder(lambda q, v: np.array([2.0 * v[1], -2.0 * v[0]]) * (1.0 + q @ q) - q)
+    path = run_steps(problem, VelocityVerlet(0.1), ((0.5, 0.0), (0.0, 0.7)), 4000)
+    energy = (path.v**2).sum(axis=1) + (path.q**2).sum(axis=1)
+    assert np.ptp(energy[2000:]) == pytest.approx(np.ptp(energy[:2000]), rel=0.05)
+
+
+def test_the_energy_of_a_hamiltonian_that_is_not_separable_does_not_drift():
+    path = run_steps(TWISTED, VelocityVerlet(0.05), TWISTED_START, 4000)
+    energy = (1.0 + (path.q**2).sum(axis=1)) * (1.0 + (path.v**2).sum(axis=1)) / 2.0 + path.q[:, 0] * path.v[:, 1] / 2.0
+    assert np.ptp(energy[2000:]) == pytest.approx(np.ptp(energy[:2000]), rel=0.1)
+    assert np.ptp(energy) < 1e-2

@@ -9,14 +9,16 @@ from ase.data import atomic_masses, atomic_numbers
 from numpy.typing import ArrayLike
 
 from minimd import units
+from minimd.ase.constraints import constraints_of, fixes_center
 from minimd.cell import Cell
 from minimd.system import System
+from minimd.velocities import without_momentum
 
 LABELS = "species_labels"  # the array of an ase.Atoms that holds species which are no chemical elements
 
 
 def system_from_atoms(atoms: Atoms, bonds: ArrayLike | None = None) -> System:
-    """A system in ASE's units: positions, velocities, masses, cell and periodicity of the atoms.
+    """A system in ASE's units: positions, velocities, masses, cell, periodicity and constraints of the atoms.
 
     Parameters
     ----------
@@ -25,14 +27,15 @@ def system_from_atoms(atoms: Atoms, bonds: ArrayLike | None = None) -> System:
 
     Raises
     ------
-    TypeError : for something that is no ase.Atoms.  ValueError : for atoms with constraints, and as System does.
+    TypeError : for something that is no ase.Atoms.  ValueError : for constraints that minimd does not know, and as System does.
     """
     if not isinstance(atoms, Atoms):
         raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")
-    if atoms.constraints:
-        names = ", ".join(sorted({type(constraint).__name__ for constraint in atoms.constraints}))
-        raise ValueError(f"atoms.constraints must be empty, minimd would ignore them; it holds {names}: remove them, or use ASE's dynamics")
-    return unchecked_system(atoms, bonds)
+    system = unchecked_system(atoms, bonds)
+    system.constraints = constraints_of(atoms)
+    if fixes_center(atoms):
+        system.velocities[:] = without_momentum(system.velocities, system.masses)
+    return system
 
 
 def system_from_file(file: Path) -> System:

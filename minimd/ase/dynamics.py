@@ -23,7 +23,7 @@ class VelocityVerlet(MolecularDynamics):
 
     Raises
     ------
-    TypeError : when it runs, if the calculator of the atoms is another one.  ValueError : for atoms with constraints.
+    TypeError : when it runs, if the calculator of the atoms is another one.  ValueError : for constraints that minimd does not know.
     NonFiniteError : if the run blows up; atoms hold the last good state.
     KeyboardInterrupt : after Ctrl-C; atoms hold the state of the last whole step.
     """
@@ -63,7 +63,7 @@ class VelocityVerlet(MolecularDynamics):
         finally:
             self.nsteps += simulation.step - start
             atoms.positions[:] = simulation.positions
-            atoms.set_momenta(_momenta(simulation))
+            atoms.set_momenta(_momenta(simulation), apply_constraint=False)
         atoms.calc.adopt(atoms, float(record.potential_energy[-1]), simulation.forces)
 
     def _simulation_at(self, atoms: Atoms) -> Simulation:

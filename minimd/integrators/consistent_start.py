@@ -20,6 +20,7 @@ WEIGHTS = {  # of the values at −3 … 3 spacings, for the derivative of the s
     1: (np.array([-1, 9, -45, 0, 45, -9, 1]) / 60.0, np.array([0, 1, -8, 0, 8, -1, 0]) / 12.0),
     2: (np.array([2, -27, 270, -490, 270, -27, 2]) / 180.0, np.array([0, -1, 16, -30, 16, -1, 0]) / 12.0),
 }
+NOISE = 10.0 * EPS  # of a function, of its change over the widest spacing
 DEPENDENT = 1e-8  # ratio of singular values below which constraints count as dependent on each other
 MAX_ITERATIONS = 50
 RESTING = 1e-13  # rates below are rounding: nothing moves, but perhaps what depends on time [1/time]
@@ -30,17 +31,19 @@ REFUSED = 1e-8  # and above which it counts as inconsistent; those between are m
 
 
 def time_derivative(path: Callable[[float], Array], order: int, unit: float) -> Array:
-    """The first or second derivative at 0 of a path, to some 1e-12 or 1e-10: from the spacing at which two formulas agree best.
+    """The first or second derivative at 0 of a path, to some 1e-12 or 1e-10: from the spacing at which two formulas agree best, beside rounding.
 
     unit : time in which the path changes by its size [time].
     """
-    best, least = path(0.0) * np.nan, np.inf
+    here = path(0.0)
+    best, least, largest = np.zeros_like(here), np.inf, 0.0
     for spacing in SPACINGS * unit:
-        values = np.array([path(k * spacing) for k in range(-3, 4)])
+        values = np.array([path(k * spacing) - here for k in range(-3, 4)])
         sixth, fourth = (weights @ values / spacing**order for weights in WEIGHTS[order])
-        difference = np.abs(sixth - fourth).max(initial=0.0)
-        if difference < least:
-            best, least = sixth, difference
+        largest = max(largest, np.abs(values).max(initial=0.0))
+        error = np.abs(sixth - fourth).max(initial=0.0) + NOISE * largest / spacing**order
+        if error < least:
+            best, least = sixth, error
     return best
 
 
@@ -72,7 +75,7 @@ def nearest_root(function: Callable[[Array], Array], x: Array, step: float = CEN
     return best
 
 
-def are_independent(function: Callable[[Array], Array], x: Array, step: float = CENTRAL) -> bool:
+def are_independent(function: Callable[[Array], Array], x: Array, step: float = CENTRAL, size: float = 0.0) -> bool:
     """Whether the Jacobian of the function has full row rank."""
-    sizes = np.linalg.svd(central_differences(function, x, step), compute_uv=False)
+    sizes = np.linalg.svd(central_differences(function, x, step, size), compute_uv=False)
     return bool(function(x).size <= x.size and sizes[-1] > DEPENDENT * sizes[0])

@@ -27,6 +27,7 @@ class Hessenberg(DifferentialAlgebraic):
     """What the forms have in common: parts of the state, and a chain of constraints, one for each of the last parts."""
 
     names: ClassVar[tuple[str, ...]]  # of the parts
+    functions: ClassVar[tuple[str, ...]]  # that belong to them
     chain: ClassVar[tuple[str, ...]]  # what is zero, from g on; the last one gives the algebraic variables
     regular: ClassVar[str]  # the matrix that must have full rank for that
     _ends: tuple[int, ...] = ()
@@ -69,10 +70,11 @@ class Hessenberg(DifferentialAlgebraic):
             def violation(x: Array) -> Array:
                 return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
 
-            if not are_independent(violation, parts[i], step):
+            size = _size(parts[i], parts)
+            if not are_independent(violation, parts[i], step, size):
                 raise ValueError(f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher than {self.index}: "
                                  f"the constraints 0 = {self.chain[k]} do not determine {self.names[i]}")  # fmt: skip
-            root = nearest_root(violation, parts[i], step)
+            root = nearest_root(violation, parts[i], step, size=size)
             parts[i] = root if k == last else judged(k, t, parts, root)
         return np.concatenate(parts)
 
@@ -101,11 +103,14 @@ class Hessenberg(DifferentialAlgebraic):
                 raise ValueError(f"{name} of the start must have at least one element, and finite ones; got {part}")
         self._ends = tuple(int(n) for n in np.cumsum([part.size for part in parts])[:-1])
         self.levels = np.repeat(np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), [part.size for part in parts])
-        y = np.concatenate(parts)
-        n_equations = self.residual(t, y, np.zeros(y.size)).size
-        if n_equations != y.size:
-            raise ValueError(f"there must be as many equations as variables; got {n_equations} and {y.size}")
+        for name, answer, part in zip(self.functions, self._answers(t, *parts), parts, strict=True):
+            if answer.size != part.size:
+                raise ValueError(f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got {answer.size}")
         return parts
+
+    def _answers(self, t: float, *parts: Array) -> Parts:
+        """What each function answers with, in the order of the parts."""
+        raise NotImplementedError
 
     def _n_multipliers(self, t: float, *parts: Array) -> int:
         """How many algebraic variables there are."""
@@ -122,7 +127,7 @@ class Hessenberg1(Hessenberg):
     The start is (y, z), with a guess of z.
     """
 
-    index, names, chain, regular = 1, ("y", "z"), ("g",), "g_z"
+    index, names, functions, chain, regular = 1, ("y", "z"), ("f", "g"), ("g",), "g_z"
 
     def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
         super().__init__(solver)
@@ -130,17 +135,20 @@ class Hessenberg1(Hessenberg):
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """y′ − f and g."""
-        parts = self.parts(y)
-        return np.concatenate([self.parts(slope)[0] - self.f(t, *parts), self.g(t, *parts)])
+        f, g = self._answers(t, *self.parts(y))
+        return np.concatenate([self.parts(slope)[0] - f, g])
 
     def field(self, t: float, y: Array) -> Array:
         """f, and zero for z."""
-        parts = self.parts(y)
-        return np.concatenate([self.f(t, *parts), np.zeros(parts[1].size)])
+        f, g = self._answers(t, *self.parts(y))
+        return np.concatenate([f, np.zeros(g.size)])
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
         """G itself."""
         return self.g(t, *parts)
+
+    def _answers(self, t: float, *parts: Array) -> Parts:
+        return self.f(t, *parts), self.g(t, *parts)
 
     def _n_multipliers(self, t: float, *parts: Array) -> int:
         raise ValueError("the start must be a tuple of y and a guess of z, for g(t, y, z) depends on both")
@@ -156,7 +164,8 @@ class Hessenberg2(Hessenberg):
     The start is (y,), or (y, z) with a guess of z.
     """
 
-    index, names, chain, regular = 2, ("y", "z"), ("g", "dg/dt = g_t + g_y f"), "g_y f_z"
+    index, names, functions, regular = 2, ("y", "z"), ("f", "g"), "g_y f_z"
+    chain = ("g", "dg/dt = g_t + g_y f")
 
     def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
         super().__init__(solver)
@@ -164,13 +173,13 @@ class Hessenberg2(Hessenberg):
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """y′ − f and g."""
-        parts = self.parts(y)
-        return np.concatenate([self.parts(slope)[0] - self.f(t, *parts), self.g(t, parts[0])])
+        f, g = self._answers(t, *self.parts(y))
+        return np.concatenate([self.parts(slope)[0] - f, g])
 
     def field(self, t: float, y: Array) -> Array:
         """f, and zero for z."""
-        parts = self.parts(y)
-        return np.concatenate([self.f(t, *parts), np.zeros(parts[1].size)])
+        f, g = self._answers(t, *self.parts(y))
+        return np.concatenate([f, np.zeros(g.size)])
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
         """G, and its time derivative."""
@@ -179,6 +188,9 @@ class Hessenberg2(Hessenberg):
             return self.g(t, y)
         f = self.f(t, *parts)
         return time_derivative(lambda e: self.g(t + e, y + e * f), 1, unit_of_time(y, f))
+
+    def _answers(self, t: float, *parts: Array) -> Parts:
+        return self.f(t, *parts), self.g(t, parts[0])
 
 
 class Hessenberg3(Hessenberg):
@@ -191,7 +203,7 @@ class Hessenberg3(Hessenberg):
     The start is (y, z), or (y, z, u) with a guess of u.
     """
 
-    index, names, regular = 3, ("y", "z", "u"), "g_y f_z k_u"
+    index, names, functions, regular = 3, ("y", "z", "u"), ("f", "k", "g"), "g_y f_z k_u"
     chain = ("g", "dg/dt = g_t + g_y f", "d²g/dt²")
 
     def __init__(self, f: Function, k: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
@@ -200,14 +212,14 @@ class Hessenberg3(Hessenberg):
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """y′ − f, z′ − k and g."""
-        position, velocity, u = self.parts(y)
+        f, k, g = self._answers(t, *self.parts(y))
         y_slope, z_slope, _ = self.parts(slope)
-        return np.concatenate([y_slope - self.f(t, position, velocity), z_slope - self.k(t, position, velocity, u), self.g(t, position)])
+        return np.concatenate([y_slope - f, z_slope - k, g])
 
     def field(self, t: float, y: Array) -> Array:
         """f, k, and zero for u."""
-        position, velocity, u = self.parts(y)
-        return np.concatenate([self.f(t, position, velocity), self.k(t, position, velocity, u), np.zeros(u.size)])
+        f, k, g = self._answers(t, *self.parts(y))
+        return np.concatenate([f, k, np.zeros(g.size)])
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
         """G, and its time derivatives."""
@@ -220,6 +232,9 @@ class Hessenberg3(Hessenberg):
         second = self._second(t, y, z, rate, parts[2])
         return time_derivative(lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), 2, unit_of_time(y, rate, second))
 
+    def _answers(self, t: float, *parts: Array) -> Parts:
+        return self.f(t, *parts[:2]), self.k(t, *parts), self.g(t, parts[0])
+
     def _rate(self, t: float, y: Array, z: Array) -> Array:
         """y′."""
         return self.f(t, y, z)
@@ -229,3 +244,9 @@ class Hessenberg3(Hessenberg):
         z_rate = self.k(t, y, z, u)
         unit = min(unit_of_time(y, rate), unit_of_time(z, z_rate))
         return time_derivative(lambda e: self.f(t + e, y + e * rate, z + e * z_rate), 1, unit)
+
+
+def _size(part: Array, parts: list[Array]) -> float:
+    """Size of a part, or that of the others where it is nothing but rounding."""
+    own, all_parts = float(np.abs(part).max()), max(float(np.abs(other).max()) for other in parts)
+    return own if own > KEPT * all_parts else all_parts

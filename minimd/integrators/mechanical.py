@@ -30,11 +30,12 @@ class Mechanical(Hessenberg3):
     The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ.
     """
 
-    names, regular = ("q", "v", "λ"), "G M⁻¹ Gᵀ"
+    names, functions, regular = ("q", "v", "λ"), ("q′", "force", "g"), "G M⁻¹ Gᵀ"
     chain = ("g", "dg/dt = G v + g_t", "d²g/dt²")
 
     def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, gradient: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
-        super().__init__(lambda t, y, z: z, lambda t, y, z, u: self._acceleration(t, y, z, u), g=_renamed(g, "g"), solver=solver)
+        of_time_and_q = taking(g, ("t", "q"), "g")
+        super().__init__(lambda t, y, z: z, lambda t, y, z, u: self._acceleration(t, y, z, u), lambda t, y: of_time_and_q(t, y), solver)
         self._force = taking(force, ("t", "q", "v"), "force")
         self._gradient = gradient if gradient is None else taking(gradient, ("t", "q"), "gradient")
         self._mass = taking(mass, ("q",), "mass") if callable(mass) else lambda q: np.array(mass, dtype=float).reshape(-1)
@@ -44,6 +45,11 @@ class Mechanical(Hessenberg3):
         q, v, multipliers = self.parts(y)
         q_slope, v_slope, _ = self.parts(slope)
         return np.concatenate([q_slope - v, self.mass(q) @ v_slope - self._pull(t, q, v, multipliers), self.g(t, q)])
+
+    def field(self, t: float, y: Array) -> Array:
+        """v, M⁻¹ (f − Gᵀ λ), and zero for λ."""
+        q, v, multipliers = self.parts(y)
+        return np.concatenate([v, self._acceleration(t, q, v, multipliers), np.zeros(multipliers.size)])
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """1, M and 0."""
@@ -61,6 +67,10 @@ class Mechanical(Hessenberg3):
         """G(t, q), (m, n)."""
         return central_differences(lambda x: self.g(t, x), q) if self._gradient is None else self._gradient(t, q).reshape(-1, q.size)
 
+    def _answers(self, t: float, *parts: Array) -> tuple[Array, ...]:
+        q, v, _ = parts
+        return v, self._force(t, q, v), self.g(t, q)
+
     def _pull(self, t: float, q: Array, v: Array, multipliers: Array) -> Array:
         return self._force(t, q, v) - multipliers @ self.gradient(t, q)
 
@@ -69,9 +79,3 @@ class Mechanical(Hessenberg3):
 
     def _second(self, t: float, y: Array, z: Array, rate: Array, u: Array) -> Array:
         return self._acceleration(t, y, z, u)
-
-
-def _renamed(g: Function, label: str) -> Function:
-    """G, a function of t and q, as one of t and y."""
-    of_both = taking(g, ("t", "q"), label)
-    return lambda t, y: of_both(t, y)

@@ -145,6 +145,8 @@ def test_a_problem_that_is_nonlinear_in_its_slope_follows_the_branch_of_the_gues
         (lambda: Hessenberg2(lambda y, z: [z[0], -y[0]], lambda y: y[1] - 1), ([0.0, 1.0],), "g_y f_z must have full rank"),
         (lambda: Hessenberg3(lambda z: z, lambda y, u: 0 * u - y, lambda y: y), ([0.0], [0.0]), "g_y f_z k_u must have full rank"),
         (lambda: Mechanical(1.0, lambda q: 0 * q, lambda q: [q[0], 2 * q[0]]), ((0.0, 1.0), (0.0, 0.0)), "G M⁻¹ Gᵀ must have full rank"),
+        (lambda: Mechanical(np.ones(3), lambda q: 0 * q, lambda q: q[0]), ((0.0, 1.0), (0.0, 0.0)), "mass must be one number, 2 or 2 × 2"),
+        (lambda: Mechanical([1.0, 0.0], lambda q: 0 * q, lambda q: q[0]), ((0.0, 1.0), (0.0, 0.0)), "mass matrix must be regular"),
         (lambda: Implicit(lambda y, slope: [slope[0] - y[1], slope[0] - y[1]]), [0.0, 1.0], "the pencil is singular"),
         (path_of_x, [1.0], "must be a tuple of y, z, of which z may be left out"),
         (path_of_x, ([np.nan],), "y of the start must have at least one element, and finite ones"),
@@ -153,7 +155,7 @@ def test_a_problem_that_is_nonlinear_in_its_slope_follows_the_branch_of_the_gues
         (
             lambda: Hessenberg2(lambda y, z: y[:1] + z, lambda y: y[0] - 1),
             ([1.0, 2.0],),
-            "f must answer with as many numbers as it has variables, 2 as in the start; got 1",
+            "f must answer with as many numbers as it has variables, 2",
         ),
     ],
 )

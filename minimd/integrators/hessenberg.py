@@ -30,7 +30,7 @@ class Hessenberg(DifferentialAlgebraic):
     functions: ClassVar[tuple[str, ...]]  # that belong to them
     chain: ClassVar[tuple[str, ...]]  # what is zero, from g on; the last one gives the algebraic variables
     regular: ClassVar[str]  # the matrix that must have full rank for that
-    _ends: tuple[int, ...] = ()
+    _slices: tuple[slice, ...] = ()
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, its algebraic variables solved for.
@@ -51,7 +51,8 @@ class Hessenberg(DifferentialAlgebraic):
 
     def parts(self, y: ArrayLike) -> Parts:
         """Views of the parts of a state, or of many: y may be (n,), or (n_times, n) as in a solution."""
-        return tuple(np.split(np.asarray(y), self._ends, axis=-1))
+        y = np.asarray(y)
+        return tuple(y[..., part] for part in self._slices)
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
         """The k-th of the chain, zero on solutions: dᵏg/dtᵏ, from central differences along the solution."""
@@ -59,7 +60,8 @@ class Hessenberg(DifferentialAlgebraic):
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """1 for the differential variables, 0 for the algebraic ones."""
-        return np.diag(np.repeat([1.0, 0.0], [self._ends[-1], y.size - self._ends[-1]]))
+        n_differential = self._slices[-1].start
+        return np.diag(np.repeat([1.0, 0.0], [n_differential, y.size - n_differential]))
 
     def _consistent(self, start: Any, t: float, judged: Any) -> Array:
         parts = self._begun(start, t)
@@ -82,7 +84,7 @@ class Hessenberg(DifferentialAlgebraic):
         """The part of the chain's k-th constraint, unless it is far from the root."""
         i = len(parts) - len(self.chain) + k
         name, part = self.names[i], parts[i]
-        move, size = np.abs(root - part).max(), max(np.abs(part).max(), np.abs(root).max())
+        move, size = np.abs(root - part).max(), max(_size(part, parts), np.abs(root).max())
         if move > REFUSED * size:
             violation = self.constraint(k, t, *parts)
             worst = int(np.argmax(np.abs(violation)))
@@ -101,8 +103,9 @@ class Hessenberg(DifferentialAlgebraic):
         for name, part in zip(self.names, parts, strict=True):
             if part.size == 0 or not np.isfinite(part).all():
                 raise ValueError(f"{name} of the start must have at least one element, and finite ones; got {part}")
-        self._ends = tuple(int(n) for n in np.cumsum([part.size for part in parts])[:-1])
-        self.levels = np.repeat(np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), [part.size for part in parts])
+        sizes = [part.size for part in parts]
+        self._slices = tuple(slice(end - size, end) for end, size in zip(np.cumsum(sizes).tolist(), sizes, strict=True))
+        self.levels = np.repeat(np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), sizes)
         for name, answer, part in zip(self.functions, self._answers(t, *parts), parts, strict=True):
             if answer.size != part.size:
                 raise ValueError(f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got {answer.size}")

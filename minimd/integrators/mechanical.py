@@ -44,7 +44,7 @@ class Mechanical(Hessenberg3):
         """q′ − v, M v′ − f + Gᵀ λ and g."""
         q, v, multipliers = self.parts(y)
         q_slope, v_slope, _ = self.parts(slope)
-        return np.concatenate([q_slope - v, self.mass(q) @ v_slope - self._pull(t, q, v, multipliers), self.g(t, q)])
+        return np.concatenate([q_slope - v, np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers), self.g(t, q)])
 
     def field(self, t: float, y: Array) -> Array:
         """v, M⁻¹ (f − Gᵀ λ), and zero for λ."""
@@ -54,14 +54,16 @@ class Mechanical(Hessenberg3):
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """1, M and 0."""
         matrix = super().slope_jacobian(t, y, slope)
-        n = self._ends[0]
-        matrix[n : 2 * n, n : 2 * n] = self.mass(y[:n])
+        of_q, of_v, _ = self._slices
+        matrix[of_v, of_v] = self.mass(y[of_q])
         return matrix
 
     def mass(self, q: Array) -> Array:
         """M(q), (n, n)."""
-        mass = self._mass(q)
-        return mass.reshape(q.size, q.size) if mass.size == q.size**2 > 1 else np.diag(np.broadcast_to(mass, q.shape))
+        mass, n = self._mass(q), q.size
+        if mass.size not in (1, n, n * n):
+            raise ValueError(f"mass must be one number, {n} or {n} × {n}, as q has {n} elements; got {mass.size} numbers")
+        return mass.reshape(n, n) if mass.size == n * n else np.eye(n) * mass
 
     def gradient(self, t: float, q: Array) -> Array:
         """G(t, q), (m, n)."""
@@ -75,7 +77,10 @@ class Mechanical(Hessenberg3):
         return self._force(t, q, v) - multipliers @ self.gradient(t, q)
 
     def _acceleration(self, t: float, q: Array, v: Array, multipliers: Array) -> Array:
-        return np.asarray(np.linalg.solve(self.mass(q), self._pull(t, q, v, multipliers)))
+        try:
+            return np.asarray(np.linalg.solve(self.mass(q), self._pull(t, q, v, multipliers)))
+        except np.linalg.LinAlgError:
+            raise ValueError(f"the mass matrix must be regular; it is singular at q = {q}") from None
 
     def _second(self, t: float, y: Array, z: Array, rate: Array, u: Array) -> Array:
         return self._acceleration(t, y, z, u)

@@ -3,16 +3,17 @@
 from typing import TYPE_CHECKING, Any
 
 from minimd import observables
+from minimd.integrators.constraints import RigidBonds
 from minimd.record import Frame
 
 if TYPE_CHECKING:
     from minimd.simulation import Simulation
 
 
-def observe(simulation: "Simulation", virial: Any, potential_energy: float, heat: float) -> Frame:
+def observe(simulation: "Simulation", virial: Any, potential_energy: float, bonds: RigidBonds | None) -> Frame:
     """The present state with its observables.
 
-    virial : (3, 3) [energy], of forces and constraints.  heat : what a thermostat has put in [energy].
+    virial : (3, 3) [energy], of forces and constraints.  bonds : lengths that are held fixed.
     """
     system = simulation.system
     motion = (system.positions, system.velocities, system.masses)
@@ -30,5 +31,7 @@ def observe(simulation: "Simulation", virial: Any, potential_energy: float, heat
     if system.volume is not None:
         values["pressure"] = observables.pressure(kinetic, virial, system.volume)
     if simulation.method.is_thermostat:
-        values["conserved_energy"] = potential_energy + kinetic - heat
+        values["conserved_energy"] = potential_energy + kinetic - simulation.heat
+    if bonds is not None:
+        values["constraint_violation"] = float(bonds.violation(system.positions).max())
     return Frame(simulation.step, simulation.time, simulation.positions, simulation.velocities, simulation.forces, values)

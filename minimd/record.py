@@ -44,6 +44,7 @@ class Record:
     step : (T,) int.  time : (T,) [time].
     potential_energy, kinetic_energy, total_energy : (T,) [energy].  temperature : (T,).
     conserved_energy : (T,) [energy], total energy minus heat, only with a thermostat.
+    constraint_violation : (T,) largest |r² − d²|/d², only with lengths held fixed.
     pressure : (T,) [energy/length³], only where the cell has a volume.
     momentum, angular_momentum : (T, 3).  absolute_momentum : (T,) Σ |m v|.
     absolute_angular_momentum : (T,) Σ m |r − r_cm| |v|.

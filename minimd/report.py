@@ -50,7 +50,7 @@ def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run cost: steps, seconds, list builds, force evaluations; in words, the lists it got and what it did not have to pay for."""
+    """What a run cost: steps, seconds, list builds, force evaluations; in words, its lists, its constraints and what it had no need to pay for."""
 
     n_steps: int
     seconds: float
@@ -58,11 +58,14 @@ class Cost:
     n_evaluations: int
     pair_search: str
     skipped: list[str]
+    constraints: str = ""
 
     def lines(self) -> list[str]:
         """Lines of a report."""
         speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
         lines = [f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"]
+        if self.constraints:
+            lines.append(f"constraints    {self.constraints}")
         return [*lines, f"not needed     {', '.join(self.skipped)}"] if self.skipped else lines
 
 
@@ -76,6 +79,7 @@ class Report:
     energy_oscillation : standard deviation of the total energy per atom about that line [energy].
     momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None where P is not a constant.
     angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None where L is not a constant.
+    constraint_violation : largest |r² − d²|/d², or None without constraints.
     mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
     duration : [ps or τ].  n_frames, n_steps : observed, and between the first and the last.  cost : of the run, if known.
     kinetic_energy : mean per atom [energy].
@@ -93,6 +97,7 @@ class Report:
     n_steps: int
     units: tuple[str, str, str]
     has_bath: bool = False
+    constraint_violation: float | None = None
     cost: Cost | None = None
 
     @property
@@ -118,6 +123,8 @@ class Report:
             lines.append(f"momentum       change {self.momentum_change:.1e} of the sum of |mv|")
         if self.angular_momentum_change is not None:
             lines.append(f"ang. momentum  change {self.angular_momentum_change:.1e} of the sum of m|r||v|")
+        if self.constraint_violation is not None:
+            lines.append(f"lengths        kept to {self.constraint_violation:.1e} (|r² − d²|/d²)")
         lines.append(f"temperature    {self.mean_temperature:.4g} ± {self.temperature_deviation:.2g} {temperature}")
         if self.cost is not None:
             lines.extend(self.cost.lines())
@@ -152,6 +159,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         energy_oscillation=float(about_line.std()),
         momentum_change=_largest_change(record.momentum, record.absolute_momentum) if linear else None,
         has_bath=has_bath,
+        constraint_violation=float(record.constraint_violation.max()) if "constraint_violation" in record else None,
         angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum) if angular else None,
         mean_temperature=float(record.temperature.mean()),
         temperature_deviation=float(record.temperature.std()),

@@ -112,6 +112,8 @@ class Simulation(Dynamics):
         self.record = Record(self.system.units, len(self.system))
         self._run_seconds, self._run_steps = 0.0, 0
         self._forces.reset_counts()
+        if self._state.constraints is not None:
+            self._state.constraints.iterations = 0
         start, end = self.step, self.step + n_steps
         with (
             stop_on_interrupt(self._state),
@@ -137,8 +139,15 @@ class Simulation(Dynamics):
         """
         if self.record is None:
             raise ValueError("there is nothing to report yet; call run first")
+        forces, bonds = self._forces, self._state.constraints
         cost = Cost(
-            self._run_steps, self._run_seconds, self._forces.n_builds, self._forces.n_evaluations, self._forces.pair_search, self._forces.skipped()
+            n_steps=self._run_steps,
+            seconds=self._run_seconds,
+            list_builds=forces.n_builds,
+            n_evaluations=forces.n_evaluations,
+            pair_search=forces.pair_search,
+            skipped=forces.skipped(),
+            constraints=f"{bonds.words}; at most {bonds.iterations} iterations in a drift" if bonds else "",
         )
         is_free = self.method.conserves_momentum and not self._rigidity.n_fixed
         return conservation_report(self.record, linear=is_free, angular=is_free and not self.system.cell.is_periodic, cost=cost)
@@ -151,9 +160,10 @@ class Simulation(Dynamics):
     def _frame(self) -> Frame:
         self._look()
         forces, virial = self._forces, self._forces.virial
-        if self._state.constraints is not None:
-            virial = virial + self._state.constraints.virial(self.positions, self.velocities, forces.forces)
-        return observe(self, virial, forces.potential_energy, self._state.heat)
+        bonds = self._state.constraints
+        if bonds is not None:
+            virial = virial + bonds.virial(self.positions, self.velocities, forces.forces)
+        return observe(self, virial, forces.potential_energy, bonds)
 
     def _observe(self, record: Record, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
         frame = self._frame()

@@ -73,11 +73,11 @@ def check_file(path: str | Path) -> FileCheck:
     FileNotFoundError, OSError, ValueError : as minimd.h5md.read_file.
     """
     contents, moved = read_file(path), motion(path)
-    record = _record(contents, moved)
+    record, is_free = _record(contents, moved), contents.conserves_momentum
     return FileCheck(
         heading=_heading(Path(path), contents),
         comparisons=comparisons(moved),
-        report=conservation_report(record, angular=not contents.system.cell.is_periodic),
+        report=conservation_report(record, linear=is_free, angular=is_free and not contents.system.cell.is_periodic),
         structure=liquid(path),
     )
 

@@ -66,6 +66,11 @@ class Dynamics:
         self._state.heat = heat
 
     @property
+    def conserves_momentum(self) -> bool:
+        """Whether the total momentum is a constant: nothing is fixed, and no bath acts on atoms one by one."""
+        return self.method.conserves_momentum and not self._rigidity.n_fixed
+
+    @property
     def constraints(self) -> tuple[Constraint, ...]:
         """What is held fixed."""
         return self._rigidity.given

@@ -34,4 +34,4 @@ def observe(simulation: "Simulation", virial: Any, potential_energy: float, bond
         values["conserved_energy"] = potential_energy + kinetic - simulation.heat
     if bonds is not None:
         values["constraint_violation"] = float(bonds.violation(system.positions).max())
-    return Frame(simulation.step, simulation.time, simulation.positions, simulation.velocities, simulation.forces, values)
+    return Frame(simulation.step, simulation.time, simulation.positions, simulation.velocities, simulation.forces, values, simulation.heat)

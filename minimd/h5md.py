@@ -90,8 +90,8 @@ class H5MDWriter:
             raise ValueError(f"trajectory {str(self._file)!r} is closed; it takes no frame of step {frame.step}")
         if frame.step == self._last_step:
             return
-        arrays = (frame.positions.copy(), frame.velocities.copy(), frame.forces.copy())
-        self._pending.append(Frame(frame.step, frame.time, *arrays, frame.observables))
+        copies = {name: getattr(frame, name).copy() for name in ("positions", "velocities", "forces")}
+        self._pending.append(frame._replace(**copies))
         self._last_step = frame.step
         is_full = 3 * frame.positions.nbytes * len(self._pending) > BUFFER_BYTES
         if is_full or monotonic() - self._flushed >= SECONDS_BETWEEN_FLUSHES:
@@ -137,8 +137,7 @@ class H5MDWriter:
         with self._telling(f"take the frame of step {frames[0].step}"):
             self._append(frames)
             last = frames[-1]
-            heat = last.observables["total_energy"] - last.observables.get("conserved_energy", last.observables["total_energy"])
-            self._write_restart(last.step, last.time, last.positions, last.velocities, heat)
+            self._write_restart(last.step, last.time, last.positions, last.velocities, last.heat)
         self._n_frames += len(frames)
         self._pending = []
         self._flushed = monotonic()
@@ -247,5 +246,10 @@ def _check_continues(file: Path, contents: H5MDContents, simulation: "Simulation
             raise ValueError(f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new file")
     if simulation.step != contents.step:
         raise ValueError(f"trajectory {str(file)!r} continues from step {contents.step}; the simulation stands at step {simulation.step}")
+    if simulation.method.is_thermostat != ("conserved_energy" in contents.record):
+        raise ValueError(
+            f"trajectory {str(file)!r} was written {'without' if simulation.method.is_thermostat else 'with'} a thermostat, "
+            f"{simulation.method.name} would continue it otherwise; write to a new file"
+        )
     if store_forces and not contents.has_forces:
         raise ValueError(f"trajectory {str(file)!r} was begun without forces; resume without storing them, or write to a new file")

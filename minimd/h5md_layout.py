@@ -45,7 +45,7 @@ class H5MDContents:
     ----------
     record : Record, one entry for each frame.  system : System at the restart, to the last bit.
     step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
-    heat : [energy], that a thermostat had put in at the restart; 0 without one.
+    heat : [energy], that a thermostat had put in at the restart; 0 without one.  conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
     """
 
@@ -56,6 +56,7 @@ class H5MDContents:
     timestep: float
     method: str
     heat: float
+    conserves_momentum: bool
     n_frames: int
     has_forces: bool
     title: str
@@ -141,7 +142,8 @@ def describe(h5: h5py.File, simulation: "Simulation") -> None:
 
 def describe_method(group: h5py.Group, simulation: "Simulation") -> None:
     """Method and time step of the frames that come next."""
-    group.attrs.update({"method": simulation.method.name, **{name: np.asarray(value) for name, value in simulation.method.parameters.items()}})
+    group.attrs.update({"method": simulation.method.name, "conserves_momentum": simulation.conserves_momentum})
+    group.attrs.update({name: np.asarray(value) for name, value in simulation.method.parameters.items()})
 
 
 def _describe_standard(h5: h5py.File, system: System) -> None:
@@ -229,6 +231,7 @@ def read_file(path: str | Path) -> H5MDContents:
             timestep=float(group.attrs["timestep"]),
             method=str(group.attrs["method"]),
             heat=float(restart["heat"]),
+            conserves_momentum=bool(group.attrs["conserves_momentum"]),
             n_frames=n_frames,
             has_forces=f"{TRAJECTORY}/force" in h5,
             title=str(group.attrs["title"]),

@@ -59,13 +59,15 @@ def _times(contents: H5MDContents) -> np.ndarray:
 
 
 def _energy(panel: Axes, contents: H5MDContents) -> None:
-    """Total energy per atom against its start, and the line that the report fits."""
+    """Total energy per atom, minus heat Q if there is a bath, against its start, and a straight line through it."""
     record, times = contents.record, _times(contents)
-    change, factor = _scaled((record.total_energy - record.total_energy[0]) / record.n_atoms)
-    panel.plot(times, change, color=ENERGY, label="total energy", **STYLE)
+    has_bath = "conserved_energy" in record
+    energy, name = (record.conserved_energy, "total energy − heat") if has_bath else (record.total_energy, "total energy")
+    change, factor = _scaled((energy - energy[0]) / record.n_atoms)
+    panel.plot(times, change, color=ENERGY, label=name, **STYLE)
     panel.plot(times, change.mean() + drift(times, change).slope * (times - times.mean()), color=ACCENT, lw=1.0, ls="--", label="drift")
-    panel.set_ylabel(f"(E − E₀) / N  [{factor}{record.units.energy}]")
-    panel.set_title(f"total energy per atom   (kinetic energy: {record.kinetic_energy.mean() / record.n_atoms:.3g} {record.units.energy})")
+    panel.set_ylabel(f"{'(E − Q − E₀)' if has_bath else '(E − E₀)'} / N  [{factor}{record.units.energy}]")
+    panel.set_title(f"{name} per atom   (kinetic energy: {record.kinetic_energy.mean() / record.n_atoms:.3g} {record.units.energy})")
     panel.margins(y=0.12)
     panel.legend(frameon=False, fontsize=8, ncols=2, loc="lower right", borderaxespad=0.0)
 

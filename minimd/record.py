@@ -25,7 +25,7 @@ class Frame(NamedTuple):
     """One observed moment. Arrays are those of the running simulation: copy what is to be kept.
 
     step, time [time].  positions, velocities, forces : (N, 3).  observables : name in SERIES to number or (3,) array;
-    pressure is missing unless the cell has a volume.
+    pressure is missing unless the cell has a volume.  heat : what a thermostat has put in [energy].
     """
 
     step: int
@@ -34,6 +34,7 @@ class Frame(NamedTuple):
     velocities: NDArray[np.float64]
     forces: NDArray[np.float64]
     observables: dict[str, Any]
+    heat: float = 0.0
 
 
 class Record:

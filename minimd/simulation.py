@@ -149,7 +149,7 @@ class Simulation(Dynamics):
             skipped=forces.skipped(),
             constraints=f"{bonds.words}; at most {bonds.iterations} iterations in a drift" if bonds else "",
         )
-        is_free = self.method.conserves_momentum and not self._rigidity.n_fixed
+        is_free = self.conserves_momentum
         return conservation_report(self.record, linear=is_free, angular=is_free and not self.system.cell.is_periodic, cost=cost)
 
     def frame(self) -> Frame:

@@ -6,8 +6,11 @@ from references import liquid
 from scipy import stats
 
 import minimd as md
-from minimd.h5md import read_file
-from minimd.integrators import THERMOSTATS, State
+from minimd.check import check_file
+from minimd.h5md import H5MDWriter, read_file
+from minimd.integrators import THERMOSTATS, Drift, Kick, State, adjoint, compose
+from minimd.integrators.rows import Thermalize
+from minimd.report import drift, drift_of_walk
 from minimd.scene import parse_scene
 from minimd.scene.running import resume_run, run_scene
 
@@ -93,6 +96,20 @@ def test_noise_depends_on_seed_and_step_alone():
     assert (after(-3) != after(3)).all()
 
 
+class OBABO(md.LangevinBAOAB):
+    """Two contacts with the bath in a step. G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007)."""
+
+    name = "langevin-obabo"
+    letters = (Thermalize(0.5), Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(0.5))
+
+
+def test_two_contacts_in_a_step_have_two_noises():
+    """Free atoms from rest: variance k_B T (1 − e^(−2γΔt))/m after one step, as after one contact; with equal noises it would be larger."""
+    s = state(np.zeros((20_000, 3)), np.ones(20_000))
+    OBABO(1.0, 1.3, 0.5, seed=2).advance(s, lambda s, look: None, 1)
+    assert s.velocities.var() == pytest.approx(1.3 * (1.0 - np.exp(-1.0)), rel=4.0 * np.sqrt(2.0 / s.velocities.size))  # statistics
+
+
 def test_configurations_of_an_oscillator_are_exact_at_large_timesteps():
     """ωΔt = 1.5: ⟨q²⟩ = k_B T/k without error, ⟨v²⟩ = k_B T/m (1 − (ωΔt)²/4) with one. B. Leimkuhler, C. Matthews (2013)."""
     n, omega, temperature = 3000, 1.5, 1.0
@@ -169,9 +186,18 @@ def test_a_run_in_two_parts_is_the_run_in_one(method):
     whole.run(60, every=30)
     parts.run(30, every=30)
     parts.run(30, every=30)
+    assert abs(whole.heat) > 1.0
     assert (whole.positions == parts.positions).all()
     assert (whole.velocities == parts.velocities).all()
     assert whole.heat == parts.heat
+
+
+def test_contacts_at_both_ends_of_a_step_are_not_made_one_where_nobody_looks():
+    whole, parts = (simulation(OBABO(0.004, 1.3, 2.0, 5)) for _ in range(2))
+    whole.run(40, every=40)
+    parts.run(20, every=20)
+    parts.run(20, every=20)
+    assert whole.positions == pytest.approx(parts.positions, abs=1e-9)  # rounding: energies are summed with the forces or without
 
 
 @pytest.mark.parametrize("method", THERMOSTATS)
@@ -207,6 +233,7 @@ def test_equilibration_and_run_have_different_noise():
         (lambda: md.LangevinBAOAB(0.01, -1.0, 1.0, 1), "temperature must be finite and not negative"),
         (lambda: md.LangevinBAOAB(0.01, 1.0, np.nan, 1), "friction must be finite"),
         (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 1.5), "seed must be a whole number"),
+        (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 2**128), "below 2¹²⁸; seed = 340"),
         (lambda: md.StochasticVelocityRescaling(0.01, 1.0, 0.0, 1), "relaxation_time must be positive"),
         (lambda: parse_scene(SCENE.format(method="velocity-verlet"), "x.toml"), "takes? no relaxation time"),
         (lambda: parse_scene(SCENE.format(method="langevin-baoab").replace("relaxation_time = 0.3", ""), "x.toml"), "needs a temperature"),
@@ -220,3 +247,62 @@ def test_bad_baths_are_told(make, message):
 def test_small_problems_are_refused():
     with pytest.raises(TypeError, match="runs in a Simulation"):
         md.LangevinBAOAB.on(md.integrators.SecondOrder(lambda q: -q))
+
+
+def test_what_cannot_be_undone_is_not_composed():
+    for make in (lambda: compose(md.LangevinBAOAB), lambda: adjoint(md.StochasticVelocityRescaling)):
+        with pytest.raises(TypeError, match="has a bath"):
+            make()
+
+
+def test_replay_meets_the_same_noise():
+    """A run that blows up ends in the state of a run that stops just before, made step by step."""
+    failing, twin = (simulation(md.LangevinBAOAB(0.045, 1.3, 1.0, 1)) for _ in range(2))
+    with pytest.raises(md.NonFiniteError):
+        failing.run(20_000, every=100)
+    assert failing.step > 1
+    twin.run(failing.step, every=1)
+    assert (failing.positions, failing.heat) == (pytest.approx(twin.positions, abs=1e-9), pytest.approx(twin.heat, rel=1e-9))  # kicks merge
+
+
+@pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERMOSTATS))
+def test_a_file_of_a_run_with_a_bath_passes_its_check(method, tmp_path):
+    sim = simulation(type(method)(**{**method.parameters, "timestep": 0.002}))
+    sim.equilibrate(1000, 1.3)
+    sim.run(1000, every=10, trajectory=tmp_path / "bath.h5md")
+    checked = check_file(tmp_path / "bath.h5md")
+    assert checked.passed, str(checked)
+    assert checked.report.verdict == sim.report().verdict
+
+
+@pytest.mark.parametrize(("first", "then"), [(LANGEVIN, md.VelocityVerlet(0.01)), (md.VelocityVerlet(0.01), BUSSI)], ids=["without", "with"])
+def test_a_file_with_a_bath_is_not_continued_without_and_the_other_way_round(first, then, tmp_path):
+    simulation(first).run(20, every=10, trajectory=tmp_path / "a.h5md")
+    other = simulation(then)
+    other.step = 20
+    with pytest.raises(ValueError, match=r"a thermostat, .* would continue it otherwise"):
+        H5MDWriter.append_to(tmp_path / "a.h5md", other)
+
+
+def test_drift_of_a_walk_has_an_honest_error():
+    """Of walks without drift few seem to have one, where a fitted line finds it in most; one that is there is found."""
+    rng, t = np.random.default_rng(0), np.linspace(0.0, 100.0, 4001)
+    walks = np.cumsum(rng.normal(size=(300, t.size)), axis=1)
+    misses = sum(abs(drift_of_walk(t, walk).slope) > 2.0 * drift_of_walk(t, walk).error for walk in walks)
+    assert misses < 35  # 5 % expected, with few blocks 6
+    assert sum(drift(t, walk).is_significant for walk in walks) > 150
+    assert all(drift_of_walk(t, walk + 10.0 * np.sqrt(t.size) / 100.0 * t).is_significant for walk in walks)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [lambda s: md.LangevinBAOAB(0.004, 1.3, 5.0, s), lambda s: md.StochasticVelocityRescaling(0.004, 1.3, 0.1, s)])
+def test_long_runs_that_are_fine_are_told_so(make):
+    """Energy minus heat wanders by 1e-3 ε per atom in 25 000 steps; that is no drift."""
+    ratios = []
+    for seed in range(6):
+        sim = simulation(make(seed), seed)
+        sim.run(2000, every=2000)
+        sim.run(25_000, every=10)
+        ratios.append(sim.report().energy_drift.slope / sim.report().energy_drift.error)
+    assert np.abs(ratios).max() < 3.5
+    assert np.sqrt(np.mean(np.square(ratios))) < 2.0  # statistics: 1 expected

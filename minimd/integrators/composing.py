@@ -22,11 +22,12 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
 
     Raises
     ------
-    TypeError : for parts of another kind, or methods mixed with flows without weights.  ValueError : if numbers differ.
+    TypeError : for parts of another kind or with a bath, or methods mixed with flows without weights.  ValueError : if numbers differ.
     """
     for part in parts:
         if not isinstance(part, (Kick, Drift)) and not (isinstance(part, type) and issubclass(part, Splitting)):
             raise TypeError(f"parts must be methods, such as VelocityVerlet, or flows, such as Kick(0.5); got {part!r}")
+        _refuse_bath(part)
     if weights is None:
         weights = _shares(parts)
     if len(weights) != len(parts) or not parts:
@@ -37,8 +38,19 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
 
 
 def adjoint(method: type[Splitting]) -> type[Splitting]:
-    """The adjoint Φ*_Δt = (Φ_{−Δt})⁻¹: the row read backwards. It undoes a step when time runs backwards."""
+    """The adjoint Φ*_Δt = (Φ_{−Δt})⁻¹: the row read backwards. It undoes a step when time runs backwards.
+
+    Raises
+    ------
+    TypeError : for a method with a bath, which cannot be undone.
+    """
+    _refuse_bath(method)
     return _method(f"adjoint({method.name})", mirrored(method.row()), f"adjoint of {method.name}: {method.source}")
+
+
+def _refuse_bath(part: Part) -> None:
+    if isinstance(part, type) and part.is_thermostat:
+        raise TypeError(f"{part.name} has a bath: its steps have no inverse and no parts that last for a share of them")
 
 
 def _shares(parts: Sequence[Part]) -> list[float]:

@@ -32,7 +32,7 @@ class State:
     forces_are_current : whether forces belong to positions; whoever moves positions sets it to False.
     stop_requested : set it to True to end a run of steps after the present one.
     constraints : lengths to keep, if any; inverse_masses are then zero for atoms that are held fixed.
-    step : steps made since the start; noise depends on it.  n_dof : degrees of freedom.  k_B : in units of the others.
+    step : steps made since the start, contacts : with a bath since the step began; noise depends on both.  n_dof : degrees of freedom.  k_B : in units of the others.
     heat : what a thermostat has put in since the start [energy].
     """
 
@@ -44,6 +44,7 @@ class State:
     stop_requested: bool = False
     constraints: "RigidBonds | None" = None
     step: int = 0
+    contacts: int = 0
     n_dof: int = 0
     k_B: float = 1.0
     heat: float = 0.0
@@ -149,11 +150,12 @@ class Splitting(Method):
         look : compute the forces of the last step with the flag that somebody looks at the energy.
         """
         opening, body, between, closing = self._merged()
+        state.contacts = 0
         self._apply(opening, state, compute_forces)
         for step in range(1, n_steps + 1):
             is_last = step == n_steps or state.stop_requested
             self._apply(body + (closing if is_last else between), state, compute_forces, look_at_last=look and is_last)
-            state.step += 1
+            state.step, state.contacts = state.step + 1, 0
             if is_last:
                 break
         if state.constraints is not None:
@@ -167,7 +169,7 @@ class Splitting(Method):
     def _merged(self) -> tuple[Row, ...]:
         """The row as letters before, in, between and after the steps, with equal neighbors made one."""
         first, last = self.letters[0], self.letters[-1]
-        if len(self.letters) == 1 or type(first) is not type(last):
+        if len(self.letters) == 1 or type(first) is not type(last) or isinstance(first, Thermalize):  # noise is not merged
             return self.opening, self.letters, (), self.closing
         merged = type(first)(first.coefficient + last.coefficient)
         return (*self.opening, first), self.letters[1:-1], (merged,), (last, *self.closing)

@@ -1,8 +1,9 @@
 """Methods in contact with a bath: the letters of a splitting, and one more that changes velocities at random.
 
-The noise of a step depends on the seed and on the number of the step, on nothing else: a run that is stopped and resumed, replayed
-after a failure, or made on other threads, meets the same noise. What the bath puts in is counted as heat, so that total energy
-minus heat is conserved as the total energy is without a bath. G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007).
+The noise of a step depends on the seed, the number of the step and the place in its row, on nothing else: a run that is stopped and
+resumed, replayed after a failure, or made on other threads, meets the same noise. What the bath puts in is counted as heat, so that
+total energy minus heat changes by the errors of kicks and drifts only: it wanders a little, and drifts where Δt is large.
+G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007); D. A. Sivak, J. D. Chodera, G. E. Crooks, Phys. Rev. X 3, 011007 (2013).
 """
 
 from math import exp, isfinite, sqrt
@@ -17,6 +18,7 @@ from minimd.integrators.problems import Problem
 from minimd.integrators.rows import Drift, Kick, Thermalize
 from minimd.integrators.splitting import Splitting, State
 
+SEEDS = 2**128  # keys of numpy's Philox
 STEPS = 2**64  # counters of noise; steps before the start, of an equilibration, count from the other end
 
 
@@ -25,7 +27,7 @@ class Thermostat(Splitting):
 
     Parameters
     ----------
-    timestep : Δt [time], positive.  temperature : of the bath, ≥ 0.  seed : int ≥ 0, of the noise.
+    timestep : Δt [time], positive.  temperature : of the bath, ≥ 0.  seed : int ≥ 0, of the noise, below 2¹²⁸.
 
     Raises
     ------
@@ -42,8 +44,8 @@ class Thermostat(Splitting):
         super().__init__(timestep)
         if self.timestep < 0.0:
             raise ValueError(f"time cannot run backwards with a thermostat; timestep = {timestep!r}")
-        if not isinstance(seed, Integral) or seed < 0:
-            raise ValueError(f"seed must be a whole number, not negative; seed = {seed!r}")
+        if not isinstance(seed, Integral) or not 0 <= seed < SEEDS:
+            raise ValueError(f"seed must be a whole number, not negative and below 2¹²⁸; seed = {seed!r}")
         self.temperature, self.seed = _not_negative("temperature", temperature), int(seed)
 
     @property
@@ -62,8 +64,10 @@ class Thermostat(Splitting):
         raise TypeError(f"{cls.name} runs in a Simulation, where atoms have masses and a temperature has a unit")
 
     def noise(self, state: State) -> np.random.Generator:
-        """The random numbers of the present step."""
-        return np.random.Generator(np.random.Philox(key=self.seed, counter=np.array([0, 0, 0, state.step % STEPS], dtype=np.uint64)))
+        """The random numbers of one contact with the bath: of this step, and of its place among those of the step."""
+        counter = np.array([0, 0, state.contacts, state.step % STEPS], dtype=np.uint64)
+        state.contacts += 1
+        return np.random.Generator(np.random.Philox(key=self.seed, counter=counter))
 
 
 class LangevinBAOAB(Thermostat):

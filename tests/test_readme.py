@@ -14,6 +14,7 @@ from minimd.pair_laws import CLUSTERS_FROM
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
 FAST_FORCES = REPOSITORY / "docs" / "fast-forces.md"
+INTEGRATORS = REPOSITORY / "docs" / "integrators.md"
 SCRIPTS = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.S)
 
 
@@ -29,7 +30,7 @@ def test_readme_has_no_blanks():
     assert "@" not in README.read_text(encoding="utf-8").replace("@dataclass", "")
 
 
-@pytest.mark.parametrize("page", [README, FAST_FORCES], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [README, FAST_FORCES, INTEGRATORS], ids=lambda page: page.name)
 def test_links_and_files_named_are_there(page):
     text = page.read_text(encoding="utf-8")
     for link in re.findall(r"\]\(([^):]+)\)", text):

@@ -18,7 +18,7 @@ from minimd.compiling import inlined, kernel
 
 EPS = float(np.finfo(float).eps)
 ROUNDING = 4.0 * EPS  # of |r|² against d²: there is nothing left to gain
-LAST = 1e-8  # residuals below: one more iteration of Newton's squares them to rounding
+LAST = 1e-9  # residuals below: one more iteration of Newton's squares them to rounding, even where their equations are stiff
 NOTHING = -1
 DEPENDENT = 1e-10  # a pivot this small beside its diagonal is rounding
 

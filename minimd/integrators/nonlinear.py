@@ -13,8 +13,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgetrf, dgetrs
 
 from minimd.errors import ConvergenceError
 
@@ -63,7 +63,7 @@ class Newton:
             matrix = matrix * sizes
             rows = 1.0 / np.maximum(np.abs(matrix).max(axis=1), np.finfo(float).tiny)
             matrix *= rows[:, None]
-        factors, pivots, zero_pivot = dgetrf(matrix)
+        factors, pivots, zero_pivot = scipy.linalg.lapack.dgetrf(matrix)
         if zero_pivot:
             raise ConvergenceError(f"the equations of the step are singular: unknown {zero_pivot - 1} is not determined")
         return factors, pivots, sizes, rows
@@ -71,7 +71,8 @@ class Newton:
     def correction(self, factors: Any, r: Array) -> Array:
         """J⁻¹ r."""
         lu, pivots, sizes, rows = factors
-        return dgetrs(lu, pivots, r)[0] if rows is None else sizes * dgetrs(lu, pivots, rows * r)[0]
+        solve = scipy.linalg.lapack.dgetrs
+        return solve(lu, pivots, r)[0] if rows is None else sizes * solve(lu, pivots, rows * r)[0]
 
 
 class FixedPoint(Newton):

@@ -102,6 +102,13 @@ def test_rejected_steps_are_counted():
     assert run.nfev == 3 * (len(run.t) - 1 + run.n_rejected)
 
 
+def test_an_adaptive_run_ends_after_so_many_steps():
+    solution = run_adaptive(SecondOrder(lambda q: -q), VelocityVerlet, ([1.0], [0.0]), 10.0, rtol=1e-12, atol=1e-12, max_steps=50)
+    assert not solution.success
+    assert "after 50 steps" in solution.message
+    assert len(solution.t) + solution.n_rejected == 51
+
+
 def test_a_step_that_may_not_be_shorter_ends_the_run_where_it_is():
     run = run_adaptive(KEPLER, VelocityVerlet, KEPLER_START, 6.0, rtol=1e-8, min_step=0.01)
     assert not run.success

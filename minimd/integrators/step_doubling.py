@@ -37,6 +37,7 @@ def run_adaptive(
     first_step: float | None = None,
     min_step: float = 0.0,
     max_step: float = np.inf,
+    max_steps: int = 1_000_000,
 ) -> Solution:
     """Steps to t_end whose length follows from their error, estimated by step doubling.
 
@@ -46,12 +47,12 @@ def run_adaptive(
     ----------
     method : a one-step method without a time step, such as VelocityVerlet.
     rtol, atol : relative and absolute error allowed per step; atol may differ from component to component.
-    first_step, min_step, max_step : lengths of steps [time], positive.
+    first_step, min_step, max_step : lengths of steps [time], positive.  max_steps : int, tried at most, rejected ones among them.
 
     Raises
     ------
     TypeError : for anything but a problem and a method without a time step.  ValueError : for tolerances or steps out of range.
-    A run that needs steps below min_step, or below the spacing of numbers at t, ends there: solution.success is False.
+    A run that needs steps below min_step or below the spacing of numbers at t, or too many, ends there: solution.success is False.
     """
     check_problem(problem)
     check_ahead(t0, t_end)
@@ -86,6 +87,9 @@ def run_adaptive(
             )
         else:
             solution.n_rejected += 1
+        if solution.success and len(times) + solution.n_rejected > max_steps:
+            solution.success = False
+            solution.message = f"stopped at t = {t:g} after {max_steps} steps, the last of {h:.1e}; loosen rtol and atol, or raise max_steps"
         h = lengths.after(h, error, order)
     solution.t, solution.y, solution.nfev = np.array(times), np.array(states), coarse.nfev + fine.nfev
     return solution

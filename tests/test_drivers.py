@@ -39,7 +39,7 @@ def test_run_steps_keeps_the_first_state_every_so_many_and_the_last():
 
 
 @pytest.mark.parametrize(
-    ("t0", "t_end"), [(0.0, 1.05), (0.0, 1.0), (3.0, 4.05), (1e6, 1e6 + 1.05), (0.0, 0.03), (2.0, 0.95), (-1.0, -2.05), (0.0, 0.1 * 3)]
+    ("t0", "t_end"), [(0.0, 1.05), (0.0, 1.0), (0.7, 0.8), (3.0, 4.05), (1e6, 1e6 + 1.05), (0.0, 0.03), (2.0, 0.95), (-1.0, -2.05), (0.0, 0.1 * 3)]
 )
 def test_run_until_ends_exactly_there(t0, t_end):
     """The last step is the shorter one, and there is none that rounding alone would make."""
@@ -82,6 +82,18 @@ def test_the_error_of_adaptive_runs_falls_with_the_tolerance(method, sign):
     assert slope == pytest.approx(method.order / (method.order + 1), abs=0.25)
     assert errors[2] < 1e-4
     assert runs[0].nfev < runs[1].nfev < runs[2].nfev
+
+
+@pytest.mark.parametrize("method", [VelocityVerlet, BlanesMoan4, RadauIIA3])
+def test_a_step_is_accepted_if_its_estimated_error_is_allowed(method):
+    """‖y_h − y_{h/2, h/2}‖ / (2ᵖ − 1), in root mean square, and within 30 % of the true error."""
+    one, two = (run_steps(KEPLER, method(0.05 / n), KEPLER_START, n).y[-1] for n in (1, 2))
+    estimate = np.sqrt(np.mean((one - two) ** 2)) / (2.0**method.order - 1.0)
+    assert estimate == pytest.approx(np.sqrt(np.mean((two - kepler_orbit(0.05)) ** 2)), rel=0.3)
+    for atol, n_rejected in ((1.001 * estimate, 0), (0.999 * estimate, 1)):
+        run = run_adaptive(KEPLER, method, KEPLER_START, 0.05, rtol=0.0, atol=atol, first_step=0.05)
+        assert run.n_rejected >= n_rejected
+        assert (len(run.t) == 2) == (n_rejected == 0)
 
 
 def test_steps_of_adaptive_runs_stay_within_their_bounds_and_shorten_where_the_solution_is_fast():

@@ -145,11 +145,11 @@ def test_units_change_nothing(method, scale):
 
 
 @pytest.mark.parametrize("method", IMPLICIT)
-@pytest.mark.parametrize("timestep", [0.01, 0.1, 0.5])
+@pytest.mark.parametrize("timestep", [0.05, 0.5])
 def test_implicit_steps_come_to_rest(method, timestep):
     """At rest the slopes are rounding of the state, which is nothing to solve any further."""
     problem = FirstOrder(lambda y: np.array([y[1] - y[0] ** 3 + 0.3, 1.0 - y[1] + 0.1 * np.sin(y[0])]))
-    end = run_steps(problem, method(timestep), [0.0, 2.0], round(60.0 / timestep), every=1000).y[-1]
+    end = run_steps(problem, method(timestep), [0.0, 2.0], round(50.0 / timestep), every=1000).y[-1]
     assert np.abs(problem.field(0.0, end)).max() < 1e-14
 
 
@@ -222,7 +222,7 @@ def test_a_magnetic_field_does_no_work_on_average():
 
 
 def test_the_energy_of_a_hamiltonian_that_is_not_separable_does_not_drift():
-    path = run_steps(TWISTED, VelocityVerlet(0.05), TWISTED_START, 4000)
+    path = run_steps(TWISTED, VelocityVerlet(0.05), TWISTED_START, 2000)
     energy = (1.0 + (path.q**2).sum(axis=1)) * (1.0 + (path.v**2).sum(axis=1)) / 2.0 + path.q[:, 0] * path.v[:, 1] / 2.0
-    assert np.ptp(energy[2000:]) == pytest.approx(np.ptp(energy[:2000]), rel=0.1)
+    assert np.ptp(energy[1000:]) == pytest.approx(np.ptp(energy[:1000]), rel=0.1)
     assert np.ptp(energy) < 1e-2

@@ -1,7 +1,5 @@
 """Small problems whose solutions or invariants are known, and what is measured on them, for the laws of the integrators."""
 
-from itertools import pairwise
-
 import numba
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -108,8 +106,3 @@ def symplecticity_defect(m):
     n = len(m) // 2
     j = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
     return np.abs(m.T @ j @ m - j).max()
-
-
-def growth(values):
-    """Ratios of neighbors."""
-    return [late / early for early, late in pairwise(values)]

@@ -72,7 +72,7 @@ class Hessenberg(DifferentialAlgebraic):
             def violation(x: Array) -> Array:
                 return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
 
-            size = _size(parts[i], parts)
+            size = self._size_of_algebraic(t, parts) if k == last else _size(parts[i], parts)
             if not are_independent(violation, parts[i], step, size):
                 raise ValueError(f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher than {self.index}: "
                                  f"the constraints 0 = {self.chain[k]} do not determine {self.names[i]}")  # fmt: skip
@@ -92,6 +92,18 @@ class Hessenberg(DifferentialAlgebraic):
                              f"{violation[worst]:.2e} at t = {t:g}, and {name} would have to move by {move:.1e}; "
                              "give consistent values, or take them from problem.corrected(start, t0)")  # fmt: skip
         return root if move > KEPT * size else part
+
+    def _size_of_algebraic(self, t: float, parts: list[Array]) -> float:
+        """The algebraic variables that would change the highest derivative of the path by its size."""
+        *others, algebraic = parts
+        here = self._highest_derivative(t, *parts)
+        response = np.abs(self._highest_derivative(t, *others, algebraic + 1.0) - here).max()
+        wanted = np.abs(here).max() or np.abs(parts[0]).max()
+        return float(wanted / response) if wanted > 0.0 < response else 1.0
+
+    def _highest_derivative(self, t: float, *parts: Array) -> Array:
+        """The derivative of y through which the algebraic variables act on the last constraint of the chain."""
+        return parts[-1]
 
     def _begun(self, start: Any, t: float) -> list[Array]:
         """The parts of a start, zeros for algebraic variables that are not given; sizes are remembered."""
@@ -192,6 +204,9 @@ class Hessenberg2(Hessenberg):
         f = self.f(t, *parts)
         return time_derivative(lambda e: self.g(t + e, y + e * f), 1, unit_of_time(y, f))
 
+    def _highest_derivative(self, t: float, *parts: Array) -> Array:
+        return self.f(t, *parts)
+
     def _answers(self, t: float, *parts: Array) -> Parts:
         return self.f(t, *parts), self.g(t, parts[0])
 
@@ -229,21 +244,21 @@ class Hessenberg3(Hessenberg):
         y, z = parts[:2]
         if k == 0:
             return self.g(t, y)
-        rate = self._rate(t, y, z)
+        rate = self.f(t, y, z)
         if k == 1:
             return time_derivative(lambda e: self.g(t + e, y + e * rate), 1, unit_of_time(y, rate))
-        second = self._second(t, y, z, rate, parts[2])
+        second = self._second(t, y, z, parts[2])
         return time_derivative(lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), 2, unit_of_time(y, rate, second))
 
     def _answers(self, t: float, *parts: Array) -> Parts:
         return self.f(t, *parts[:2]), self.k(t, *parts), self.g(t, parts[0])
 
-    def _rate(self, t: float, y: Array, z: Array) -> Array:
-        """y′."""
-        return self.f(t, y, z)
+    def _highest_derivative(self, t: float, *parts: Array) -> Array:
+        return self._second(t, *parts)
 
-    def _second(self, t: float, y: Array, z: Array, rate: Array, u: Array) -> Array:
+    def _second(self, t: float, y: Array, z: Array, u: Array) -> Array:
         """y″ = f_t + f_y f + f_z k."""
+        rate = self.f(t, y, z)
         z_rate = self.k(t, y, z, u)
         unit = min(unit_of_time(y, rate), unit_of_time(z, z_rate))
         return time_derivative(lambda e: self.f(t + e, y + e * rate, z + e * z_rate), 1, unit)

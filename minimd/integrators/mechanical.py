@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.integrators.differences import central_differences
 from minimd.integrators.differential_algebraic import Function, taking
 from minimd.integrators.hessenberg import Hessenberg3
-from minimd.integrators.nonlinear import Newton, Solver
+from minimd.integrators.nonlinear import Newton, Solver, finite_differences
 
 Array = NDArray[np.float64]
 
@@ -51,6 +51,22 @@ class Mechanical(Hessenberg3):
         q, v, multipliers = self.parts(y)
         return np.concatenate([v, self._acceleration(t, q, v, multipliers), np.zeros(multipliers.size)])
 
+    def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
+        """∂F/∂y: −1 for v in q′ − v, G and Gᵀ as they are, the rest by finite differences."""
+        q, v, multipliers = self.parts(y)
+        v_slope = self.parts(slope)[1]
+        of_q, of_v, of_multipliers = self._slices
+
+        def momentum(q: Array, v: Array) -> Array:
+            return np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers)
+
+        here, gradient, matrix = momentum(q, v), self.gradient(t, q), np.zeros((y.size, y.size))
+        matrix[of_q, of_v] = -np.eye(q.size)
+        matrix[of_v, of_q] = finite_differences(lambda x: momentum(x, v), q, here)
+        matrix[of_v, of_v] = finite_differences(lambda x: momentum(q, x), v, here)
+        matrix[of_v, of_multipliers], matrix[of_multipliers, of_q] = gradient.T, gradient
+        return matrix
+
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """1, M and 0."""
         matrix = super().slope_jacobian(t, y, slope)
@@ -82,5 +98,5 @@ class Mechanical(Hessenberg3):
         except np.linalg.LinAlgError:
             raise ValueError(f"the mass matrix must be regular; it is singular at q = {q}") from None
 
-    def _second(self, t: float, y: Array, z: Array, rate: Array, u: Array) -> Array:
+    def _second(self, t: float, y: Array, z: Array, u: Array) -> Array:
         return self._acceleration(t, y, z, u)

@@ -23,6 +23,7 @@ Residual = Callable[[Array], Array]
 EPS = float(np.finfo(float).eps)
 SLOW = 0.3  # a correction shrinks at least by this factor per iteration, or the Jacobian is renewed
 NEAR = 16.0 * EPS  # corrections, relative to the unknowns, that are taken for rounding once they shrink slowly
+STALLED = 0.5  # a new Jacobian that does not even bring this factor does not help
 SMALL = 1e-8  # the same, once they no longer shrink with a new Jacobian either
 
 
@@ -129,7 +130,7 @@ class Iteration:
         ------
         ConvergenceError : with the largest residual.
         """
-        before, was_small, slow = np.inf, False, self.solver.slow
+        before, last, slow = np.inf, np.inf, self.solver.slow
         for _ in range(self.solver.max_iterations):
             r = residual(x)
             if not r.any():
@@ -145,9 +146,9 @@ class Iteration:
                 return x
             if size >= slow * before:
                 is_small = _relative_size(dx, x, scale if floor is None else floor) <= self.solver.small
-                if size <= NEAR or (is_small and was_small):
+                if size <= NEAR or (is_small and size > STALLED * last):
                     return x
-                was_small, before, self._factors = is_small, np.inf, None
+                last, before, self._factors = size if is_small else np.inf, np.inf, None
             else:
                 before = size
         self._factors = None

@@ -15,6 +15,7 @@ from minimd.integrators.nonlinear import FixedPoint, finite_differences
 from minimd.integrators.problems import FirstOrder, Problem
 
 Array = NDArray[np.float64]
+AMPLIFIED = 3e1  # rounding, by steps of some hundredth of the time in which the solution varies; once for each level
 VANISHING = 1e-30  # of the largest variable: sizes below are no sizes
 
 
@@ -73,13 +74,15 @@ class StageEquations:
         return finite_differences(lambda x: self._residual(t, x, slope), y, at_y), np.eye(y.size)
 
     def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float | None]:
-        """Sizes of the unknowns: each in itself, and beside the largest one. Those of explicit problems have one size for all, and are
-        rounding once what they add to the state is: at rest slopes vanish, and the state does not.
+        """Sizes of the unknowns, each in itself; and what else is rounding, once corrections no longer shrink.
+
+        Explicit problems have one size for all, and slopes that are rounding once what they add to the state is: at rest slopes
+        vanish, and the state does not. In algebraic variables all that no longer shrinks is rounding, once the others are solved for.
         """
-        if not isinstance(self._problem, DifferentialAlgebraic):
+        problem = self._problem
+        if not isinstance(problem, DifferentialAlgebraic):
             return 0.0, float(np.abs(base).max()) / abs(h)
-        amplified = 1.0 / (abs(h) * self._problem.error_weights(h))
         sizes = np.maximum(np.abs(base), np.abs(h * guess).max(axis=0))
-        largest = sizes.max() or 1.0
-        own = np.maximum(sizes, VANISHING * largest) * amplified
-        return np.tile(own, len(guess)), np.tile(largest * amplified, len(guess))
+        own = np.maximum(sizes, VANISHING * sizes.max()) * AMPLIFIED**problem.levels / abs(h)
+        floor = np.where(problem.levels > 0, np.inf, sizes[problem.levels == 0].max(initial=0.0) / abs(h))
+        return np.tile(own, len(guess)), np.tile(floor, len(guess))

@@ -132,11 +132,11 @@ def test_energy_of_a_bead_on_an_ellipse_oscillates_and_does_not_drift():
 
 
 def test_multipliers_are_the_tension():
-    """λ = −(|v|² + cos θ) for unit length, mass and gravity."""
+    """λ = |v|² + cos θ for unit length, mass and gravity."""
     problem = pendulum()
     problem.begin(START)
     q, v = np.array([np.sin(0.4), -np.cos(0.4)]), 0.7 * np.array([np.cos(0.4), np.sin(0.4)])
-    assert problem.multipliers(0.0, q, v)[0] == pytest.approx(-(0.49 + np.cos(0.4)), rel=1e-8)
+    assert problem.multipliers(0.0, q, v)[0] == pytest.approx(0.49 + np.cos(0.4), rel=1e-8)
 
 
 def test_a_start_off_the_manifold_is_projected_and_told():

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 CENTRAL = float(np.finfo(float).eps) ** (1.0 / 3.0)  # of a variable: truncation and rounding are then alike, some 1e-11
+FORWARD = float(np.finfo(float).eps) ** 0.5  # the same for one-sided ones, some 1e-8
 LEAST = 1e-3  # of the largest variable, for the steps of small ones
 
 
@@ -23,3 +24,14 @@ def central_differences(function: Callable[[Array], Array], x: Array, step: floa
         behind[k] -= steps[k]
         columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
     return np.stack(columns, axis=-1)
+
+
+def forward_differences(function: Callable[[Array], Array], x: Array, at_x: Array) -> Array:
+    """∂function/∂x, one column per variable, at half the cost and half the digits; at_x : function(x), known already."""
+    jacobian = np.empty((at_x.size, x.size))
+    steps = FORWARD * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0))
+    for k in range(x.size):
+        moved = x.copy()
+        moved[k] += steps[k]
+        jacobian[:, k] = (function(moved) - at_x) / (moved[k] - x[k])
+    return jacobian

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.integrators.nonlinear import FixedPoint, Newton, Solver, finite_differences
+from minimd.integrators.differences import forward_differences
+from minimd.integrators.nonlinear import FixedPoint, Newton, Solver
 
 Array = NDArray[np.float64]
 Function = Callable[..., Any]
@@ -59,11 +60,11 @@ class DifferentialAlgebraic:
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """∂F/∂y, (n, n)."""
-        return finite_differences(lambda x: self.residual(t, x, slope), y, self.residual(t, y, slope))
+        return forward_differences(lambda x: self.residual(t, x, slope), y, self.residual(t, y, slope))
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """∂F/∂y′, (n, n)."""
-        return finite_differences(lambda x: self.residual(t, y, x), slope, self.residual(t, y, slope))
+        return forward_differences(lambda x: self.residual(t, y, x), slope, self.residual(t, y, slope))
 
     def error_weights(self, h: float) -> Array:
         """(n,) min(1, |h|)^level: by this much errors of a variable are to be multiplied before they are compared with others.

@@ -1,7 +1,7 @@
-"""Constrained mechanics in the small: q″ = f(t, q) + M⁻¹ G(q)ᵀ λ with 0 = g(q), the differential-algebraic equation of index 3.
+"""Constrained mechanics in the small: q″ = f(t, q) − M⁻¹ G(q)ᵀ λ with 0 = g(q), the differential-algebraic equation of index 3.
 
-    drift     q₁ = q₀ + h v + M⁻¹ G(q₀)ᵀ λ  with  g(q₁) = 0,      v ← (q₁ − q₀)/h
-    end       v ← v + M⁻¹ G(q₁)ᵀ μ          with  G(q₁) v = 0
+    drift     q₁ = q₀ + h v − M⁻¹ G(q₀)ᵀ λ  with  g(q₁) = 0,      v ← (q₁ − q₀)/h
+    end       v ← v − M⁻¹ G(q₁)ᵀ μ          with  G(q₁) v = 0
 
 Kicks are as ever. With the row of velocity Verlet this is RATTLE: order 2, symmetric, symplectic on the manifold.
 H. C. Andersen, J. Comput. Phys. 52, 24 (1983); B. Leimkuhler, R. D. Skeel, J. Comput. Phys. 112, 117 (1994).
@@ -91,12 +91,12 @@ class Holonomic(SecondOrder):
         return nystrom_order(row) if is_made_of_verlet(row) else min(nystrom_order(row), 2)
 
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
-        """λ of the constraint force Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
+        """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
         q, v = np.asarray(q, dtype=float).reshape(-1), np.asarray(v, dtype=float).reshape(-1)
         gradient, h = self.gradient(q), 1e-5 * max(1.0, float(np.abs(q).max())) / max(float(np.abs(v).max()), 1e-300)
         turning = (self.gradient(q + h * v) - self.gradient(q - h * v)) @ v / (2.0 * h) if v.any() else 0.0
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
-        return np.asarray(np.linalg.solve(gradient @ self.inverse_mass_gradient(q), -(gradient @ force + turning)))
+        return np.asarray(np.linalg.solve(gradient @ self.inverse_mass_gradient(q), gradient @ force + turning))
 
     def _check_independent(self, q: Array) -> None:
         masses = np.broadcast_to(self._masses, self.shape).reshape(-1)

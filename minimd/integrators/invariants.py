@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.errors import ConvergenceError
+from minimd.integrators.differences import central_differences
 from minimd.integrators.problems import Field, FirstOrder, Function, Partitioned, Problem
 
 Array = NDArray[np.float64]
 Shape = tuple[int, ...] | None
-EPS = float(np.finfo(float).eps)
-DIFFERENCE = EPS ** (1.0 / 3.0)  # of a variable, for central differences: truncation and rounding are then alike
 PARALLEL = 1e-8  # sine of the angle between a gradient and the span of the others below which they count as dependent
 
 
@@ -76,18 +75,8 @@ class Manifold:
     def jacobian(self, y: Array) -> Array:
         """(m, n) G(y)."""
         if self._invariants.jacobian is None:
-            return self._differences(y)
+            return central_differences(self.defect, y)
         return self._invariants.jacobian(y, self._shape).reshape(self.value.size, y.size)
-
-    def _differences(self, y: Array) -> Array:
-        jacobian = np.empty((self.value.size, y.size))
-        steps = DIFFERENCE * np.maximum(np.abs(y), max(1e-3 * np.abs(y).max(), 1e-8))
-        for k in range(y.size):
-            ahead, behind = y.copy(), y.copy()
-            ahead[k] += steps[k]
-            behind[k] -= steps[k]
-            jacobian[:, k] = (self.defect(ahead) - self.defect(behind)) / (ahead[k] - behind[k])
-        return jacobian
 
     def frame(self, y: Array) -> tuple[Array, Array]:
         """Gᵀ = Q R: (n, m) orthonormal directions away from the manifold, and (m, m) how g changes along them, upper triangular.

@@ -10,10 +10,10 @@ E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, eq. 1.46.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.integrators.differences import central_differences
+from minimd.integrators.differences import central_differences, forward_differences
 from minimd.integrators.differential_algebraic import Function, taking
 from minimd.integrators.hessenberg import Hessenberg3
-from minimd.integrators.nonlinear import Newton, Solver, finite_differences
+from minimd.integrators.nonlinear import Newton, Solver
 
 Array = NDArray[np.float64]
 
@@ -62,8 +62,8 @@ class Mechanical(Hessenberg3):
 
         here, gradient, matrix = momentum(q, v), self.gradient(t, q), np.zeros((y.size, y.size))
         matrix[of_q, of_v] = -np.eye(q.size)
-        matrix[of_v, of_q] = finite_differences(lambda x: momentum(x, v), q, here)
-        matrix[of_v, of_v] = finite_differences(lambda x: momentum(q, x), v, here)
+        matrix[of_v, of_q] = forward_differences(lambda x: momentum(x, v), q, here)
+        matrix[of_v, of_v] = forward_differences(lambda x: momentum(q, x), v, here)
         matrix[of_v, of_multipliers], matrix[of_multipliers, of_q] = gradient.T, gradient
         return matrix
 

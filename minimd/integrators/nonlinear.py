@@ -17,6 +17,7 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from minimd.errors import ConvergenceError
+from minimd.integrators.differences import forward_differences
 
 Array = NDArray[np.float64]
 Residual = Callable[[Array], Array]
@@ -56,7 +57,7 @@ class Newton:
 
     def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None, sizes: Array | float) -> Any:
         """LU factors of ∂r/∂x at x, of unknowns in units of their sizes and with rows scaled to one where sizes are given."""
-        matrix = finite_differences(residual, x, r) if jacobian is None else jacobian(x)
+        matrix = forward_differences(residual, x, r) if jacobian is None else jacobian(x)
         if not np.isfinite(matrix).all():
             raise ConvergenceError("the equations of the step have no finite Jacobian")
         rows = None
@@ -160,14 +161,3 @@ def _relative_size(dx: Array, x: Array, scale: Array | float) -> float:
     """Largest |Δx| over the size of x; without a scale, unknowns much smaller than the largest one count as that one's rounding."""
     floor = np.maximum(np.abs(x), scale if np.any(scale) else np.abs(x).max())
     return float(np.max(np.abs(dx) / np.maximum(floor, np.finfo(float).tiny)))
-
-
-def finite_differences(function: Residual, x: Array, at_x: Array) -> Array:
-    """∂function/∂x by forward differences, one column per unknown, over steps in proportion to the unknowns whatever their unit."""
-    jacobian = np.empty((at_x.size, x.size))
-    steps = np.sqrt(EPS) * np.maximum(np.abs(x), 1e-3 * (np.abs(x).max() or 1.0))
-    for k in range(x.size):
-        moved = x.copy()
-        moved[k] += steps[k]
-        jacobian[:, k] = (function(moved) - at_x) / (moved[k] - x[k])
-    return jacobian

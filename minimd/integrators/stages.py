@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.integrators.differential_algebraic import DifferentialAlgebraic
-from minimd.integrators.nonlinear import FixedPoint, finite_differences
+from minimd.integrators.differences import forward_differences
+from minimd.integrators.nonlinear import FixedPoint
 from minimd.integrators.problems import FirstOrder, Problem
 
 Array = NDArray[np.float64]
@@ -71,7 +72,7 @@ class StageEquations:
         if isinstance(problem, FirstOrder) and problem.jacobian is not None:
             return -np.asarray(problem.jacobian(t, y), dtype=float), np.eye(y.size)
         at_y = self._residual(t, y, slope)
-        return finite_differences(lambda x: self._residual(t, x, slope), y, at_y), np.eye(y.size)
+        return forward_differences(lambda x: self._residual(t, x, slope), y, at_y), np.eye(y.size)
 
     def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float | None]:
         """Sizes of the unknowns, each in itself; and what else is rounding, once corrections no longer shrink.

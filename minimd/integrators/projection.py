@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from minimd.errors import ConvergenceError
 from minimd.integrators.hessenberg import Hessenberg2
-from minimd.integrators.invariants import EPS, Invariants, Manifold, Shape, check_invariants, corrected
+from minimd.integrators.invariants import Invariants, Manifold, Shape, check_invariants, corrected
 from minimd.integrators.method import Method, Step
 from minimd.integrators.problems import FirstOrder, Partitioned, Problem
 
 Array = NDArray[np.float64]
+EPS = float(np.finfo(float).eps)
 Arrival = Callable[[Array], Array]
 MAX_CORRECTIONS = 50
 SMALL = 1e-10  # relative errors of invariants that may be taken for rounding once they no longer shrink

@@ -117,6 +117,7 @@ class Iteration:
         key: Any = None,
         scale: Array | float = 0.0,
         floor: Array | float | None = None,
+        nothing: float = 0.0,
     ) -> Array:
         """x with residual(x) = 0, to rounding.
 
@@ -126,6 +127,7 @@ class Iteration:
         key : the kept Jacobian is renewed when this changes, such as the time step.
         scale : sizes of the unknowns below which errors do not matter, as an array (by which the equations are scaled too) or a number.
         floor : the same for corrections that no longer shrink, if larger ones may then be rounding.
+        nothing : corrections of this size end the iteration whatever the unknowns.
 
         Raises
         ------
@@ -143,7 +145,7 @@ class Iteration:
             dx = self.solver.correction(self._factors, r)
             x = x - dx
             size = _relative_size(dx, x, scale)
-            if size <= EPS:
+            if size <= EPS or np.abs(dx).max() <= nothing:
                 return x
             if size >= slow * before:
                 is_small = _relative_size(dx, x, scale if floor is None else floor) <= self.solver.small

@@ -17,6 +17,7 @@ from minimd.integrators.problems import FirstOrder, Problem
 
 Array = NDArray[np.float64]
 AMPLIFIED = 3e1  # rounding, by steps of some hundredth of the time in which the solution varies; once for each level
+UNSEEN = 1e-22  # of the state: a millionth of its rounding, which even a compensated sum does not see
 VANISHING = 1e-30  # of the largest variable: sizes below are no sizes
 
 
@@ -56,7 +57,8 @@ class StageEquations:
 
         scale, floor = self._sizes(base, guess, h)
         key = h, *weights[0]
-        solved = self._iteration.solve(residual, guess.reshape(-1), jacobian, key, scale, floor)
+        nothing = 0.0 if isinstance(self._problem, DifferentialAlgebraic) else UNSEEN * float(np.abs(base).max()) / abs(h)
+        solved = self._iteration.solve(residual, guess.reshape(-1), jacobian, key, scale, floor, nothing)
         return solved.reshape(guess.shape)
 
     def _residual(self, t: float, y: Array, slope: Array) -> Array:

@@ -44,6 +44,7 @@ class Dynamics:
         self._forces = Forces(self.system, potentials, options)
         self._rigidity = Rigidity(self.system, self.system.constraints if constraints is None else constraints)
         self._state = State(self.system.positions, self.system.velocities, self._forces.forces, self._rigidity.inverse_masses)
+        self._state.constraints = self._rigidity.bonds
         self._state.k_B, self._state.n_dof = self.system.units.k_B, self.n_dof
         self._noise_shift = 0
         self._reason: ArithmeticError | None = None  # why the last attempt failed
@@ -98,6 +99,7 @@ class Dynamics:
         ValueError : if the temperature is negative or not finite.
         """
         self.velocities[:] = maxwell_boltzmann(self.system.masses, temperature, self.system.units.k_B, seed)
+        self._rigidity.fit(self.system)
         self._rigidity.project(self.velocities, self.positions)
         if temperature > 0.0:
             self.rescale_temperature(temperature)

@@ -204,6 +204,11 @@ def test_constraints_that_follow_from_others_are_named():
         DistanceConstraints([[0, 1]], solver="lincs")
 
 
+def test_lengths_of_a_triangle_that_cannot_be_are_refused():
+    with pytest.raises(ValueError, match="more than the others together"):
+        DistanceConstraints([[0, 1], [1, 2], [0, 2]], [1.0, 1.0, 2.5]).on(water(1)[0], np.ones(3))
+
+
 @pytest.mark.parametrize("solver", ["auto", "newton", "shake"])
 @pytest.mark.parametrize("name", ["diatomics", "water", "ring", "rod"])
 def test_a_step_too_long_names_the_bond(name, solver):

@@ -130,3 +130,12 @@ def test_ase_dynamics_keeps_the_constraints_of_the_atoms():
     now = atoms.positions[1::2] - atoms.positions[::2]
     assert np.abs(now - lengths).max() > 0.01
     assert np.linalg.norm(now, axis=1) == pytest.approx(np.linalg.norm(lengths, axis=1), rel=1e-14)
+    atoms.set_constraint()  # what was removed is no longer kept
+    dynamics = bridge.VelocityVerlet(atoms, units.fs)
+    dynamics.run(1)
+    atoms.set_constraint(FixAtoms([0]))
+    dynamics.run(1)
+    atoms.set_constraint()
+    before = atoms.positions[0].copy()
+    dynamics.run(20)
+    assert np.abs(atoms.positions[0] - before).max() > 1e-6

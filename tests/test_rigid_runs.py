@@ -122,6 +122,28 @@ def test_bonds_across_the_boundary_and_wrapped_atoms_change_nothing():
     assert record.constraint_violation.max() < 1e-12
 
 
+@pytest.mark.parametrize("method", [md.VelocityVerlet, md.PositionVerlet, md.Leapfrog])
+def test_how_often_one_looks_changes_nothing(method):
+    """Drifts with constraints are no flow: those of two steps are not merged where nobody looks."""
+    often, seldom = simulation(method(0.004)), simulation(method(0.004))
+    often.run(60, every=1)
+    seldom.run(60, every=60)
+    assert np.abs(often.positions - seldom.positions).max() < 1e-10  # rounding, amplified
+
+
+def test_velocities_are_drawn_for_wrapped_atoms_too():
+    sim = simulation(md.VelocityVerlet(0.002))
+    edge = sim.system.cell.vectors[0, 0]
+    sim.positions[::2, 0] += edge
+    sim.set_temperature(1.0, seed=2)
+    assert sim.run(0).temperature[0] == pytest.approx(1.0, rel=1e-12)
+
+
+def test_a_frame_before_the_first_run_knows_the_constraints():
+    sim = simulation(md.VelocityVerlet(0.002))
+    assert sim.frame().observables["pressure"] == pytest.approx(sim.run(0).pressure[0], rel=1e-9)
+
+
 def test_a_violated_start_is_projected_with_a_warning():
     system, pairs = dumbbells()
     sim = md.Simulation(system, law(), md.VelocityVerlet(0.002), md.DistanceConstraints(pairs, 0.48))

@@ -29,9 +29,11 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
             lengths.append(_rods(atoms, constraint))
         elif isinstance(constraint, FixAtoms):
             fixed.extend(np.arange(len(atoms))[constraint.index])
-        elif not (isinstance(constraint, FixCom) and constraint.index == slice(None)):
+        elif type(constraint) is not FixCom:
             name = type(constraint).__name__
             raise ValueError(f"atoms.constraints may hold {UNDERSTOOD}; it holds {name}: remove it, or use ASE's dynamics")
+    if fixed and fixes_center(atoms):
+        raise ValueError("atoms.constraints holds FixCom beside FixAtoms: with fixed atoms the center of mass does not stay by itself; remove one")
     answer: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
     if lengths:
         pairs, values = (np.concatenate(part) for part in zip(*lengths, strict=True))

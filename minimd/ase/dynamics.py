@@ -69,7 +69,12 @@ class VelocityVerlet(MolecularDynamics):
     def _simulation_at(self, atoms: Atoms) -> Simulation:
         """The simulation, with positions and momenta of the atoms; a new one if anything else was changed from outside."""
         made_for = self._made_for
-        if made_for is None or atoms.constraints or not (same_scene(made_for, atoms) and cell_of(made_for).same_as(cell_of(atoms))):
+        if (
+            made_for is None
+            or atoms.constraints
+            or self._simulation.constraints
+            or not (same_scene(made_for, atoms) and cell_of(made_for).same_as(cell_of(atoms)))
+        ):
             return self._new_simulation(atoms)
         if atoms.calc.potentials is not self._made_with:
             return self._new_simulation(atoms)

@@ -171,7 +171,11 @@ def _group(kind: type[Networks], whole: Whole, ids: Ints, positions: Array) -> N
 def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Array, inverse_masses: Array, solver: str) -> list[type[Networks] | None]:
     """Rods, Triangles, or None for those that have no solver of their own."""
     lengths = np.sqrt(lengths2[starts[:, None] + np.arange(3)])
-    is_straight = 2.0 * lengths.max(axis=1, initial=0.0) >= lengths.sum(axis=1) * (1.0 - STRAIGHT)
+    excess = 2.0 * lengths.max(axis=1, initial=0.0) - lengths.sum(axis=1)
+    if (excess > STRAIGHT * lengths.sum(axis=1)).any():
+        k = starts[np.argmax(excess)]
+        raise ValueError(f"lengths of the triangle of constraints {graph.order[k : k + 3].tolist()} contradict each other: one is more than the others together")
+    is_straight = excess >= -STRAIGHT * lengths.sum(axis=1)
     base = _equal_sides(graph._replace(starts=np.append(starts, 0)), lengths2, inverse_masses)
     moves = [(inverse_masses[graph.first[s : s + 3]] > 0.0).all() and (inverse_masses[graph.second[s : s + 3]] > 0.0).all() for s in starts]
     water = (base >= 0) & np.array(moves, dtype=bool) & (solver == "auto")

@@ -148,6 +148,7 @@ class RigidBonds:
             nowhere[:] = 0.0
             if self.violation(positions).max(initial=0.0) <= self.tolerance:
                 return
+        self._fail(int(np.argmax(self.violation(positions))), positions, nowhere, 1.0)
 
     def multipliers(self, positions: Array, velocities: Array, accelerations: Array) -> list[tuple[Ints, Array]]:
         """For each group its constraints and their λ [energy/length²]: the constraint force on j is λ r_ij; accelerations are projected."""

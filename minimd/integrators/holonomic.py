@@ -93,7 +93,7 @@ class Holonomic(SecondOrder):
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
         q, v = np.asarray(q, dtype=float).reshape(-1), np.asarray(v, dtype=float).reshape(-1)
-        gradient, h = self.gradient(q), 1e-5 * max(1.0, float(np.abs(q).max())) / max(float(np.abs(v).max()), 1e-300)
+        gradient, h = self.gradient(q), 1e-5 * (float(np.abs(q).max()) or 1.0) / max(float(np.abs(v).max()), 1e-300)
         turning = (self.gradient(q + h * v) - self.gradient(q - h * v)) @ v / (2.0 * h) if v.any() else 0.0
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
         return np.asarray(np.linalg.solve(gradient @ self.inverse_mass_gradient(q), gradient @ force + turning))

@@ -65,7 +65,8 @@ class Implicit(DifferentialAlgebraic):
             return self._consistent(t0, y, slope, np.where(self._is_algebraic(t0, y, slope), 1.0, RELUCTANT))
 
     def _is_algebraic(self, t: float, y: Array, slope: Array) -> Array:
-        return np.asarray(np.abs(self.slope_jacobian(t, y, slope)).max(axis=0) <= ABSENT)
+        derivatives = np.abs(self.slope_jacobian(t, y, slope))
+        return np.asarray(derivatives.max(axis=0) <= ABSENT * derivatives.max())
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """F(t, y, y′)."""

@@ -104,8 +104,8 @@ class _Path:
     def _advance(self, t_end: float, change: float) -> float:
         """One step; the change of ρ that half belongs to it and half to the next one is returned."""
         rho = self.rho + 0.5 * change
-        if not rho > 0.0:
-            raise ConvergenceError(f"the density of steps fell to {rho:.1e}")
+        if not rho > 0.0 or self.t + self.epsilon / rho == self.t:
+            raise ConvergenceError(f"the density of steps fell to {rho:.1e}" if rho <= 0.0 else f"the density of steps grew to {rho:.1e}")
         h, rest = self.epsilon / rho, t_end - self.t
         is_last = abs(h) >= abs(rest) - ROUNDING * max(abs(self.t), abs(t_end))
         y = self.step(self.t, self.y, rest if is_last else h)

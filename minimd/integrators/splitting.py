@@ -149,7 +149,7 @@ class Splitting(Method):
 
         look : compute the forces of the last step with the flag that somebody looks at the energy.
         """
-        opening, body, between, closing = self._merged()
+        opening, body, between, closing = self._merged() if state.constraints is None or isinstance(self.letters[0], Kick) else self._unmerged()
         state.contacts = 0
         self._apply(opening, state, compute_forces)
         for step in range(1, n_steps + 1):
@@ -165,6 +165,10 @@ class Splitting(Method):
     def thermalize(self, state: State, duration: float) -> None:
         """What a letter Thermalize does. Methods without a bath have no such letter."""
         raise NotImplementedError(f"{self.name} has no thermostat")
+
+    def _unmerged(self) -> tuple[Row, ...]:
+        """The row as it stands: with constraints two drifts in a row are not one."""
+        return self.opening, self.letters, (), self.closing
 
     def _merged(self) -> tuple[Row, ...]:
         """The row as letters before, in, between and after the steps, with equal neighbors made one."""

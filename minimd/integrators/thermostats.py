@@ -125,7 +125,7 @@ class StochasticVelocityRescaling(Thermostat):
 
         K′ = c K + (1 − c) K̄/n_dof (S + ξ²) + 2 ξ √(c (1 − c) K K̄/n_dof)
 
-    Momentum and the direction of motion are kept; dynamics are hardly disturbed.
+    A total momentum of zero stays zero, and the direction of motion is kept; dynamics are hardly disturbed.
 
     Parameters
     ----------

@@ -125,6 +125,8 @@ class Scene:
         from minimd.ase import system_from_file
 
         read = system_from_file(self.path.parent / (structure.file or ""))
+        if read.constraints:
+            raise ValueError(f"{self.path}: structure.file {structure.file!r} holds constraints, which scenes do not keep; run it from a script")
         cell = read.cell
         if structure.cell is not None or structure.pbc is not None:
             cell = Cell.of(read.cell.vectors if structure.cell is None else structure.cell, structure.pbc)

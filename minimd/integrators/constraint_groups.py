@@ -105,7 +105,7 @@ class Triangles(Networks):
 
     def __init__(self, whole: Whole, graph: Graph, positions: Array) -> None:
         super().__init__(whole, graph, positions)
-        base = _equal_sides(graph, self.lengths2, self.masses)
+        base = _equal_sides(graph, graph.starts[:-1], self.lengths2, self.masses)
         self.atoms, self.arms, sides = _corners(graph, base, self.offsets)
         self.shapes = np.sqrt(np.column_stack([self.lengths2[sides[:, 0]], self.lengths2[base]]))
 
@@ -176,7 +176,7 @@ def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Array, inverse_mas
         k = starts[np.argmax(excess)]
         raise ValueError(f"lengths of the triangle of constraints {graph.order[k : k + 3].tolist()} contradict each other: one is more than the others together")
     is_straight = excess >= -STRAIGHT * lengths.sum(axis=1)
-    base = _equal_sides(graph._replace(starts=np.append(starts, 0)), lengths2, inverse_masses)
+    base = _equal_sides(graph, starts, lengths2, inverse_masses)
     moves = [(inverse_masses[graph.first[s : s + 3]] > 0.0).all() and (inverse_masses[graph.second[s : s + 3]] > 0.0).all() for s in starts]
     water = (base >= 0) & np.array(moves, dtype=bool) & (solver == "auto")
     return [Rods if straight else Triangles if settles else None for straight, settles in zip(is_straight, water, strict=True)]
@@ -188,12 +188,12 @@ def _longest(graph: Graph, lengths2: Array) -> Ints:
     return np.take_along_axis(sides, np.argmax(lengths2[sides], axis=1)[:, None], axis=1)[:, 0]
 
 
-def _equal_sides(graph: Graph, lengths2: Array, inverse_masses: Array) -> Ints:
+def _equal_sides(graph: Graph, starts: Ints, lengths2: Array, inverse_masses: Array) -> Ints:
     """For each triangle the constraint whose ends have equal masses and equal distances from the third atom; −1 if there is none."""
-    answer = np.full(len(graph.starts) - 1, -1)
+    answer = np.full(len(starts), -1)
     for k in range(3):
-        base = graph.starts[:-1] + k
-        others = lengths2[graph.starts[:-1, None] + np.delete(np.arange(3), k)]
+        base = starts + k
+        others = lengths2[starts[:, None] + np.delete(np.arange(3), k)]
         masses = inverse_masses[graph.first[base]], inverse_masses[graph.second[base]]
         same = np.isclose(others[:, 0], others[:, 1], rtol=ALIKE, atol=0.0) & np.isclose(*masses, rtol=ALIKE, atol=0.0)
         answer[same] = base[same]

@@ -210,10 +210,7 @@ def drift_components(positions, velocities, inverse_masses, graph, offsets, leng
     for c in range(graph.starts.size - 1):
         start, end = graph.starts[c], graph.starts[c + 1]
         find_separations(positions, graph, offsets, start, end, s)
-        for a in range(graph.atom_starts[c], graph.atom_starts[c + 1]):
-            i = graph.atoms[a]
-            for d in range(3):
-                positions[i, d] += duration * velocities[i, d]
+        drift_some(positions, velocities, graph.atoms[graph.atom_starts[c] : graph.atom_starts[c + 1]], duration)
         n_iterations = restore_lengths(positions, inverse_masses, graph, offsets, lengths2, c, max_iterations, memory)
         if n_iterations < 0:
             return n_iterations

@@ -9,7 +9,7 @@ J.-P. Ryckaert, G. Ciccotti, H. J. C. Berendsen, J. Comput. Phys. 23, 327 (1977)
 from math import sqrt
 
 from minimd.compiling import kernel
-from minimd.integrators.constraint_solvers import NOTHING, add_opposite, dot, find_separations, separation
+from minimd.integrators.constraint_solvers import NOTHING, add_opposite, dot, drift_some, find_separations, separation
 
 
 @kernel
@@ -20,9 +20,7 @@ def sweep_drift(positions, velocities, inverse_masses, graph, offsets, lengths2,
     for c in range(graph.starts.size - 1):
         start, end = graph.starts[c], graph.starts[c + 1]
         find_separations(positions, graph, offsets, start, end, s)
-        for a in range(graph.atom_starts[c], graph.atom_starts[c + 1]):
-            for d in range(3):
-                positions[graph.atoms[a], d] += duration * velocities[graph.atoms[a], d]
+        drift_some(positions, velocities, graph.atoms[graph.atom_starts[c] : graph.atom_starts[c + 1]], duration)
         for k in range(start, end):
             total[k] = 0.0
         sweeps, worst, where = 0, 2.0 * tolerance, start

@@ -160,7 +160,7 @@ class StochasticVelocityRescaling(Thermostat):
         one, others = noise.standard_normal(), 2.0 * noise.standard_gamma(0.5 * (state.n_dof - 1))
         share = (1.0 - kept) * 0.5 * state.k_B * self.temperature / kinetic
         scale = sqrt(max(kept + share * (others + one * one) + 2.0 * one * sqrt(kept * share), 0.0))
-        if one + sqrt(kept / share) < 0.0 if share > 0.0 else False:
+        if share > 0.0 and one < -sqrt(kept / share):
             scale = -scale
         state.velocities *= scale
         state.heat += kinetic * (scale * scale - 1.0)

@@ -11,6 +11,7 @@ import os
 import sys
 import tempfile
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
@@ -57,6 +58,16 @@ def scalar(function):
     It makes no arrays: so it needs no reference counts on those it is given, which would cost more than small functions do.
     """
     return numba.njit(error_model="numpy", forceinline=True, _nrt=False)(function)
+
+
+def marks(formula: Callable) -> Callable[[type], type]:
+    """Decorator of a marker, a NamedTuple class: its instances stand for this compiled function where the cache must know it by type."""
+
+    def tie(marker: type) -> type:
+        marker.formula = formula  # type: ignore[attr-defined]
+        return marker
+
+    return tie
 
 
 @functools.cache

@@ -42,7 +42,7 @@ class Dynamics:
         self.time = 0.0
         self._run_seconds, self._run_steps = 0.0, 0
         self._forces = Forces(self.system, potentials, options)
-        self._rigidity = Rigidity(self.system, self.system.constraints if constraints is None else constraints)
+        self._rigidity = Rigidity(self.system, self.system.constraints if constraints is None else constraints, options.most_threads)
         self._state = State(self.system.positions, self.system.velocities, self._forces.forces, self._rigidity.inverse_masses)
         self._state.constraints = self._rigidity.bonds
         self._state.k_B, self._state.n_dof = self.system.units.k_B, self.n_dof

@@ -48,7 +48,7 @@ class Rigidity:
     inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : RigidBonds, or None.  n_constraints, n_fixed : int.
     """
 
-    def __init__(self, system: System, constraints: Constraint | Sequence[Constraint]) -> None:
+    def __init__(self, system: System, constraints: Constraint | Sequence[Constraint], threads: int = 1) -> None:
         given = list(constraints) if isinstance(constraints, Sequence) else [constraints]
         for constraint in given:
             if not isinstance(constraint, (DistanceConstraints, FixedAtoms)):
@@ -56,7 +56,7 @@ class Rigidity:
         distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
         if len(distances) > 1:
             raise ValueError("all pairs must be given in one DistanceConstraints: those that share atoms are solved together")
-        self.given = tuple(given)
+        self.given, self._threads = tuple(given), threads
         self.inverse_masses = self._masses(system, [constraint.atoms for constraint in given if isinstance(constraint, FixedAtoms)])
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self._distances = distances[0] if distances else None
@@ -77,7 +77,7 @@ class Rigidity:
             return None
         if self._distances.pairs.max() >= len(system):
             raise ValueError(f"constraints must name atoms 0 to {len(system) - 1}; they name atom {self._distances.pairs.max()}")
-        return self._distances.on(system.positions, self.inverse_masses, nearest_images(system, self._distances.pairs))
+        return self._distances.on(system.positions, self.inverse_masses, nearest_images(system, self._distances.pairs), self._threads)
 
     def degrees_of_freedom(self, conserves_momentum: bool) -> int:
         """Of the atoms that move; see observables. Raises ValueError if none is left."""
@@ -91,7 +91,7 @@ class Rigidity:
         offsets = nearest_images(system, self.bonds.pairs)
         if not np.array_equal(offsets, self.bonds.offsets):
             known = DistanceConstraints(self.bonds.pairs, self.bonds.lengths, self._distances.tolerance, self._distances.solver)
-            self.bonds = known.on(system.positions, self.inverse_masses, offsets)
+            self.bonds = known.on(system.positions, self.inverse_masses, offsets, self._threads)
 
     def project(self, velocities: NDArray[np.float64], positions: NDArray[np.float64]) -> None:
         """Velocities that constraints allow, (N, 3) both."""

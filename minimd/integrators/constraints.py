@@ -54,13 +54,14 @@ class DistanceConstraints:
     def __repr__(self) -> str:
         return f"DistanceConstraints({len(self.pairs)} pairs, solver={self.solver!r})"
 
-    def on(self, positions: Array, inverse_masses: Array, offsets: Array | None = None) -> "RigidBonds":
+    def on(self, positions: Array, inverse_masses: Array, offsets: Array | None = None, threads: int = 1) -> "RigidBonds":
         """The constraints of a system, ready to be kept.
 
         Parameters
         ----------
         positions : (N, 3) [length].  inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
         offsets : (K, 3) [length], added to r_j − r_i: lattice translations of bonds across a periodic boundary.
+        threads : how many at most; the result has the same bits for any number.
 
         Raises
         ------
@@ -78,7 +79,7 @@ class DistanceConstraints:
         if not (lengths > 0.0).all():
             k = int(np.argmin(lengths > 0.0))
             raise ValueError(f"constraint {k} has length 0: atoms {self.pairs[k, 0]} and {self.pairs[k, 1]} lie on one spot; give lengths")
-        return RigidBonds(self, lengths, positions, inverse_masses, offsets)
+        return RigidBonds(self, lengths, positions, inverse_masses, offsets, threads)
 
 
 def _checked_pairs(pairs: ArrayLike) -> Ints:
@@ -102,9 +103,11 @@ class RigidBonds:
     n_constraints : degrees of freedom they take.  lengths : (K,) [length], in the order of the user.
     """
 
-    def __init__(self, constraints: DistanceConstraints, lengths: Array, positions: Array, inverse_masses: Array, offsets: Array) -> None:
+    def __init__(
+        self, constraints: DistanceConstraints, lengths: Array, positions: Array, inverse_masses: Array, offsets: Array, threads: int
+    ) -> None:
         self.pairs, self.lengths, self.offsets = constraints.pairs, lengths, offsets
-        self.inverse_masses = inverse_masses
+        self.inverse_masses, self.threads = inverse_masses, threads
         self.tolerance = max(constraints.tolerance, ROUNDINGS * EPS * float(np.abs(positions).max()) / float(lengths.min()))
         self.groups = groups_of(self, positions, constraints.solver)
         constrained = np.zeros(len(positions), dtype=bool)

@@ -7,8 +7,9 @@ G. Ciccotti, M. Ferrario, J.-P. Ryckaert, Mol. Phys. 47, 1253 (1982).
 """
 
 from math import sqrt
+from typing import NamedTuple
 
-from minimd.compiling import inlined, kernel
+from minimd.compiling import inlined, marks
 from minimd.integrators.constraint_solvers import NOTHING, dot, separation
 
 
@@ -29,14 +30,14 @@ def apply(vectors, inverse_masses, a, b, c, alpha, beta, mu, scale, s):
         vectors[c, x] -= inverse_masses[c] * (beta * mu[x] - scale * s[x])
 
 
-@kernel
-def drift_rods(positions, velocities, inverse_masses, rods, offsets, shares, lengths2, duration):
+@inlined
+def drift_rods(first, last, positions, velocities, inverse_masses, rods, offsets, shares, lengths2, duration):
     """Drift of linear molecules.
 
     (N, 3), (N, 3), (N,); (R, 3) atoms a, b, c, b in the middle; (R, 2, 3) offsets of b and c from a; (R, 2) α, β; (R,) d²; [time].
     Returns 1, or −1 − the molecule that cannot be kept.
     """
-    for m in range(rods.shape[0]):
+    for m in range(first, last):
         a, b, c = rods[m]
         alpha, beta = shares[m]
         kappa, q, w = leverage(inverse_masses, a, b, c, alpha, beta)
@@ -59,10 +60,15 @@ def drift_rods(positions, velocities, inverse_masses, rods, offsets, shares, len
     return 1
 
 
-@kernel
-def project_rods(positions, vectors, inverse_masses, rods, offsets, shares, targets, multipliers):
+@marks(drift_rods)
+class DriftRods(NamedTuple):
+    """Marker of drift_rods."""
+
+
+@inlined
+def project_rods(first, last, positions, vectors, inverse_masses, rods, offsets, shares, targets, multipliers):
     """Vectors of linear molecules: the middle one follows the ends, which have r · (x_c − x_a) = target. Arguments as drift_rods, project_pairs."""
-    for m in range(rods.shape[0]):
+    for m in range(first, last):
         a, b, c = rods[m]
         alpha, beta = shares[m]
         kappa, q, w = leverage(inverse_masses, a, b, c, alpha, beta)
@@ -80,3 +86,8 @@ def project_rods(positions, vectors, inverse_masses, rods, offsets, shares, targ
         multipliers[m] = scale
         apply(vectors, inverse_masses, a, b, c, alpha, beta, mu, scale, r)
     return 1
+
+
+@marks(project_rods)
+class ProjectRods(NamedTuple):
+    """Marker of project_rods."""

@@ -5,8 +5,9 @@ fix the angles. S. Miyamoto, P. A. Kollman, J. Comput. Chem. 13, 952 (1992), eq.
 """
 
 from math import sqrt
+from typing import NamedTuple
 
-from minimd.compiling import inlined, kernel
+from minimd.compiling import inlined, marks
 from minimd.integrators.constraint_solvers import NOTHING, dot, separation
 
 
@@ -77,14 +78,14 @@ def settled(b0, c0, a1, b1, c1, height, foot, half):
     return combined(1.0, a3, za, z), combined(1.0, b3, zb, z), combined(1.0, c3, zc, z), True
 
 
-@kernel
-def drift_triangles(positions, velocities, inverse_masses, triangles, offsets, shapes, duration):
+@inlined
+def drift_triangles(first, last, positions, velocities, inverse_masses, triangles, offsets, shapes, duration):
     """Drift of rigid triangles.
 
     (N, 3), (N, 3), (N,); (T, 3) atoms a, b, c; (T, 2, 3) offsets of b and c from a; (T, 2) |ab|, |bc| [length]; [time].
     Returns 1, or −1 − the triangle that cannot be kept.
     """
-    for t in range(triangles.shape[0]):
+    for t in range(first, last):
         a, b, c = triangles[t]
         side, half = shapes[t, 0], 0.5 * shapes[t, 1]
         total = 1.0 / inverse_masses[a] + 2.0 / inverse_masses[b]
@@ -104,3 +105,8 @@ def drift_triangles(positions, velocities, inverse_masses, triangles, offsets, s
                 velocities[i, d] = v
                 positions[i, d] += duration * v
     return 1
+
+
+@marks(drift_triangles)
+class DriftTriangles(NamedTuple):
+    """Marker of drift_triangles."""

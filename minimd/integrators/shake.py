@@ -7,17 +7,18 @@ J.-P. Ryckaert, G. Ciccotti, H. J. C. Berendsen, J. Comput. Phys. 23, 327 (1977)
 """
 
 from math import sqrt
+from typing import NamedTuple
 
-from minimd.compiling import kernel
+from minimd.compiling import inlined, marks
 from minimd.integrators.constraint_solvers import NOTHING, add_opposite, dot, drift_some, find_separations, separation
 
 
-@kernel
-def sweep_drift(positions, velocities, inverse_masses, graph, offsets, lengths2, duration, tolerance, max_sweeps, memory):
+@inlined
+def sweep_drift(first, last, positions, velocities, inverse_masses, graph, offsets, lengths2, duration, tolerance, max_sweeps, memory):
     """Drift of components by sweeps; arguments as constraint_solvers.drift_components, tolerance of |r² − d²|/d²."""
     s, total = memory.s, memory.total
     most = 0
-    for c in range(graph.starts.size - 1):
+    for c in range(first, last):
         start, end = graph.starts[c], graph.starts[c + 1]
         find_separations(positions, graph, offsets, start, end, s)
         drift_some(positions, velocities, graph.atoms[graph.atom_starts[c] : graph.atom_starts[c + 1]], duration)
@@ -43,11 +44,16 @@ def sweep_drift(positions, velocities, inverse_masses, graph, offsets, lengths2,
     return most
 
 
-@kernel
-def sweep_velocities(positions, velocities, inverse_masses, graph, offsets, tolerance, max_sweeps):
+@marks(sweep_drift)
+class SweepDrift(NamedTuple):
+    """Marker of sweep_drift."""
+
+
+@inlined
+def sweep_velocities(first, last, positions, velocities, inverse_masses, graph, offsets, tolerance, max_sweeps):
     """Velocities of components, by sweeps; tolerance of |r · v|/(|r| |v|) for the velocity v of one end beside the other."""
     most = 0
-    for c in range(graph.starts.size - 1):
+    for c in range(first, last):
         start, end = graph.starts[c], graph.starts[c + 1]
         sweeps, worst, where = 0, 2.0 * tolerance, start
         while not worst <= tolerance:
@@ -64,3 +70,8 @@ def sweep_velocities(positions, velocities, inverse_masses, graph, offsets, tole
                 add_opposite(velocities, inverse_masses, i, j, -along / ((inverse_masses[i] + inverse_masses[j]) * r2), r)
         most = max(most, sweeps)
     return most
+
+
+@marks(sweep_velocities)
+class SweepVelocities(NamedTuple):
+    """Marker of sweep_velocities."""

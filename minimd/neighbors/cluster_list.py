@@ -7,11 +7,11 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.cell import Cell, minimum_image_translations
+from minimd.cell import Cell
 from minimd.compiling import kernel, scalar, shared_kernel
 from minimd.neighbors.buffers import SPARE, Buffers
-from minimd.neighbors.chunks import HOME, Chunks, Copies, cut_into_chunks, fill_copies, sort_copies
-from minimd.neighbors.cluster_search import exclude_lanes, find_rows, make_work
+from minimd.neighbors.chunks import Chunks, Copies, cut_into_chunks, fill_copies, sort_copies
+from minimd.neighbors.cluster_search import exclude_pairs, find_rows, make_work
 from minimd.neighbors.clusters import Clusters, make_columns, sort_into_clusters
 from minimd.neighbors.skin import ListWithSkin
 from minimd.potentials.cluster_loop import BLOCK, COPY_BITS, LANES, Rows
@@ -95,7 +95,7 @@ class ClusterList(ListWithSkin):
         sort_copies(copies)
         self.memory = self._make_memory(exact)
         if self.has_excluded:
-            self._exclude(positions, cell)
+            self._exclude(cell)
 
     def _make_memory(self, exact: NDArray[np.float64]) -> Memory:
         copies, number = self.copies, np.float32 if self._is_mixed else np.float64
@@ -118,19 +118,11 @@ class ClusterList(ListWithSkin):
         self._entry_start = start
         self._entries = np.empty(self._entry_start[-1], dtype=np.uint32)
 
-    def _exclude(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        first = np.repeat(np.arange(len(positions)), np.diff(self._excluded_start))
-        real = np.arange(LANES) < self.clusters.filled[:, None]
-        slots = np.flatnonzero(real)
-        atoms = self.clusters.atom[slots]
-        slot_of, home = np.empty(len(positions), dtype=np.int64), np.empty_like(positions)
-        slot_of[atoms], home[atoms] = slots, positions[atoms] + self.clusters.offsets[slots]
-        nearest = np.full(len(first), HOME, dtype=np.int64)
-        if cell.is_periodic:
-            translations = np.empty((len(first), 3))
-            minimum_image_translations(home, first, self._excluded, cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations)
-            nearest += np.rint(np.einsum("ij,jk->ik", translations, cell.inverse)).astype(np.int64) @ np.array([9, 3, 1])
-        exclude_lanes(self.clusters, self.copies, slot_of, self._excluded_start, self._excluded, nearest, self.rows)
+    def _exclude(self, cell: Cell) -> None:
+        slot_of = self._memory.array("slot of", np.int64, len(self._built_at))
+        image = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
+        partners = (self._excluded_start, self._excluded)
+        self._team.run(exclude_pairs, self.clusters, self.chunks.cluster, self.copies, image, *partners, slot_of, self.rows)
 
 
 @shared_kernel

@@ -16,10 +16,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from minimd.compiling import inlined, kernel, scalar
-from minimd.neighbors.chunks import ALL_LANES
+from minimd.cell import minimum_image
+from minimd.compiling import inlined, scalar, shared_kernel
+from minimd.neighbors.chunks import ALL_LANES, HOME
 from minimd.potentials.cluster_loop import BLOCK, COPY_BITS, LANES, LANES_FROM
 from minimd.simd import bits_from_mask, broadcast, fma, load
+from minimd.team import begin, finish_and_take, take, wait
 
 
 class Work(NamedTuple):
@@ -122,19 +124,45 @@ def _prune(k, home, n, work, clusters, copies, coordinates, reach, rows, n_entri
     return np.int64(end)
 
 
-@kernel
-def exclude_lanes(clusters, copies, slot_of, excluded_start, excluded, nearest, rows):
-    """Clear the lane of each excluded partner, at its nearest image, in the row where the pair is listed.
+@shared_kernel
+def exclude_pairs(me, task, clusters, chunk_start, copies, cell, excluded_start, excluded, slot_of, rows):
+    """Clear the lane of each excluded partner, at its nearest image, in the row where the pair is listed; each chunk is a share of work.
 
-    slot_of : (N,) int, slot of each atom.  excluded_start, excluded : see find_pairs.
-    nearest : (P,) int, image of each partner that is nearest to the atom.
+    cell : lattice, inverse, pbc, safe_distance2 of Cell.  excluded_start, excluded : see find_pairs.
+    slot_of : (N,) int, output, slot of each atom.
     """
-    for cluster in range(clusters.filled.size):
-        for slot in range(cluster * LANES, cluster * LANES + clusters.filled[cluster]):
-            i = clusters.atom[slot]
-            for p in range(excluded_start[i], excluded_start[i + 1]):
-                other = slot_of[excluded[p]]
-                for entry in range(rows.start[slot], rows.stop[slot]):
-                    copy = rows.entries[entry] & COPY_BITS
-                    if copies.owner[copy] == other // LANES and copies.image[copy] == nearest[p]:
-                        rows.entries[entry] &= ~np.uint32(1 << (LANES_FROM + other % LANES))
+    n = chunk_start.size - 1
+    phase = begin(me, task)
+    chunk = take(me, phase, n)
+    while chunk >= 0:
+        for cluster in range(chunk_start[chunk], chunk_start[chunk + 1]):
+            for slot in range(cluster * LANES, cluster * LANES + clusters.filled[cluster]):
+                slot_of[clusters.atom[slot]] = slot
+        chunk = finish_and_take(me, phase, n)
+    phase = wait(me, phase)
+    chunk = take(me, phase, n)
+    while chunk >= 0:
+        for cluster in range(chunk_start[chunk], chunk_start[chunk + 1]):
+            for slot in range(cluster * LANES, cluster * LANES + clusters.filled[cluster]):
+                i = clusters.atom[slot]
+                for p in range(excluded_start[i], excluded_start[i + 1]):
+                    _exclude(slot, slot_of[excluded[p]], clusters, copies, cell, rows)
+        chunk = finish_and_take(me, phase, n)
+    wait(me, phase)
+
+
+@scalar
+def _exclude(slot, other, clusters, copies, cell, rows):
+    """Clear the lane of the atom in slot other in the row of a slot, if it is there."""
+    cluster, lane = other // LANES, other % LANES
+    own, place = slot // LANES * BLOCK + slot % LANES, cluster * BLOCK + lane
+    x = clusters.coordinates[place] - clusters.coordinates[own]
+    y = clusters.coordinates[place + LANES] - clusters.coordinates[own + LANES]
+    z = clusters.coordinates[place + 2 * LANES] - clusters.coordinates[own + 2 * LANES]
+    a, b, c = minimum_image(x, y, z, *cell)
+    image = HOME + int(9.0 * a + 3.0 * b + c)
+    for entry in range(rows.start[slot], rows.stop[slot]):
+        copy = rows.entries[entry] & COPY_BITS
+        if copies.owner[copy] == cluster and copies.image[copy] == image:
+            rows.entries[entry] &= ~np.uint32(1 << (LANES_FROM + lane))
+            return

@@ -16,16 +16,6 @@ from numba.extending import overload
 from minimd.compiling import scalar
 
 
-def marks(formula: Callable) -> Callable[[type], type]:
-    """Decorator of a marker: its instances stand for this compiled formula."""
-
-    def tie(marker: type) -> type:
-        marker.formula = formula  # type: ignore[attr-defined]
-        return marker
-
-    return tie
-
-
 STEP = 1e-5  # of a central difference, relative to the distance
 ACCURACY, ROUNDING = 1e-4, 1e-9  # of that difference: relative, and beside the size of u
 

@@ -3,8 +3,8 @@
 from math import sqrt
 from typing import Any, NamedTuple
 
-from minimd.compiling import scalar
-from minimd.potentials.law import evaluate_law, marks
+from minimd.compiling import marks, scalar
+from minimd.potentials.law import evaluate_law
 
 
 @scalar

@@ -17,8 +17,8 @@ from collections.abc import Callable
 from math import sqrt
 from typing import Any, NamedTuple
 
-from minimd.compiling import scalar
-from minimd.potentials.law import evaluate_law, marks
+from minimd.compiling import marks, scalar
+from minimd.potentials.law import evaluate_law
 
 
 @scalar

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from minimd import __version__
+from minimd.bench.command import DisagreementError, add_benchmarks
 from minimd.errors import ConstraintError, NonFiniteError
 
 OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
@@ -30,6 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _failed(str(error) or "interrupted", INTERRUPTED)
     except (NonFiniteError, ConstraintError) as error:
         return _failed(str(error), BLOWN_UP)
+    except DisagreementError as error:
+        return _failed(str(error), FAILED)
     except OSError as error:
         return _failed(_about_file(error), WRONG_INPUT)
     except (ValueError, TypeError) as error:
@@ -58,37 +61,9 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("file", type=Path, help="trajectory (.h5md)")
         command.set_defaults(command=function)
     plot.add_argument("--out", type=Path, metavar="PNG", help="picture, named after the trajectory if not given")
-    bench = commands.add_parser("bench", help="time minimd beside other engines")
-    _add_bench_lj(bench.add_subparsers(metavar="benchmark", title="benchmarks", required=True))
+    add_benchmarks(commands.add_parser("bench", help="time minimd: beside other engines, and run time against error"))
     commands.add_parser("doctor", help="look at this machine and test minimd on it").set_defaults(command=_doctor)
     return parser
-
-
-def _add_bench_lj(benchmarks: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    lj = benchmarks.add_parser(
-        "lj",
-        help="Lennard-Jones particles, beside LAMMPS, OpenMM, ASE and asap3",
-        description="Time whole runs of Lennard-Jones particles in minimd and in the other engines that are installed (peers), all in turns. "
-        "Nothing is timed before all have the same energies, at the start and after the first steps.",
-        epilog="example: minimd bench lj --cells 10,20 --threads 1,2 --precision double,mixed --out results. "
-        "The peers come with: pip install 'minimd[peers]'. Let nothing else run meanwhile.",
-    )
-    lj.add_argument("--scene", default="melt", help="melt (default); in minimd alone, beside the melt: kob-andersen (mixture), chains (bead-spring)")
-    lj.add_argument("--cells", type=_counts, default=(5, 10, 20), metavar="N,...", help="sizes: 4 N³ atoms, or nearly (default: 5,10,20)")
-    lj.add_argument(
-        "--threads", type=_counts, default=(), metavar="T,...", help="of minimd and of OpenMM; the other peers use one (default: 1 and all cores)"
-    )
-    lj.add_argument("--precision", type=_words, default=("double",), metavar="P,...", help="of minimd: double (default), mixed")
-    lj.add_argument(
-        "--peers",
-        type=_words,
-        default=(),
-        metavar="NAME,...",
-        help="lammps, openmm, ase, asap3, or none (default: those installed, ase up to 4000 atoms)",
-    )
-    lj.add_argument("--repeats", type=_at_least_one, default=7, metavar="R", help="turns of each engine (default: 7)")
-    lj.add_argument("--out", type=Path, metavar="FOLDER", help="write bench_lj.md and bench_lj.json there, in place of older ones")
-    lj.set_defaults(command=_bench)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -139,22 +114,6 @@ def _plot(arguments: argparse.Namespace) -> int:
     return OK
 
 
-def _bench(arguments: argparse.Namespace) -> int:
-    from minimd.bench import Options, run_lj
-
-    if arguments.out:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-    options = Options(arguments.scene, arguments.cells, arguments.threads, arguments.precision, arguments.peers, arguments.repeats)
-    try:
-        outcome = run_lj(options)
-    except ArithmeticError as error:  # engines that disagree
-        return _failed(str(error), FAILED)
-    print(outcome.markdown())
-    if arguments.out:
-        outcome.write(arguments.out)
-    return OK
-
-
 def _doctor(_arguments: argparse.Namespace) -> int:
     from minimd.doctor import examine
 
@@ -196,21 +155,6 @@ def _failed(message: str, code: int) -> int:
     for line in message.splitlines():
         print(f"minimd: error: {line}", file=sys.stderr)
     return code
-
-
-def _at_least_one(text: str) -> int:
-    number = int(text) if text.isdecimal() else 0
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"must be a whole number, at least 1; it is {text!r}")
-    return number
-
-
-def _counts(text: str) -> tuple[int, ...]:
-    return tuple(dict.fromkeys(_at_least_one(word) for word in _words(text)))
-
-
-def _words(text: str) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(word.strip() for word in text.split(",")))
 
 
 def _number_of_steps(text: str) -> int:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from minimd import cli
-from minimd.bench import Options, engines, lj, memory, rows, run_lj, scenes, turns
+from minimd.bench import command, engines, ingredients, memory, peers, rows, scaling, scenes, turns
+from minimd.bench.outcome import as_json, markdown
+from minimd.bench.peers import Options, run_peers
 
 N_ATOMS = 256  # four cells along each edge
 PEER_SECONDS, ASE_SECONDS = 0.015, 0.35  # a step of a fake peer on one thread; more than 5 s in all the steps of a turn
@@ -41,12 +43,12 @@ class FakeEngine:
 def fakes(monkeypatch):
     """Engines of known speed instead of all others."""
     monkeypatch.setattr(turns, "perf_counter", lambda: FakeEngine.clock)
-    monkeypatch.setattr(lj, "available_cores", lambda: 2)
-    monkeypatch.setattr(lj, "find_spec", lambda name: True)
-    monkeypatch.setattr(lj, "Minimd", lambda scene, threads, precision: FakeEngine("minimd", threads, precision, OWN_SECONDS[threads, precision]))
-    fast = engines.Peer(lambda scene, threads: FakeEngine("fast", threads, "single", PEER_SECONDS / threads), threaded=True)
-    slow = engines.Peer(lambda scene, threads: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS), most_atoms=N_ATOMS)
-    monkeypatch.setattr(lj, "PEERS", {"fast": fast, "slow": slow})
+    monkeypatch.setattr(peers, "available_cores", lambda: 2)
+    monkeypatch.setattr(peers, "find_spec", lambda name: True)
+    monkeypatch.setattr(peers, "Minimd", lambda scene, threads, precision: FakeEngine("minimd", threads, precision, OWN_SECONDS[threads, precision]))
+    fast = engines.Peer("fast", lambda scene, threads, timestep: FakeEngine("fast", threads, "single", PEER_SECONDS / threads), threaded=True)
+    slow = engines.Peer("slow", lambda scene, threads, timestep: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS), most_atoms=N_ATOMS)
+    monkeypatch.setattr(peers, "PEERS", {"fast": fast, "slow": slow})
 
 
 @pytest.fixture
@@ -65,7 +67,7 @@ def cells_of(table):
 
 def test_ratios_of_the_table(fakes):
     """Speeds are 256 atoms / seconds of a step; peers are beside double on as many threads, minimd beside double on one."""
-    table = cells_of(run_lj(Options(cells=(4,), threads=(1, 2), precisions=("double", "mixed"), repeats=2)).markdown())
+    table = cells_of(markdown(run_peers(Options(cells=(4,), threads=(1, 2), precisions=("double", "mixed"), repeats=2))))
     assert table == [
         ["minimd", "1", "double", "0.0853 (0.0853 to 0.0853)", "", "1"],
         ["minimd", "1", "mixed", "0.128 (0.128 to 0.128)", "", "1.50 (1.50 to 1.50)"],
@@ -80,38 +82,36 @@ def test_ratios_of_the_table(fakes):
 def test_peer_is_no_reference_and_ratios_stay_among_equals():
     """Rows in the worst order: nothing but minimd, double, of the same threads and scene, may be divided by."""
     speeds = np.ones(1)
-    peer = lj.Row("peer", 1, "double", "melt", 1, 2.0 * speeds, 1.0)
-    melts = [lj.Row("minimd", t, "double", "melt", 1, 10.0 * t * speeds, 1.0) for t in (2, 1)]
-    chains = [lj.Row("minimd", t, "double", "chains", 1, 7.0 * t * speeds, 3.0) for t in (2, 1)]
-    everything = [peer, *chains, *melts]
+    peer = rows.Row("peer", 1, "double", "melt", 1, 2.0 * speeds)
+    mixed = rows.Row("minimd", 1, "mixed", "melt", 1, 15.0 * speeds)
+    melts = [rows.Row("minimd", t, "double", "melt", 1, 10.0 * t * speeds) for t in (2, 1)]
+    chains = [rows.Row("minimd", t, "double", "chains", 1, 7.0 * t * speeds) for t in (2, 1)]
+    everything = [peer, mixed, *chains, *melts]
     assert rows.faster_than_peer(everything, peer) == [5.0]
     assert rows.beside_one_thread(everything, melts[0]) == [2.0]
+    assert rows.beside_one_thread(everything, mixed) == [1.5]
     assert rows.beside_one_thread(everything, peer) is None
-    assert [rows.beside_melt(everything, row) for row in chains] == [([0.7], [pytest.approx(2.1)])] * 2
 
 
 def test_spread_is_over_turns():
-    ours = lj.Row("minimd", 1, "double", "melt", 10, np.array([4e6, 6e6, 5e6]))
-    peer = lj.Row("peer", 1, "double", "melt", 10, np.array([2e6, 2e6, 1e6]))
-    table = cells_of(lj.Outcome("melt", ["text"], 3, (), [[ours, peer]]).markdown())
+    ours = rows.Row("minimd", 1, "double", "melt", 10, np.array([4e6, 6e6, 5e6]))
+    peer = rows.Row("peer", 1, "double", "melt", 10, np.array([2e6, 2e6, 1e6]))
+    table = cells_of(markdown(peers.Peers("melt", "text", 3, (), [[ours, peer]])))
     assert table[0][3] == "5.00 (4.00 to 6.00)"
     assert table[1][3:5] == ["2.00 (1.00 to 2.00)", "3.00 (2.00 to 5.00)"]  # the median of ratios, not the ratio of medians
 
 
-def test_scene_is_measured_beside_the_melt_by_atoms_and_by_pairs(fakes, monkeypatch):
-    seconds = iter([0.002, 0.005])  # melt, mixture
-    counts = iter([6000, 8000, 7000, 9000])  # melt and mixture before, and after
-    monkeypatch.setattr(lj, "Minimd", lambda scene, threads, precision: FakeEngine("minimd", threads, precision, next(seconds)))
-    monkeypatch.setattr(lj, "pairs_in_range", lambda scene, positions: next(counts))
-    monkeypatch.setattr(lj, "equilibrated", lambda scene: scene)
-    melt, mixture = cells_of(run_lj(Options("kob-andersen", cells=(4,), threads=(1,), repeats=2)).markdown())
-    assert melt == ["melt", "256", "1", "double", "0.128 (0.128 to 0.128)", "25.4", "3.25 (3.25 to 3.25)", "", ""]
-    assert mixture[:6] == ["kob-andersen", "256", "1", "double", "0.0512 (0.0512 to 0.0512)", "33.2"]
-    assert mixture[6:] == ["1.70 (1.70 to 1.70)", "0.400 (0.400 to 0.400)", "0.523 (0.523 to 0.523)"]  # 8500/6500 of 0.4
+def test_costs_stand_beside_the_melt_by_atoms_and_by_pairs():
+    melt = ingredients.Cost("melt", 256, 6500.0, np.array([0.002, 0.002]))
+    mixture = ingredients.Cost("mixture", 512, 17000.0, np.array([0.010, 0.012]))
+    own, other = cells_of(markdown(ingredients.Costs([melt, mixture], 2)))
+    assert own == ["melt", "256", "2000 (2000 to 2000)", "1", "25.4", "1"]
+    assert other[3] == "2.75 (2.50 to 3.00)"
+    assert other[5] == "2.10 (1.91 to 2.29)"  # 6500/256 of the pairs in 17000/512
 
 
 def test_json_holds_every_turn_and_where_it_was_measured(fakes):
-    content = json.loads(run_lj(Options(cells=(4, 5), threads=(1,), repeats=3)).json())
+    content = json.loads(as_json(run_peers(Options(cells=(4, 5), threads=(1,), repeats=3))))
     assert content["machine"]["cores"] >= 1
     assert set(content["versions"]) == {"minimd", "numba", "numpy", "fast", "slow"}
     assert [size["n_atoms"] for size in content["sizes"]] == [256, 500]
@@ -124,7 +124,7 @@ def test_json_holds_every_turn_and_where_it_was_measured(fakes):
 
 
 def test_slow_peer_takes_part_in_large_scenes_if_asked_for(fakes):
-    outcome = run_lj(Options(cells=(5,), threads=(1,), peers=("slow",), repeats=1))
+    outcome = run_peers(Options(cells=(5,), threads=(1,), peers=("slow",), repeats=1))
     assert [row.engine for row in outcome.sizes[0]] == ["minimd", "slow (serial)"]
 
 
@@ -149,9 +149,9 @@ def test_engines_take_turns(fakes):
 
 @pytest.mark.parametrize(("energies", "message"), [((-1700.1, -1200.0), "potential energy at step 0"), ((-1700.0, -1199.0), "total energy per atom")])
 def test_peer_with_another_energy_is_refused(fakes, monkeypatch, capsys, energies, message):
-    other = engines.Peer(lambda scene, threads: FakeEngine("other", 1, "double", 0.01, energies))
-    monkeypatch.setattr(lj, "PEERS", {"other": other})
-    assert cli.main(["bench", "lj", "--cells", "4", "--threads", "1"]) == cli.FAILED
+    other = engines.Peer("other", lambda scene, threads, timestep: FakeEngine("other", 1, "double", 0.01, energies))
+    monkeypatch.setattr(peers, "PEERS", {"other": other})
+    assert cli.main(["bench", "peers", "--cells", "4", "--threads", "1"]) == cli.FAILED
     out, err = capsys.readouterr()
     assert not out
     assert message in err.splitlines()[-1]
@@ -166,12 +166,16 @@ def test_peer_with_another_time_step_is_refused(monkeypatch):
         turns.check_agreement([right, wrong], N_ATOMS)
 
 
-@pytest.mark.parametrize("name", engines.PEERS)
-def test_peers_have_the_same_energies(name):
-    if not find_spec(name):
+@pytest.mark.parametrize(("name", "scene"), [(name, scene) for name, peer in engines.PEERS.items() for scene in peer.scenes])
+def test_peers_have_the_same_energies(name, scene):
+    if not find_spec(engines.PEERS[name].package):
         pytest.skip(f"{name} is not installed")
-    scene = scenes.melt(4)
-    turns.check_agreement([engines.Minimd(scene), engines.PEERS[name].load(scene, 1)], N_ATOMS)
+    loaded = scenes.melt(4) if scene == "melt" else scenes.equilibrated(scenes.SCENES[scene](4))
+    turns.check_agreement([engines.Minimd(loaded), engines.PEERS[name].load(loaded, 1, scenes.TIMESTEP)], len(loaded.system))
+
+
+def test_the_names_of_peers_that_the_command_tells_are_those_there_are():
+    assert ", ".join(engines.PEERS) == command.PEER_NAMES
 
 
 def test_minimd_is_asked_for_threads_and_precision(monkeypatch):
@@ -183,35 +187,62 @@ def test_minimd_is_asked_for_threads_and_precision(monkeypatch):
 
 def test_command_prints_and_writes_the_table(short, capsys, tmp_path):
     folder = tmp_path / "new" / "results"
-    arguments = ["bench", "lj", "--cells", "3,4", "--threads", "1", "--repeats", "1", "--peers", "none", "--out", str(folder)]
+    arguments = ["bench", "peers", "--cells", "3,4", "--threads", "1", "--repeats", "1", "--peers", "none", "--out", str(folder)]
     assert cli.main(arguments) == 0
-    table = (folder / "bench_lj.md").read_text(encoding="utf-8")
+    table = (folder / "bench_peers.md").read_text(encoding="utf-8")
     assert capsys.readouterr().out == table
     assert re.findall(r"## (\d+) atoms", table) == ["108", "256"]
-    assert json.loads((folder / "bench_lj.json").read_text(encoding="utf-8"))["repeats"] == 1
+    assert json.loads((folder / "bench_peers.json").read_text(encoding="utf-8"))["repeats"] == 1
 
 
-@pytest.mark.parametrize("scene", ["kob-andersen", "chains"])
+@pytest.mark.parametrize("scene", ["kob-andersen", "chains", "dumbbells"])
 def test_other_scenes_run(short, scene):
-    melt, other = run_lj(Options(scene, cells=(4,), threads=(1,), repeats=1)).sizes[0]
-    assert (melt.scene, other.scene) == ("melt", scene)
-    assert other.n_pairs > 20 * other.n_atoms
+    (row,) = run_peers(Options(scene, cells=(4,), threads=(1,), peers=("none",), repeats=1)).sizes[0]
+    assert (row.engine, row.scene) == ("minimd", scene)
+    assert (row.speeds > 0.0).all()
+
+
+def test_every_ingredient_runs_and_partners_are_apart(short):
+    costs = ingredients.run_ingredients(4, 1).costs
+    assert len(costs) == 15
+    assert all(cost.seconds.min() > 0.0 for cost in costs)
+    scene = scenes.equilibrated(scenes.melt(4))
+    pairs, length = ingredients.partners(scene.system)
+    assert len(np.unique(pairs)) == pairs.size > 0.6 * len(scene.system)
+    assert 0.9 < length < ingredients.PARTNERS
+
+
+def test_scaling_runs(short, monkeypatch, tmp_path):
+    monkeypatch.setattr(scaling, "CELLS_QUICK", (3, 4))
+    monkeypatch.setattr(scaling, "bytes_per_atom", lambda *arguments: 500.0)
+    monkeypatch.setattr(scaling, "bytes_per_atom_lammps", lambda *arguments: None)
+    assert cli.main(["bench", "scaling", "--quick", "--threads", "1", "--repeats", "1", "--out", str(tmp_path)]) == 0
+    table = (tmp_path / "bench_scaling.md").read_text(encoding="utf-8")
+    assert [line[0] for line in cells_of(table)] == ["108", "256"]
+    assert "grows by 500 bytes per atom in minimd" in table
+    assert (tmp_path / "bench_scaling.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--scene", "ice"], "--scene must be of melt, kob-andersen, chains; it is 'ice'"),
+        (["--scene", "ice"], "--scene must be of melt, kob-andersen, chains, dumbbells; it is 'ice'"),
         (["--precision", "double,half"], "--precision must be of double, mixed; it is 'half'"),
-        (["--peers", "gromacs"], "--peers must be of lammps, openmm, ase, asap3, none; it is 'gromacs'"),
-        (["--peers", "none,ase"], "--peers must be of lammps, openmm, ase, asap3; it is 'none'"),
+        (
+            ["--peers", "gromacs"],
+            f"--peers must be of {command.PEER_NAMES}, none; it is 'gromacs'",
+        ),
+        (
+            ["--peers", "none,ase"],
+            f"--peers must be of {command.PEER_NAMES}; it is 'none'",
+        ),
         (["--threads", "1,100000"], "--threads 100000 is more than the "),
         (["--cells", "10,2"], "--cells 2 makes a cell narrower than twice the cutoff in the scene 'melt'; take more"),
-        (["--scene", "chains", "--peers", "ase"], "--peers is for the melt; the scene 'chains' runs in minimd alone"),
+        (["--scene", "chains", "--peers", "ase"], "--peers ase cannot run the scene 'chains'; it runs melt"),
     ],
 )
 def test_bad_options_get_one_sentence(capsys, options, message):
-    assert cli.main(["bench", "lj", *options]) == cli.WRONG_INPUT
+    assert cli.main(["bench", "peers", *options]) == cli.WRONG_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"minimd: error: {message}")
 
@@ -219,35 +250,35 @@ def test_bad_options_get_one_sentence(capsys, options, message):
 @pytest.mark.parametrize("options", [["--cells", "4,x"], ["--threads", "0"], ["--repeats", "-1"], ["--cells", ""]])
 def test_numbers_must_be_numbers(capsys, options):
     with pytest.raises(SystemExit, match="2"):
-        cli.main(["bench", "lj", *options])
+        cli.main(["bench", "peers", *options])
     assert "must be a whole number, at least 1; it is " in capsys.readouterr().err
 
 
 def test_missing_peers_are_told_with_what_installs_them(fakes, monkeypatch, capsys):
-    monkeypatch.setattr(lj, "find_spec", lambda name: name != "fast")
-    outcome = run_lj(Options(cells=(4,), threads=(1,), repeats=1))
+    monkeypatch.setattr(peers, "find_spec", lambda name: name != "fast")
+    outcome = run_peers(Options(cells=(4,), threads=(1,), repeats=1))
     assert [row.engine for row in outcome.sizes[0]] == ["minimd", "slow (serial)"]
     assert "not installed, so not compared with: fast; pip install 'minimd[peers]' installs them" in capsys.readouterr().err
     with pytest.raises(ValueError, match=r"fast is not installed; pip install 'minimd\[peers\]'"):
-        run_lj(Options(cells=(4,), threads=(1,), peers=("fast",)))
+        run_peers(Options(cells=(4,), threads=(1,), peers=("fast",)))
 
 
 def test_peer_that_does_not_start_is_named(fakes, monkeypatch):
-    def load(scene, threads):
+    def load(scene, threads, timestep):
         raise RuntimeError("libmpi.so:\n not found")
 
-    monkeypatch.setattr(lj, "PEERS", {"broken": engines.Peer(load)})
+    monkeypatch.setattr(peers, "PEERS", {"broken": engines.Peer("broken", load)})
     with pytest.raises(ValueError, match=r"broken is installed but does not start: libmpi\.so: not found; name the others with --peers"):
-        run_lj(Options(cells=(4,), threads=(1,)))
+        run_peers(Options(cells=(4,), threads=(1,)))
 
 
 def test_memory_is_told_at_large_sizes_only(fakes, monkeypatch):
-    monkeypatch.setattr(lj, "FROM_ATOMS", 500)
-    monkeypatch.setattr(lj, "bytes_per_atom", lambda scene, n, threads, precision: 100.0 * n + threads)
-    outcome = run_lj(Options(cells=(4, 5), threads=(1,), repeats=1))
+    monkeypatch.setattr(peers, "FROM_ATOMS", 500)
+    monkeypatch.setattr(peers, "bytes_per_atom", lambda scene, n, threads, precision: 100.0 * n + threads)
+    outcome = run_peers(Options(cells=(4, 5), threads=(1,), repeats=1))
     assert [row.bytes_per_atom for size in outcome.sizes for row in size] == [None, None, None, 501.0, None]
-    assert outcome.markdown().count("bytes per atom") == 1
-    assert "| 1 | 501 |" in outcome.markdown()
+    assert markdown(outcome).count("bytes per atom") == 1
+    assert "| 1 | 501 |" in markdown(outcome)
 
 
 @pytest.mark.skipif(not memory.STATUS.exists(), reason="Linux tells the peak of a process, others do not")

@@ -8,7 +8,7 @@ from ase.calculators.lj import LennardJones
 from ase.md.verlet import VelocityVerlet
 
 from minimd.ase.atoms import atoms_from_system
-from minimd.bench.scenes import CUTOFF, TIMESTEP, Scene, pairs_in_range
+from minimd.bench.scenes import CUTOFF, Scene, pairs_in_range
 
 ARGON = 18  # asap3 wants a chemical element; the masses remain those of the scene
 
@@ -16,11 +16,11 @@ ARGON = 18  # asap3 wants a chemical element; the masses remain those of the sce
 class ASE:
     """ASE's calculator LennardJones and its VelocityVerlet; see minimd.bench.engines.Engine."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, timestep: float) -> None:
         self.name, self.threads, self.precision = "ASE (serial)", 1, "double"
         self._scene, self._atoms = scene, atoms_from_system(scene.system)
         self._atoms.calc = LennardJones(sigma=1.0, epsilon=1.0, rc=CUTOFF, smooth=False)
-        self._dynamics = VelocityVerlet(self._atoms, TIMESTEP)
+        self._dynamics = VelocityVerlet(self._atoms, timestep)
 
     def potential_energy(self) -> float:
         """U [ε], without the shift that ASE's calculator gives each pair."""
@@ -39,14 +39,14 @@ class ASE:
 class Asap:
     """asap3's calculator LennardJones and its compiled VelocityVerlet; see minimd.bench.engines.Engine."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, timestep: float) -> None:
         import asap3
         from asap3.md.verlet import VelocityVerlet_Asap
 
         self.name, self.threads, self.precision = "asap3 (serial)", 1, "double"
         self._atoms = _argon(scene)
         self._atoms.calc = asap3.LennardJones([ARGON], 1.0, 1.0, rCut=CUTOFF, modified=False, verbose=False)
-        self._dynamics = VelocityVerlet_Asap(self._atoms, TIMESTEP)  # ASE's, with the same calculator, takes twice as long
+        self._dynamics = VelocityVerlet_Asap(self._atoms, timestep)  # ASE's, with the same calculator, takes twice as long
 
     def potential_energy(self) -> float:
         """U [ε] of the present positions."""

@@ -1,5 +1,1 @@
-"""Run time beside other engines: the same scene, in turn, in one process."""
-
-from minimd.bench.lj import Options, run_lj
-
-__all__ = ["Options", "run_lj"]
+"""Benchmarks: run time against error, against other engines, against what a scene holds and how large it is."""

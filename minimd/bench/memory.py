@@ -1,42 +1,76 @@
-"""Memory of a simulation per atom, measured in a process of its own."""
+"""Memory of a simulation per atom, measured in processes of its own."""
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
-from minimd.bench.engines import Minimd, Precision
-from minimd.bench.scenes import SCENES
+from minimd.bench.engines import SKIN_LAMMPS, Minimd, Precision, preload_mpi
+from minimd.bench.scenes import CUTOFF, MELT_DENSITY, MELT_TEMPERATURE, SCENES, SEED, TIMESTEP
 
 FROM_ATOMS = 256_000  # fewer would drown in what Python and the kernels need
-SMALL = 10  # a first scene of 4000 atoms loads the kernels
+SMALL = 20  # a first scene of 32 000 atoms loads the kernels
 STEPS = 20
 STATUS = Path("/proc/self/status")  # of Linux; getrusage's peak would be that of the parent process, if that was higher
 
 
 def bytes_per_atom(scene: str, n: int, threads: int, precision: str) -> float | None:
-    """Peak memory of building and running a scene of about 4 n³ atoms, beyond that of one of 4000, per atom more.
+    """Growth of minimd's peak memory from a scene of 32 000 atoms to one of about 4 n³, built and run, per atom more.
 
     None where the operating system does not tell, or the measurement fails.
     """
+    return _in_a_process(f"peak_per_atom(minimd_peak({scene!r}, {threads}, {precision!r}), {n})")
+
+
+def bytes_per_atom_lammps(n: int) -> float | None:
+    """The same for LAMMPS and the melt, built by its own commands; None also where it is not installed."""
+    return _in_a_process(f"peak_per_atom(lammps_peak, {n})")
+
+
+def _in_a_process(call: str) -> float | None:
     if not STATUS.exists():
         return None
-    code = f"from minimd.bench.memory import peak_per_atom; print(peak_per_atom({scene!r}, {n}, {threads}, {precision!r}))"
+    code = f"from minimd.bench.memory import lammps_peak, minimd_peak, peak_per_atom; print(); print({call})"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     if answer.returncode:
         print(f"memory could not be measured: {(answer.stderr.splitlines() or ['no reason given'])[-1]}", file=sys.stderr)
         return None
-    return float(answer.stdout)
+    return float(answer.stdout.splitlines()[-1])
 
 
-def peak_per_atom(scene: str, n: int, threads: int, precision: Precision) -> float:
-    """As bytes_per_atom, in this process, which must be a fresh one."""
-    (few, before), (many, after) = (_peak(scene, size, threads, precision) for size in (SMALL, n))
+def peak_per_atom(run: Callable[[int], int], n: int) -> float:
+    """As bytes_per_atom, in this process, which must be a fresh one. run : builds and runs a size, returns the number of atoms."""
+    few, before = run(SMALL), _peak()
+    many, after = run(n), _peak()
     return (after - before) / (many - few)
 
 
-def _peak(scene: str, n: int, threads: int, precision: Precision) -> tuple[int, float]:
-    """Number of atoms, and bytes this process has held at most so far."""
-    loaded = SCENES[scene](n)
-    Minimd(loaded, threads, precision).run(STEPS)
+def minimd_peak(scene: str, threads: int, precision: Precision) -> Callable[[int], int]:
+    """A function that builds a scene and runs it in minimd."""
+
+    def run(n: int) -> int:
+        loaded = SCENES[scene](n)
+        Minimd(loaded, threads, precision).run(STEPS)
+        return len(loaded.system)
+
+    return run
+
+
+def lammps_peak(n: int) -> int:
+    """Build the melt with LAMMPS' own commands and run it; returns the number of atoms."""
+    preload_mpi()
+    from lammps import lammps
+
+    engine = lammps(cmdargs=["-log", "none", "-screen", "none", "-sf", "opt"])
+    engine.commands_string(
+        f"units lj\nlattice fcc {MELT_DENSITY}\nregion box block 0 {n} 0 {n} 0 {n}\ncreate_box 1 box\ncreate_atoms 1 box\nmass 1 1.0\n"
+        f"velocity all create {MELT_TEMPERATURE} {SEED}\npair_style lj/cut {CUTOFF}\npair_coeff 1 1 1.0 1.0 {CUTOFF}\nneighbor {SKIN_LAMMPS} bin\n"
+        f"neigh_modify delay 0 every 20 check no\nfix 1 all nve\ntimestep {TIMESTEP}\nrun {STEPS}"
+    )
+    return int(engine.get_natoms())
+
+
+def _peak() -> float:
+    """Bytes this process has held at most so far."""
     peak = next(line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM:"))  # "VmHWM:   178012 kB"
-    return len(loaded.system), 1024.0 * float(peak.split()[1])
+    return 1024.0 * float(peak.split()[1])

@@ -15,9 +15,10 @@ from scipy.spatial import cKDTree
 import minimd as md
 from minimd.forces import Potential
 from minimd.lattice import constant_from_density, crystal
-from minimd.potentials.pair import Label
+from minimd.potentials.pair import Label, PairPotential
 from minimd.velocities import maxwell_boltzmann
 
+MELT = "melt"
 SEED = 87287
 TIMESTEP = 0.005  # τ
 CUTOFF = 2.5  # σ of the pair
@@ -118,7 +119,8 @@ def dumbbells(n: int) -> Scene:
     system = md.System(positions, cell=edges, species=["A"] * len(positions), bonds=bonds)
     law = md.LennardJones(1.0, 1.0, CUTOFF, "truncated", bonded_scale=(0.0, 1.0, 1.0))
     text = "Rigid dumbbells: two atoms 0.6 σ apart, 0.4 molecules per σ³, T* 1.5, r_c 2.5 σ, truncated, Δt* 0.005, NVE"
-    rigid, cutoffs = md.DistanceConstraints(bonds, DUMBBELL_LENGTH), {("A", "A"): CUTOFF}
+    rigid = md.DistanceConstraints(bonds, DUMBBELL_LENGTH)
+    cutoffs: dict[tuple[Label, Label], float] = {("A", "A"): CUTOFF}
     return Scene("dumbbells", text, _warm(system, DUMBBELL_TEMPERATURE), (law,), cutoffs, DUMBBELL_TEMPERATURE, (rigid,), 0.0, DUMBBELL_LENGTH)
 
 
@@ -133,19 +135,22 @@ def equilibrated(scene: Scene) -> Scene:
 
 
 def pairs_in_range(scene: Scene, positions: NDArray[np.float64]) -> int:
-    """Pairs of atoms closer than their cutoff that are not bonded, so that the pair potential acts on them.
+    """Pairs of atoms closer than their cutoff on which the pair potential acts: bonded ones are excluded where it says so.
 
-    positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff.
+    positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff, or open.
     """
-    wrapped = positions % scene.edges
-    wrapped[wrapped >= scene.edges] = 0.0  # rounding of small negative numbers
+    box = None
+    if scene.system.cell.is_periodic:
+        box, positions = scene.edges, positions % scene.edges
+        positions[positions >= scene.edges] = 0.0  # rounding of small negative numbers
     species = scene.system.species
-    trees = {name: cKDTree(wrapped[species == name], boxsize=scene.edges) for name in scene.system.species_names}
+    trees = {name: cKDTree(positions[species == name], boxsize=box) for name in scene.system.species_names}
     count = 0
     for a, b in combinations_with_replacement(trees, 2):
         both_ways = trees[a].count_neighbors(trees[b], _cutoff(scene, a, b))
         count += (both_ways - trees[a].n) // 2 if a == b else both_ways
-    return int(count) - len(scene.system.bonds)
+    excludes = any(isinstance(law, PairPotential) and law.bonded_scale[0] == 0.0 for law in scene.potentials)
+    return int(count) - excludes * len(scene.system.bonds)
 
 
 def _cutoff(scene: Scene, a: Label, b: Label) -> float:

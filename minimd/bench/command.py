@@ -1,0 +1,111 @@
+"""The command `minimd bench`: which benchmark, how large, and where its outcome goes. Nothing heavy is imported before one runs."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from minimd.bench.outcome import Outcome
+
+QUIET = "Let nothing else run meanwhile."
+REPEATS, REPEATS_QUICK = 7, 3
+
+
+class DisagreementError(Exception):
+    """Two engines have different energies in the same scene: nothing is timed."""
+
+
+def add_benchmarks(bench: argparse.ArgumentParser) -> None:
+    """All benchmarks, with their options."""
+    benchmarks = bench.add_subparsers(metavar="benchmark", title="benchmarks", required=True)
+    peers = _add(benchmarks, "peers", _peers, "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3")
+    peers.description = (
+        "Time whole runs in minimd and in the other engines that are installed (peers), all in turns. "
+        "Nothing is timed before all have the same energies, at the start and after the first steps."
+    )
+    peers.add_argument("--scene", default="melt", help="melt (default), chains (bead-spring), dumbbells (rigid), kob-andersen (minimd alone)")
+    peers.add_argument("--cells", type=counts, metavar="N,...", help="sizes: 4 N³ atoms, or nearly (default: 5,10,20,40)")
+    peers.add_argument("--threads", type=counts, default=(), metavar="T,...", help="of engines that can use several (default: 1 and all cores)")
+    peers.add_argument("--precision", type=words, default=("double",), metavar="P,...", help="of minimd: double (default), mixed")
+    peers.add_argument("--peers", type=words, default=(), metavar="NAME,...", help=f"{PEER_NAMES}, or none (default: those installed)")
+    errors = _add(benchmarks, "work-precision", _work_precision, "run time against error: every method, time step and precision")
+    errors.add_argument("scenes", nargs="*", metavar="SCENE", help="argon, argon-smooth, chains, dumbbells, kepler (default: all)")
+    scene = _add(benchmarks, "scene", _scene, "what each ingredient of a scene costs, and that an absent one costs nothing")
+    scene.add_argument("--cells", type=at_least_one, default=10, metavar="N", help="size: 4 N³ atoms (default: 10)")
+    scaling = _add(benchmarks, "scaling", _scaling, "time and memory against the number of atoms and threads")
+    scaling.add_argument("--threads", type=counts, default=(), metavar="T,...", help="default: 1 and all cores")
+
+
+PEER_NAMES = "lammps, lammps-checked, lammps-shake, lammps-plain, lammps-omp, openmm, ase, asap3"
+
+
+def _add(benchmarks: Any, name: str, run: Callable[[argparse.Namespace], "Outcome"], text: str) -> argparse.ArgumentParser:
+    """One benchmark, with the options that all have."""
+    parser = benchmarks.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", epilog=QUIET)
+    parser.add_argument("--quick", action="store_true", help="a few minutes in all: fewer sizes, methods and turns")
+    parser.add_argument("--repeats", type=at_least_one, metavar="R", help=f"turns of each engine (default: {REPEATS}, quick {REPEATS_QUICK})")
+    stem = f"bench_{name.replace('-', '_')}"
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help=f"write {stem}.md, .json and .png there, in place of older ones")
+    parser.set_defaults(command=lambda arguments: _bench(run, arguments))
+    return parser
+
+
+def _bench(run: Callable[[argparse.Namespace], "Outcome"], arguments: argparse.Namespace) -> int:
+    from minimd.bench.outcome import markdown, write
+
+    if arguments.out:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+    if arguments.repeats is None:
+        arguments.repeats = REPEATS_QUICK if arguments.quick else REPEATS
+    try:
+        outcome = run(arguments)
+    except ArithmeticError as error:
+        raise DisagreementError(str(error)) from error
+    print(markdown(outcome))
+    if arguments.out:
+        write(outcome, arguments.out)
+    return 0
+
+
+def _peers(arguments: argparse.Namespace) -> "Outcome":
+    from minimd.bench.peers import Options, run_peers
+
+    cells = arguments.cells or ((5, 10) if arguments.quick else (5, 10, 20, 40))
+    return run_peers(Options(arguments.scene, cells, arguments.threads, arguments.precision, arguments.peers, arguments.repeats))
+
+
+def _work_precision(arguments: argparse.Namespace) -> "Outcome":
+    from minimd.bench.work_precision import run_work_precision
+
+    return run_work_precision(arguments.scenes, arguments.quick, arguments.repeats)
+
+
+def _scene(arguments: argparse.Namespace) -> "Outcome":
+    from minimd.bench.ingredients import run_ingredients
+
+    return run_ingredients(arguments.cells, arguments.repeats)
+
+
+def _scaling(arguments: argparse.Namespace) -> "Outcome":
+    from minimd.bench.scaling import run_scaling
+
+    return run_scaling(arguments.threads, arguments.quick, arguments.repeats)
+
+
+def at_least_one(text: str) -> int:
+    """A whole number from 1 on."""
+    number = int(text) if text.isdecimal() else 0
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"must be a whole number, at least 1; it is {text!r}")
+    return number
+
+
+def counts(text: str) -> tuple[int, ...]:
+    """Whole numbers from 1 on, with commas between them, each once."""
+    return tuple(dict.fromkeys(at_least_one(word) for word in words(text)))
+
+
+def words(text: str) -> tuple[str, ...]:
+    """Words with commas between them, each once."""
+    return tuple(dict.fromkeys(word.strip() for word in text.split(",")))

@@ -1,0 +1,160 @@
+"""`minimd bench scene`: what each ingredient of a scene costs, and that one which is absent costs nothing."""
+
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+import minimd as md
+from minimd.bench.engines import Minimd
+from minimd.bench.outcome import new_figure, spread, summary, table
+from minimd.bench.scenes import CUTOFF, MELT_TEMPERATURE, SCENES, TIMESTEP, Scene, equilibrated, melt, pairs_in_range
+from minimd.bench.turns import take_turns, warm_up
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PARTNERS = 1.3  # σ: atoms closer than that may be bonded
+EVERY = 10  # steps between observations, where there are some
+BASE = "melt"
+
+
+class Cost(NamedTuple):
+    """One ingredient. seconds : (R,) of a step in each turn.  n_pairs : in range."""
+
+    name: str
+    n_atoms: int
+    n_pairs: float
+    seconds: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Costs of all ingredients, the melt first."""
+
+    costs: Sequence[Cost]
+    repeats: int
+    packages: Sequence[str] = ("h5py", "MDAnalysis")
+    name: ClassVar[str] = "scene"
+
+    def lines(self) -> list[str]:
+        """See Outcome."""
+        base = self.costs[0]
+        titles = {
+            "scene": str,
+            "atoms": float,
+            "µs per step": float,
+            "beside the melt": float,
+            "pairs per atom": float,
+            "per pair": float,
+        }
+        cells = []
+        for cost in self.costs:
+            ratio, pairs = cost.seconds / cost.n_atoms * base.n_atoms / base.seconds, cost.n_pairs / cost.n_atoms
+            by_pair = ratio * (base.n_pairs / base.n_atoms) / pairs
+            times = [spread(1e6 * cost.seconds), spread(ratio)]
+            cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", spread(by_pair)])
+        head = f"One thread, double precision, velocity Verlet; in turns, median of {self.repeats} (least to most); pairs are those in range."
+        return [head, "", *table(titles, cells)]
+
+    def content(self) -> dict[str, Any]:
+        """See Outcome."""
+        rows = [{"name": c.name, "n_atoms": c.n_atoms, "n_pairs": c.n_pairs, "seconds_per_step": summary(c.seconds)} for c in self.costs]
+        return {"repeats": self.repeats, "rows": rows}
+
+    def figure(self) -> "Figure":
+        """Times beside that of the melt."""
+        figure, base = new_figure(9.0, 4.5), self.costs[0]
+        axes = figure.subplots()
+        ratios = [cost.seconds / cost.n_atoms * base.n_atoms / base.seconds for cost in self.costs]
+        middle = np.array([np.median(ratio) for ratio in ratios])
+        ends = np.abs(np.array([[ratio.min(), ratio.max()] for ratio in ratios]) - middle[:, None]).T
+        axes.barh([cost.name for cost in self.costs], middle, xerr=ends, color="tab:blue", ecolor="gray")
+        axes.axvline(1.0, color="black", lw=0.8)
+        axes.invert_yaxis()
+        axes.set(xlabel="time of a step per atom, beside the melt", title=f"median and range of {self.repeats} turns")
+        return figure
+
+
+def run_ingredients(n: int, repeats: int) -> Costs:
+    """Time the melt of 4 n³ atoms plain and with one ingredient more, or less, in turns."""
+    with tempfile.TemporaryDirectory() as folder:
+        loaded = {name: make() for name, make in _ingredients(equilibrated(melt(n)), n, Path(folder)).items()}
+        engines = [engine for _, engine in loaded.values()]
+        n_atoms = 4 * n**3
+        n_steps = warm_up(engines, n_atoms)
+        before = [pairs_in_range(scene, engine.positions) for scene, engine in loaded.values()]
+        steps_per_second = take_turns(engines, n_steps, repeats, n_atoms)
+        costs = []
+        for k, (name, (scene, engine)) in enumerate(loaded.items()):
+            n_pairs = 0.5 * (before[k] + pairs_in_range(scene, engine.positions))
+            costs.append(Cost(name, len(scene.system), n_pairs, 1.0 / steps_per_second[k]))
+        print("done", file=sys.stderr)
+        return Costs(costs, repeats)
+
+
+def _ingredients(base: Scene, n: int, folder: Path) -> dict[str, Callable[[], tuple[Scene, Minimd]]]:
+    """Scenes by name, each with its engine."""
+    bonds, length = partners(base.system)
+    plain, excluding = (md.LennardJones(1.0, 1.0, CUTOFF, "truncated", bonded_scale=scale) for scale in ((1.0, 1.0, 1.0), (0.0, 1.0, 1.0)))
+    spring, rigid = md.HarmonicBond(400.0, length), md.DistanceConstraints(bonds)
+    bonded = _with(base, bonds=bonds)
+    labels = np.where(np.arange(len(base.system)) % 2 == 0, "A", "B")
+    two_kinds = md.LennardJones({"A": (1.0, 1.0), "B": (1.0, 1.0)}, cutoff=CUTOFF, truncation="truncated")
+    langevin = md.LangevinBAOAB(TIMESTEP, MELT_TEMPERATURE, friction=1.0, seed=1)
+    return {
+        BASE: lambda: (base, Minimd(base)),
+        "the melt once more": lambda: (base, Minimd(base)),
+        "said to have no bonds, no constraints": lambda: _run(_with(base, bonds=np.zeros((0, 2), dtype=int))._replace(constraints=())),
+        "+ energy and pressure every 10 steps": lambda: (base, Minimd(base, every=EVERY)),
+        "+ H5MD trajectory every 10 steps": lambda: (base, Minimd(base, every=EVERY, trajectory=folder / "run.h5md")),
+        "+ XTC trajectory every 10 steps": lambda: (base, Minimd(base, every=EVERY, trajectory=folder / "run.xtc")),
+        "+ energy and pressure every step": lambda: (base, Minimd(base, every=1)),
+        "+ second species": lambda: _run(_with(base, species=labels)._replace(potentials=(two_kinds,), cutoffs=_same_cutoff())),
+        "+ bonds": lambda: _run(bonded._replace(potentials=(plain, spring))),
+        "+ bonds, exclusions": lambda: _run(bonded._replace(potentials=(excluding, spring))),
+        "+ rigid bonds, exclusions": lambda: _run(bonded._replace(potentials=(excluding,), constraints=(rigid,))),
+        "+ Langevin bath": lambda: (base, Minimd(base, method=langevin)),
+        "− periodic boundaries (droplet)": lambda: _run(_with(base, pbc=False)),
+        "Kob-Andersen mixture": lambda: _run(equilibrated(SCENES["kob-andersen"](n))),
+        "chains of 100 beads": lambda: _run(equilibrated(SCENES["chains"](n))),
+    }
+
+
+def _run(scene: Scene) -> tuple[Scene, Minimd]:
+    return scene, Minimd(scene)
+
+
+def _same_cutoff() -> dict:
+    return {("A", "A"): CUTOFF, ("A", "B"): CUTOFF, ("B", "B"): CUTOFF}
+
+
+def _with(scene: Scene, **changes: Any) -> Scene:
+    """The scene with another System: species, bonds or pbc changed."""
+    old = scene.system
+    kept = {"species": old.species, "bonds": old.bonds, "pbc": old.cell.pbc} | changes
+    system = md.System(old.positions, velocities=old.velocities, masses=old.masses, cell=old.cell.vectors, units=old.units, **kept)
+    return scene._replace(system=system)
+
+
+def partners(system: md.System) -> tuple[NDArray[np.int64], float]:
+    """Pairs of neighbors, no atom in two of them, (K, 2), and the mean of their distances [σ]."""
+    edges = np.diag(system.cell.vectors)
+    wrapped = system.positions % edges
+    wrapped[wrapped >= edges] = 0.0
+    near = cKDTree(wrapped, boxsize=edges).query_pairs(PARTNERS, output_type="ndarray")
+    taken, chosen = np.zeros(len(system), dtype=bool), []
+    for i, j in near:
+        if not (taken[i] or taken[j]):
+            taken[[i, j]] = True
+            chosen.append((i, j))
+    pairs = np.array(chosen)
+    apart = system.positions[pairs[:, 1]] - system.positions[pairs[:, 0]]
+    apart -= np.rint(apart / edges) * edges
+    return pairs, float(np.linalg.norm(apart, axis=1).mean())

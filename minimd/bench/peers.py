@@ -1,0 +1,208 @@
+"""`minimd bench peers`: the same scene in minimd and in the other engines that are installed."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from minimd.bench.engines import PEERS, Engine, Minimd, Precision
+from minimd.bench.memory import FROM_ATOMS, bytes_per_atom
+from minimd.bench.outcome import new_figure, spread, summary, table
+from minimd.bench.rows import Row, beside_one_thread, faster_than_peer
+from minimd.bench.scenes import CUTOFF, MELT, SCENES, TIMESTEP, Scene, equilibrated
+from minimd.bench.turns import check_agreement, take_turns, warm_up
+from minimd.doctor import available_cores
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PRECISIONS = ("double", "mixed")
+NO_PEERS = ("none",)
+INSTALL = "pip install 'minimd[peers]'"
+
+
+class Options(NamedTuple):
+    """What to run.
+
+    threads : empty for one and all cores.  peers : names in PEERS; empty for those installed, "none" for none.
+    """
+
+    scene: str = MELT
+    cells: tuple[int, ...] = (5, 10, 20)
+    threads: tuple[int, ...] = ()
+    precisions: tuple[Precision, ...] = ("double",)
+    peers: tuple[str, ...] = ()
+    repeats: int = 7
+
+    def kinds(self) -> list[tuple[int, Precision]]:
+        """Threads and precisions in which minimd runs: double on one thread, the reference, and those asked for."""
+        return list(dict.fromkeys([(1, "double"), *((t, p) for t in self.all_threads() for p in self.precisions)]))
+
+    def all_threads(self) -> tuple[int, ...]:
+        """Numbers of threads, each once."""
+        return tuple(dict.fromkeys(self.threads or (1, available_cores())))
+
+
+def run_peers(options: Options) -> "Peers":
+    """Measure, size by size; what is going on is told on standard error.
+
+    Raises
+    ------
+    ValueError : for options that do not fit, or a peer that does not start.
+    ArithmeticError : if two engines disagree about the start or the first steps.
+    """
+    check(options)
+    peers = _peers(options)
+    text = SCENES[options.scene](min(options.cells)).text
+    sizes = [_beside_peers(n, options, peers) for n in options.cells]
+    return Peers(options.scene, text, options.repeats, tuple(dict.fromkeys(PEERS[name].package for name in peers)), sizes)
+
+
+@dataclass(frozen=True)
+class Peers:
+    """Rows of each size. scene : name.  text : what it is.  packages : of the peers that took part."""
+
+    scene: str
+    text: str
+    repeats: int
+    packages: Sequence[str]
+    sizes: Sequence[Sequence[Row]]
+    name: ClassVar[str] = "peers"
+
+    def lines(self) -> list[str]:
+        """See Outcome."""
+        head = [
+            f"{self.text}.",
+            "",
+            f"Speeds in 10⁶ atom-steps per second, whole runs, lists included, compiling not: median of {self.repeats} turns (least to most).",
+            "All engines take turns in one process; ratios are taken turn by turn.",
+        ]
+        return head + [line for rows in self.sizes for line in _table(rows)]
+
+    def content(self) -> dict[str, Any]:
+        """See Outcome."""
+        sizes = [{"n_atoms": rows[-1].n_atoms, "rows": [_as_mapping(rows, row) for row in rows]} for rows in self.sizes]
+        return {"scene": self.scene, "text": self.text, "repeats": self.repeats, "sizes": sizes}
+
+    def figure(self) -> "Figure":
+        """Speed against the number of atoms."""
+        figure = new_figure(9.0, 4.5)
+        axes = figure.subplots()
+        curves: dict[tuple[str, int, str], list[Row]] = {}
+        for row in (row for rows in self.sizes for row in rows):
+            curves.setdefault((row.engine, row.threads, row.precision), []).append(row)
+        for k, ((engine, threads, precision), rows) in enumerate(curves.items()):
+            n, speeds = [row.n_atoms for row in rows], np.array([row.speeds for row in rows]) / 1e6
+            style = {"lw": 2.5} if rows[0].is_minimd else {"lw": 1.2, "ls": "--"}
+            label = f"{engine}, {precision}, {threads} thread{'s' if threads > 1 else ''}"
+            axes.plot(n, np.median(speeds, axis=1), "os^vD<>pP*Xhd"[k % 13] + "-", label=label, **style)
+            axes.fill_between(n, speeds.min(axis=1), speeds.max(axis=1), alpha=0.15)
+        axes.set(xscale="log", yscale="log", xlabel="atoms", ylabel="10⁶ atom-steps / s", title=f"{self.scene}, median and range")
+        figure.legend(loc="outside right center", fontsize="small")
+        return figure
+
+
+def check(options: Options) -> None:
+    """Make sure that the options fit together and to this machine.
+
+    Raises
+    ------
+    ValueError : in one sentence, otherwise.
+    """
+    for name, value, allowed in (
+        ("scene", (options.scene,), SCENES),
+        ("precision", options.precisions, PRECISIONS),
+        ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS),
+    ):
+        unknown = [word for word in value if word not in allowed]
+        if unknown:
+            raise ValueError(f"--{name} must be of {', '.join(allowed)}; it is {unknown[0]!r}")
+    if max(options.all_threads()) > available_cores():
+        raise ValueError(f"--threads {max(options.threads)} is more than the {available_cores()} cores that this process may use")
+    smallest = min(options.cells)
+    if SCENES[options.scene](smallest).edges.min() < 2.0 * CUTOFF:
+        raise ValueError(f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {options.scene!r}; take more")
+    for name in options.peers:
+        if name not in NO_PEERS and options.scene not in PEERS[name].scenes:
+            raise ValueError(f"--peers {name} cannot run the scene {options.scene!r}; it runs {', '.join(PEERS[name].scenes)}")
+        if name not in NO_PEERS and not find_spec(PEERS[name].package):
+            raise ValueError(f"{PEERS[name].package} is not installed; {INSTALL} installs the peers")
+
+
+def _peers(options: Options) -> tuple[str, ...]:
+    """Names of the peers that take part; those that could, but are missing, are told."""
+    able = [name for name, peer in PEERS.items() if options.scene in peer.scenes]
+    if not able or options.peers == NO_PEERS:
+        return ()
+    missing = {PEERS[name].package: None for name in able if not find_spec(PEERS[name].package)}
+    if missing and not options.peers:
+        print(f"not installed, so not compared with: {', '.join(missing)}; {INSTALL} installs them", file=sys.stderr)
+    return tuple(name for name in options.peers or able if PEERS[name].package not in missing)
+
+
+def _beside_peers(n: int, options: Options, peers: Sequence[str]) -> list[Row]:
+    scene = SCENES[options.scene](n)
+    if options.scene != MELT:  # which melts on its own
+        scene = equilibrated(scene)
+    engines: list[Engine] = [Minimd(scene, *kind) for kind in options.kinds()]
+    n_atoms = len(scene.system)
+    for name in peers:
+        if name in options.peers or n_atoms <= PEERS[name].most_atoms:
+            engines.extend(_load(name, scene, threads) for threads in (options.all_threads() if PEERS[name].threaded else (1,)))
+    check_agreement(engines, n_atoms)
+    speeds = n_atoms * take_turns(engines, warm_up(engines, n_atoms), options.repeats, n_atoms)
+    rows = [Row(e.name, e.threads, e.precision, scene.name, n_atoms, speeds[k]) for k, e in enumerate(engines)]
+    return [with_memory(row, n) for row in rows]
+
+
+def _load(name: str, scene: Scene, threads: int) -> Engine:
+    """A peer with the scene; whatever keeps it from starting becomes one sentence."""
+    try:
+        return PEERS[name].load(scene, threads, TIMESTEP)
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(f"{name} is installed but does not start: {reason}; name the others with --peers") from error
+
+
+def with_memory(row: Row, n: int) -> Row:
+    """The row, with the memory of minimd per atom if the scene is large enough to tell."""
+    if not row.is_minimd or 4 * n**3 < FROM_ATOMS:
+        return row
+    print(f"{row.n_atoms} atoms: memory of minimd, {row.precision}, {row.threads} threads", file=sys.stderr)
+    return row._replace(bytes_per_atom=bytes_per_atom(row.scene, n, row.threads, row.precision))
+
+
+def _table(rows: Sequence[Row]) -> list[str]:
+    titles: dict[str, type] = {
+        "engine": str,
+        "threads": float,
+        "precision": str,
+        "speed": float,
+        "minimd double, same threads, is faster by": float,
+        "beside minimd double, 1 thread": float,
+    }
+    cells = []
+    for row in rows:
+        name = f"**{row.engine}**" if row.is_minimd else row.engine
+        ratios = [spread(faster_than_peer(rows, row)), spread(beside_one_thread(rows, row))]
+        cells.append([name, str(row.threads), row.precision, spread(row.speeds / 1e6), *ratios])
+    if any(row.bytes_per_atom is not None for row in rows):
+        titles["bytes per atom"] = float
+        cells = [[*line, "" if row.bytes_per_atom is None else f"{row.bytes_per_atom:.0f}"] for line, row in zip(cells, rows, strict=True)]
+    return ["", f"## {rows[0].n_atoms} atoms", "", *table(titles, cells)]
+
+
+def _as_mapping(rows: Sequence[Row], row: Row) -> dict[str, Any]:
+    return {
+        "engine": row.engine,
+        "threads": row.threads,
+        "precision": row.precision,
+        "n_atoms": row.n_atoms,
+        "atom_steps_per_second": summary(row.speeds),
+        "minimd_is_faster_by": summary(faster_than_peer(rows, row)),
+        "beside_minimd_one_thread": summary(beside_one_thread(rows, row)),
+        "bytes_per_atom": row.bytes_per_atom,
+    }

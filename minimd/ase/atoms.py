@@ -38,21 +38,29 @@ def system_from_atoms(atoms: Atoms, bonds: ArrayLike | None = None) -> System:
     return system
 
 
-def system_from_file(file: Path) -> System:
+def system_from_file(file: Path, cell: ArrayLike | None = None, pbc: ArrayLike | None = None) -> System:
     """The last structure in a file of any format that ASE reads, in ASE's units.
+
+    cell, pbc : instead of those of the file, as for System; with another cell the directions in which it is given are periodic.
 
     Raises
     ------
-    ValueError : if the file does not exist, or ASE cannot read it; whatever its readers raise becomes one sentence.
+    ValueError : if the file does not exist, or ASE cannot read it; whatever its readers raise becomes one sentence. And as System does.
     """
     if not file.is_file():
         raise ValueError(f"file {str(file)!r} does not exist")
     try:
         read = ase.io.read(file)
-        return system_from_atoms(read if isinstance(read, Atoms) else read[-1])
+        atoms = read if isinstance(read, Atoms) else read[-1]
+        system = system_from_atoms(atoms)
     except Exception as error:
         reason = " ".join(str(error).split()) or "ASE gives no reason"
         raise ValueError(f"file {str(file)!r} cannot be read as a structure: {type(error).__name__}: {reason}") from None
+    if cell is None and pbc is None:
+        return system
+    placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
+    atoms.cell[:], atoms.pbc = placed.vectors, placed.pbc
+    return system_from_atoms(atoms)  # with lengths of constraints that are measured in this cell
 
 
 def atomic_mass(element: str) -> float:

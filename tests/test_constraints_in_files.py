@@ -1,5 +1,6 @@
 """Constraints outside scripts: in H5MD files, in scene files, on ASE's atoms; what is read back is what was kept."""
 
+import warnings
 from pathlib import Path
 
 import ase.io
@@ -11,12 +12,14 @@ from ase.constraints import FixAtoms, FixBondLengths
 from rigid_scenes import chain
 
 import minimd as md
+from minimd.check import check_file
 from minimd.h5md import H5MDWriter, read_file
 from minimd.lattice import crystal
-from minimd.scene import parse_scene, resume_run, run_scene
+from minimd.scene import load_scene, parse_scene, resume_run, run_scene
 
 LENGTH = 0.5
 CUTOFF = 2.2
+DUMBBELLS = Path(__file__).parent.parent / "examples" / "dumbbells.toml"
 
 
 def dumbbells(n_cells=2, density=0.9):
@@ -151,6 +154,18 @@ def test_the_order_of_pairs_and_lengths_measured_anew_are_no_difference(tmp_path
     same = resumed(path, [md.FixedAtoms([0]), md.DistanceConstraints(PAIRS[:0:-1, ::-1]), md.FixedAtoms([1])])
     H5MDWriter.append_to(path, same).close(completed=False)
     assert read_file(path).step == 10
+
+
+def test_check_recomputes_the_lengths_of_a_file(tmp_path):
+    simulation(both_kinds()).run(200, every=5, trajectory=tmp_path / "a.h5md")
+    good = check_file(tmp_path / "a.h5md")
+    assert [one.passed for one in good.comparisons if one.name == "lengths"] == [True]
+    assert "lengths        kept to" in str(good)
+    with h5py.File(tmp_path / "a.h5md", "r+") as h5:
+        h5["particles/trajectory/position/value"][7, 9, 0] += 1e-5
+    bad = check_file(tmp_path / "a.h5md")
+    assert [one.name for one in bad.comparisons if not one.passed] == ["lengths"]
+    assert not bad.passed
 
 
 # ASE
@@ -409,3 +424,14 @@ def test_a_run_is_not_resumed_with_the_constraints_of_another_scene(tmp_path, mo
     assert Path("a.h5md").read_bytes() == before
     silent = parse_scene(RING.replace('[constraints]\npairs = "bonds"\n', ""), path)  # says nothing: those of the file
     assert resume_run("a.h5md", 10, scene=silent, tell=lambda _: None).n_dof == 5
+
+
+def test_the_scene_of_dumbbells_runs_as_its_comments_say():
+    sim = load_scene(DUMBBELLS).simulation()
+    assert sim.n_dof == 3 * 54 - 3 - 27
+    assert sim.n_dof == 132  # as the file has it
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the lattice has the lengths already
+        record = sim.run(200, every=10)
+    assert record.constraint_violation.max() < 2e-14  # rounding
+    assert record.temperature[0] == pytest.approx(1.5, rel=1e-12)

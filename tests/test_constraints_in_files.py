@@ -212,6 +212,13 @@ def test_trajectories_of_ase_hold_frames_as_they_are_with_their_constraints(name
             assert np.abs(read[1].lengths - LENGTH).max() < 1e-12  # ASE measures them anew
 
 
+def test_frames_for_ase_do_not_pass_through_its_solver(tmp_path):
+    """It would not converge to this tolerance."""
+    sim = simulation(md.DistanceConstraints(PAIRS, tolerance=1e-300))
+    sim.run(4, every=2, trajectory=tmp_path / "a.traj")
+    assert len(ase.io.read(tmp_path / "a.traj", ":")) == 3
+
+
 def test_a_foreign_calculator_is_asked_for_forces_without_constraints():
     from ase.calculators.lj import LennardJones
 

@@ -90,7 +90,8 @@ def resume_run(
     Parameters
     ----------
     steps : how many more; up to the end of the scene if not given.
-    scene : whose potentials and method are used, instead of those of the scene that is stored in the file.
+    scene : whose potentials and method are used, instead of those of the scene that is stored in the file; it may name no other
+        constraints than the file holds.
 
     Raises
     ------

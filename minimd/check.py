@@ -9,13 +9,18 @@ from numpy.typing import NDArray
 
 from minimd import observables
 from minimd.h5md import H5MDContents, read_file
+from minimd.integrators import DistanceConstraints
 from minimd.mdanalysis import VERSION, diffusion_coefficient, radial_distribution, universe
 from minimd.record import SERIES, Record
 from minimd.report import Report, conservation_report
+from minimd.rigidity import lengths_of, nearest_images
+from minimd.system import System
 
 SINGLE = 6e-8  # 2⁻²⁴, rounding of a velocity to float32, and so at most this part of Σ|mv|
 KINETIC = 1e-6  # K is quadratic in velocities: twice that rounding, and room for the sum
+LENGTHS = 2.1e-7  # √12 times that rounding: of three coordinates at either end
 EXACT = 0.0
+OBSERVED = (*SERIES, "constraint_violation")
 ENOUGH_FRAMES = 20  # for a diffusion coefficient
 
 
@@ -85,8 +90,9 @@ def check_file(path: str | Path) -> FileCheck:
 class Motion(NamedTuple):
     """All frames as MDAnalysis gives them, in the units of the simulation.
 
-    step : (T,).  time : (T,).  stored : observables of the file, float64 and uncast, names as in record.SERIES.
+    step : (T,).  time : (T,).  stored : observables of the file, float64 and uncast, named as in OBSERVED.
     kinetic_energy, momentum, absolute_momentum : (T,), (T, 3), (T,), recomputed from float32 velocities.
+    length_error : (T,), of the worst length that is kept, recomputed from float32 positions; see length_error.
     """
 
     step: NDArray[np.int64]
@@ -95,6 +101,7 @@ class Motion(NamedTuple):
     kinetic_energy: NDArray[np.float64]
     momentum: NDArray[np.float64]
     absolute_momentum: NDArray[np.float64]
+    length_error: NDArray[np.float64]
 
 
 def motion(path: str | Path) -> Motion:
@@ -104,18 +111,29 @@ def motion(path: str | Path) -> Motion:
     ------
     As universe.
     """
-    units = read_file(path).system.units
-    made, rows = universe(path), []
+    system = read_file(path).system
+    units, made, rows = system.units, universe(path), []
     masses = made.atoms.masses
     for ts in made.trajectory:
         v = ts.velocities * np.float64(units.to_picosecond / units.to_angstrom)
-        stored = [np.array(ts.data[name]) for name in SERIES if name in ts.data]
+        stored = [np.array(ts.data[name]) for name in OBSERVED if name in ts.data]
         moments = observables.kinetic_energy(v, masses), observables.momentum(v, masses), observables.absolute_momentum(v, masses)
-        rows.append((ts.data["step"], ts.time / units.to_picosecond, *stored, *moments))
-    names = [name for name in SERIES if name in ts.data]
+        system.positions[:] = ts.positions / np.float64(units.to_angstrom)
+        rows.append((ts.data["step"], ts.time / units.to_picosecond, *stored, *moments, length_error(system)))
+    names = [name for name in OBSERVED if name in ts.data]
     made.trajectory.close()
     step, time, *series = (np.array(column) for column in zip(*rows, strict=True))
     return Motion(step, time, dict(zip(names, series, strict=False)), *series[len(names) :])
+
+
+def length_error(system: System) -> float:
+    """|r − d| of the worst length that a system should keep, of its largest coordinate; 0 if it keeps none."""
+    scale = float(np.abs(system.positions).max())
+    for one in system.constraints:
+        if isinstance(one, DistanceConstraints):
+            bonds = system.positions[one.pairs[:, 1]] - system.positions[one.pairs[:, 0]] + nearest_images(system, one.pairs)
+            return float(np.abs(np.linalg.norm(bonds, axis=1) - lengths_of(system, one)).max()) / scale
+    return 0.0
 
 
 def comparisons(moved: Motion) -> list[Comparison]:
@@ -124,11 +142,13 @@ def comparisons(moved: Motion) -> list[Comparison]:
     parts = stored["potential_energy"] + stored["kinetic_energy"]
     kinetic = _largest(moved.kinetic_energy - stored["kinetic_energy"], stored["kinetic_energy"])
     not_forward = int(np.count_nonzero(np.diff(moved.step) <= 0))
+    lengths = Comparison("lengths", float(moved.length_error.max()), LENGTHS, "recomputed − kept, of the largest coordinate")
     return [
         Comparison("kinetic energy", kinetic, KINETIC, "recomputed − stored, of itself"),
         Comparison("momentum", _largest(moved.momentum - stored["momentum"], absolute), SINGLE, "recomputed − stored, of Σ|mv|"),
         Comparison("Σ|mv|", _largest(absolute - stored["absolute_momentum"], absolute), SINGLE, "recomputed − stored, of itself"),
         Comparison("total energy", _largest(parts - stored["total_energy"], stored["total_energy"]), EXACT, "potential + kinetic − total, of itself"),
+        *([lengths] if "constraint_violation" in stored else []),
         Comparison("steps", not_forward, EXACT, "frames that do not come later than the one before"),
     ]
 

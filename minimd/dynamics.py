@@ -43,6 +43,7 @@ class Dynamics:
         self._run_seconds, self._run_steps = 0.0, 0
         self._forces = Forces(self.system, potentials, options)
         self._rigidity = Rigidity(self.system, self.system.constraints if constraints is None else constraints, options.most_threads)
+        self.system.constraints = self._rigidity.kept
         self._state = State(self.system.positions, self.system.velocities, self._forces.forces, self._rigidity.inverse_masses)
         self._state.constraints = self._rigidity.bonds
         self._state.k_B, self._state.n_dof = self.system.units.k_B, self.n_dof
@@ -73,8 +74,8 @@ class Dynamics:
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
-        """What is held fixed."""
-        return self._rigidity.given
+        """What is held fixed, with the lengths that are kept; also those of system."""
+        return self._rigidity.kept
 
     @property
     def positions(self) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd import h5md_layout as layout
+from minimd.h5md_constraints import difference, n_bytes
 from minimd.h5md_layout import H5MDContents, read_file
 from minimd.record import Frame
 
@@ -55,7 +56,7 @@ class H5MDWriter:
         self._begin(Path(file), simulation, layout.opened(file, "w"), store_forces)
         system = simulation.system
         with self._telling("begin"):
-            self._reserve(BYTES_PER_ATOM * len(system) + BYTES_PER_BOND * len(system.bonds))
+            self._reserve(BYTES_PER_ATOM * len(system) + BYTES_PER_BOND * len(system.bonds) + n_bytes(simulation.constraints))
             layout.describe(self._h5, simulation)
             self._h5.flush()
 
@@ -67,8 +68,8 @@ class H5MDWriter:
 
         Raises
         ------
-        ValueError : if the file holds another system, no forces although store_forces, or if the simulation does not
-            stand at the step of the restart.  OSError : if the file cannot be written.
+        ValueError : if the file holds another system or other constraints, no forces although store_forces, or if the
+            simulation does not stand at the step of the restart.  OSError : if the file cannot be written.
         """
         contents = read_file(file)
         _check_continues(file, contents, simulation, store_forces)
@@ -244,6 +245,9 @@ def _check_continues(file: Path, contents: H5MDContents, simulation: "Simulation
     for name, is_same in same.items():
         if not is_same:
             raise ValueError(f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new file")
+    held = difference(theirs.constraints, simulation.constraints, theirs.positions)
+    if held:
+        raise ValueError(f"trajectory {str(file)!r} holds a run with other constraints: {held}; go on with those of the file, or write to a new file")
     if simulation.step != contents.step:
         raise ValueError(f"trajectory {str(file)!r} continues from step {contents.step}; the simulation stands at step {simulation.step}")
     if simulation.method.is_thermostat != ("conserved_energy" in contents.record):

@@ -3,7 +3,7 @@
     particles/trajectory    box/edges, position, velocity, force [Å, Å/ps, kJ/mol/Å; times in ps], species, mass
     connectivity/bonds      pairs of bonded atoms
     observables/<name>      the numbers of the record, to the last bit, in the units of the simulation
-    minimd                  what H5MD has no place for: units, cell, pbc, timestep, method, exact times, restart
+    minimd                  what H5MD has no place for: units, cell, pbc, timestep, method, constraints, exact times, restart
 
 Reduced numbers are written unchanged under the same labels, because MDAnalysis refuses a file without units; the group
 minimd then says units = "LJ". MDAnalysis takes a box with edges for periodic in all directions and one without for open in all:
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from minimd import __version__
 from minimd.cell import Cell
+from minimd.h5md_constraints import describe_constraints, read_constraints
 from minimd.record import SERIES, Frame, Record
 from minimd.system import System
 from minimd.units import SYSTEMS
@@ -43,7 +44,7 @@ class H5MDContents:
 
     Attributes
     ----------
-    record : Record, one entry for each frame.  system : System at the restart, to the last bit.
+    record : Record, one entry for each frame.  system : System at the restart, to the last bit, with the constraints of the run.
     step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
     heat : [energy], that a thermostat had put in at the restart; 0 without one.  conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
@@ -123,13 +124,14 @@ def series_of(h5: h5py.File, column: Column, frame: Frame) -> h5py.Dataset:
 
 
 def describe(h5: h5py.File, simulation: "Simulation") -> None:
-    """Everything that does not change: who wrote the file, species, masses, bonds, cell, method; and an empty restart."""
+    """Everything that does not change: who wrote the file, species, masses, bonds, cell, method, constraints; and an empty restart."""
     system = simulation.system
     _describe_standard(h5, system)
     group = h5.create_group("minimd")
     group.attrs.update({"version": __version__, "units": system.units.name, "pbc": system.cell.pbc, "scene": ""})
     group.attrs["title"] = f"{len(system)} atoms of {', '.join(str(name) for name in system.species_names)}"
     describe_method(group, simulation)
+    describe_constraints(group, simulation.constraints)
     group["cell"] = system.cell.vectors
     group["species_index"] = system.species_index
     names = system.species_names
@@ -250,6 +252,7 @@ def _system(group: h5py.Group) -> System:
         species=np.array(labels.tolist())[group["species_index"][:]],
         bonds=group["bonds"][:],
         units=SYSTEMS[group.attrs["units"]],
+        constraints=read_constraints(group),
     )
 
 

@@ -46,6 +46,7 @@ class Rigidity:
     Attributes
     ----------
     inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : RigidBonds, or None.  n_constraints, n_fixed : int.
+    kept : the same constraints with the lengths that are kept, at most one of each kind.
     """
 
     def __init__(self, system: System, constraints: Constraint | Sequence[Constraint], threads: int = 1) -> None:
@@ -56,12 +57,19 @@ class Rigidity:
         distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
         if len(distances) > 1:
             raise ValueError("all pairs must be given in one DistanceConstraints: those that share atoms are solved together")
-        self.given, self._threads = tuple(given), threads
+        self._threads = threads
         self.inverse_masses = self._masses(system, [constraint.atoms for constraint in given if isinstance(constraint, FixedAtoms)])
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self._distances = distances[0] if distances else None
         self.bonds = self._rigid_bonds(system)
         self.n_constraints = self.bonds.n_constraints if self.bonds else 0
+        self.kept = self._kept()
+
+    def _kept(self) -> tuple[Constraint, ...]:
+        kept: list[Constraint] = [FixedAtoms(self.inverse_masses == 0.0)] if self.n_fixed else []
+        if self.bonds is not None and self._distances is not None:
+            kept.append(DistanceConstraints(self.bonds.pairs, self.bonds.lengths, self._distances.tolerance, self._distances.solver))
+        return tuple(kept)
 
     @staticmethod
     def _masses(system: System, fixed: list[NDArray[np.int64]]) -> NDArray[np.float64]:
@@ -118,6 +126,14 @@ class Rigidity:
                 f"velocities along bonds by {turned:.1e} of the speed",
                 stacklevel=4,
             )
+
+
+def lengths_of(system: System, constraints: DistanceConstraints) -> NDArray[np.float64]:
+    """(K,) [length], as given; else the distances in the system, to the nearest image."""
+    if constraints.lengths is not None:
+        return constraints.lengths
+    i, j = constraints.pairs.T
+    return np.linalg.norm(system.positions[j] - system.positions[i] + nearest_images(system, constraints.pairs), axis=1)
 
 
 def nearest_images(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float64]:

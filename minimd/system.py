@@ -106,7 +106,7 @@ class System:
         return system_from_atoms(atoms, bonds)
 
     def to_ase(self) -> "ase.Atoms":
-        """An ase.Atoms with the same positions, momenta, masses, cell and species: see minimd.ase.atoms_from_system."""
+        """An ase.Atoms with the same positions, momenta, masses, cell, species and constraints: see minimd.ase.atoms_from_system."""
         from minimd.ase import atoms_from_system
 
         return atoms_from_system(self)

@@ -36,6 +36,15 @@ def test_example_is_short(name):
     assert len((EXAMPLES / name).read_text().splitlines()) <= 60
 
 
+def test_a_ring_that_runs_along_itself_keeps_its_shape(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(EXAMPLES / "rigid_ring.py"), run_name="__main__")
+    running, squeezed = map(float, re.findall(r"off its curve by (\d+\.\d+) b", capsys.readouterr().out))
+    assert running < 0.2  # truncation: 0.12 with 200 beads, 0.20 with 100
+    assert squeezed > 10.0
+    assert (tmp_path / "rigid_ring.png").stat().st_size > 0
+
+
 def test_own_laws_give_what_their_formulas_say(capsys):
     runpy.run_path(str(EXAMPLES / "own_law.py"), run_name="__main__")
     frequency, expected, force, difference = map(float, re.findall(r"-?\d+\.\d{3,}", capsys.readouterr().out))

@@ -9,7 +9,7 @@ from references import melt_scene
 import minimd as md
 from minimd.lattice import BASES, constant_from_density, crystal
 from minimd.scene import load_scene, parse_scene, run_scene
-from minimd.scene.sections import KEY_UNITS
+from minimd.scene.key_units import KEY_UNITS
 
 ARGON = Path(__file__).parent.parent / "examples" / "argon.toml"
 

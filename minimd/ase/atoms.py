@@ -9,7 +9,7 @@ from ase.data import atomic_masses, atomic_numbers
 from numpy.typing import ArrayLike
 
 from minimd import units
-from minimd.ase.constraints import constraints_of, fixes_center
+from minimd.ase.constraints import ases_constraints_of, constraints_of, fixes_center
 from minimd.cell import Cell
 from minimd.system import System
 from minimd.velocities import without_momentum
@@ -38,21 +38,29 @@ def system_from_atoms(atoms: Atoms, bonds: ArrayLike | None = None) -> System:
     return system
 
 
-def system_from_file(file: Path) -> System:
+def system_from_file(file: Path, cell: ArrayLike | None = None, pbc: ArrayLike | None = None) -> System:
     """The last structure in a file of any format that ASE reads, in ASE's units.
+
+    cell, pbc : instead of those of the file, as for System; with another cell the directions in which it is given are periodic.
 
     Raises
     ------
-    ValueError : if the file does not exist, or ASE cannot read it; whatever its readers raise becomes one sentence.
+    ValueError : if the file does not exist, or ASE cannot read it; whatever its readers raise becomes one sentence. And as System does.
     """
     if not file.is_file():
         raise ValueError(f"file {str(file)!r} does not exist")
     try:
         read = ase.io.read(file)
-        return system_from_atoms(read if isinstance(read, Atoms) else read[-1])
+        atoms = read if isinstance(read, Atoms) else read[-1]
+        system = system_from_atoms(atoms)
     except Exception as error:
         reason = " ".join(str(error).split()) or "ASE gives no reason"
         raise ValueError(f"file {str(file)!r} cannot be read as a structure: {type(error).__name__}: {reason}") from None
+    if cell is None and pbc is None:
+        return system
+    placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
+    atoms.cell[:], atoms.pbc = placed.vectors, placed.pbc
+    return system_from_atoms(atoms)  # with lengths of constraints that are measured in this cell
 
 
 def atomic_mass(element: str) -> float:
@@ -68,7 +76,7 @@ def atomic_mass(element: str) -> float:
 
 
 def atoms_from_system(system: System) -> Atoms:
-    """ASE's atoms with the positions (not wrapped), momenta, masses, cell and periodicity of a system; bonds are lost.
+    """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity and constraints of a system; bonds are lost.
 
     Species that are chemical symbols become elements. All others become 'X', ASE's symbol for no element, and all labels
     are kept in the array "species_labels", where system_from_atoms finds them again. Numbers cross unchanged: for a system
@@ -79,6 +87,7 @@ def atoms_from_system(system: System) -> Atoms:
     atoms = Atoms(symbols, system.positions, momenta=momenta, masses=system.masses, cell=system.cell.vectors, pbc=system.cell.pbc)
     if not set(system.species_names) <= set(atomic_numbers):
         atoms.set_array(LABELS, system.species)
+    atoms.set_constraint(ases_constraints_of(system))
     return atoms
 
 

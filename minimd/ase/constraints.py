@@ -1,13 +1,14 @@
-"""ASE's constraints as minimd's."""
+"""ASE's constraints as minimd's, and back."""
 
 import numpy as np
 from ase import Atoms
-from ase.constraints import FixAtoms, FixBondLengths, FixCom, FixLinearTriatomic
+from ase.constraints import FixAtoms, FixBondLengths, FixCom, FixConstraint, FixLinearTriatomic
 from ase.geometry import find_mic
 from numpy.typing import NDArray
 
-from minimd.integrators.constraints import DistanceConstraints
-from minimd.rigidity import Constraint, FixedAtoms
+from minimd.integrators.constraints import TOLERANCE, DistanceConstraints
+from minimd.rigidity import Constraint, FixedAtoms, lengths_of
+from minimd.system import System
 
 Pairs = tuple[NDArray[np.int64], NDArray[np.float64]]
 UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCom"
@@ -21,10 +22,12 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
     ValueError : for a constraint of another kind, by name.
     """
     lengths: list[Pairs] = []
+    tolerances: list[float] = []
     fixed: list[int] = []
     for constraint in atoms.constraints:
         if isinstance(constraint, FixBondLengths):
             lengths.append(_bonds(atoms, constraint))
+            tolerances.append(float(constraint.tolerance))
         elif isinstance(constraint, FixLinearTriatomic):
             lengths.append(_rods(atoms, constraint))
         elif isinstance(constraint, FixAtoms):
@@ -37,8 +40,20 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
     answer: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
     if lengths:
         pairs, values = (np.concatenate(part) for part in zip(*lengths, strict=True))
-        answer.append(DistanceConstraints(pairs, values))
+        answer.append(DistanceConstraints(pairs, values, min(tolerances, default=TOLERANCE)))
     return tuple(answer)
+
+
+def ases_constraints_of(system: System) -> list[FixConstraint]:
+    """The constraints of a system for an ase.Atoms: FixAtoms, and FixBondLengths with the lengths; ASE has one solver of its own."""
+    answer: list[FixConstraint] = []
+    for constraint in system.constraints:
+        if isinstance(constraint, FixedAtoms):
+            answer.append(FixAtoms(indices=constraint.atoms))
+        else:
+            lengths = lengths_of(system, constraint)
+            answer.append(FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths.copy()))
+    return answer
 
 
 def fixes_center(atoms: Atoms) -> bool:

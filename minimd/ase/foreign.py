@@ -33,6 +33,7 @@ class ForcesFromCalculator:
     def bind(self, system: System) -> "CalculatorTerm":
         """The term that asks the calculator for the forces on this system."""
         atoms = atoms_from_system(system)
+        atoms.set_constraint()  # minimd wants the forces as they are, and keeps constraints itself
         atoms.calc = self.calculator
         return CalculatorTerm(atoms)
 

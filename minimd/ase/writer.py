@@ -14,8 +14,8 @@ from minimd.simulation import Simulation
 class ASEWriter:
     """A trajectory written by ASE, in the units of the system: .traj in float64, .xyz and .extxyz as extended XYZ, with 8 decimals.
 
-    Each frame holds positions (not wrapped), momenta, masses, cell, the potential energy as that of a calculator, forces
-    if they are to be stored, and step and time in info.
+    Each frame holds positions (not wrapped), momenta, masses, cell, constraints (.traj: all, but no lengths; else fixed atoms), the
+    potential energy as that of a calculator, forces if they are to be stored, and step and time in info.
     """
 
     def __init__(self, file: Path, simulation: Simulation, store_forces: bool) -> None:
@@ -27,7 +27,7 @@ class ASEWriter:
         """Append one frame."""
         atoms = self._template.copy()
         atoms.positions[:] = frame.positions
-        atoms.set_momenta(frame.velocities * atoms.get_masses()[:, None])
+        atoms.set_momenta(frame.velocities * atoms.get_masses()[:, None], apply_constraint=False)
         atoms.info.update(step=frame.step, time=frame.time)
         forces = frame.forces if self._store_forces else None
         atoms.calc = SinglePointCalculator(atoms, energy=frame.observables["potential_energy"], forces=forces)

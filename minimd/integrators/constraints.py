@@ -22,6 +22,7 @@ SolverName = Literal["auto", "newton", "shake"]
 SOLVERS = ("auto", "newton", "shake")
 ROUNDINGS = 20.0  # of the coordinates: no length can be kept better
 EPS = float(np.finfo(float).eps)
+TOLERANCE = 1e-12  # of |r² − d²|/d², if none is given
 
 
 class DistanceConstraints:
@@ -39,12 +40,9 @@ class DistanceConstraints:
     ValueError : for pairs that are none, or twice the same; lengths or a tolerance not positive; an unknown solver.
     """
 
-    def __init__(self, pairs: ArrayLike, lengths: ArrayLike | None = None, tolerance: float = 1e-12, solver: SolverName = "auto") -> None:
+    def __init__(self, pairs: ArrayLike, lengths: ArrayLike | None = None, tolerance: float = TOLERANCE, solver: SolverName = "auto") -> None:
         self.pairs = _checked_pairs(pairs)
-        self.lengths = None if lengths is None else np.broadcast_to(np.asarray(lengths, dtype=float), (len(self.pairs),)).copy()
-        if self.lengths is not None and not (self.lengths > 0.0).all():
-            k = int(np.argmin(self.lengths > 0.0))
-            raise ValueError(f"lengths must be positive; that of constraint {k} is {self.lengths[k]}")
+        self.lengths = None if lengths is None else _checked_lengths(lengths, len(self.pairs))
         if not tolerance > 0.0:
             raise ValueError(f"tolerance must be positive; tolerance = {tolerance!r}")
         if solver not in SOLVERS:
@@ -93,6 +91,17 @@ def _checked_pairs(pairs: ArrayLike) -> Ints:
     if (counts > 1).any():
         raise ValueError(f"each pair may be named once; {known[np.argmax(counts > 1)].tolist()} is named {counts.max()} times")
     return np.ascontiguousarray(pairs, dtype=np.int64)
+
+
+def _checked_lengths(lengths: ArrayLike, n_pairs: int) -> Array:
+    given = np.asarray(lengths, dtype=float)
+    if given.shape not in ((), (1,), (n_pairs,)):
+        raise ValueError(f"lengths must be one number or {n_pairs}, one for each pair; their shape is {given.shape}")
+    checked = np.broadcast_to(given, (n_pairs,)).copy()
+    wrong = np.flatnonzero(~(np.isfinite(checked) & (checked > 0.0)))
+    if wrong.size:
+        raise ValueError(f"lengths must be positive and finite; that of constraint {wrong[0]} is {checked[wrong[0]]}")
+    return checked
 
 
 class RigidBonds:

@@ -11,11 +11,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from minimd import units
-from minimd.cell import Cell
 from minimd.integrators import SPLITTINGS, LangevinBAOAB, Splitting, StochasticVelocityRescaling
 from minimd.lattice import constant_from_density, crystal
 from minimd.scene.problems import problems
-from minimd.scene.sections import Reading, SceneSections
+from minimd.scene.section import Reading
+from minimd.scene.sections import SceneSections
 from minimd.simulation import Simulation
 from minimd.system import System
 
@@ -40,14 +40,15 @@ class Scene:
         return units.SYSTEMS[self.sections.units]
 
     def system(self) -> System:
-        """The atoms where the scene puts them.
+        """The atoms where the scene puts them, with what holds them.
 
         Raises
         ------
-        ValueError, OSError : naming the file, for a structure that cannot be read or is no possible one.
+        ValueError, OSError : naming the file, for a structure that cannot be read or is no possible one, or impossible constraints.
         """
         with _blamed_on(f"{self.path}: structure"):
-            return self._from_lattice() if self.sections.structure.file is None else self._from_file()
+            system = self._from_lattice() if self.sections.structure.file is None else self._from_file()
+        return self._constrained(system)
 
     def potentials(self) -> list[Any]:
         """The potentials, in the order of the file.  Raises ValueError, naming the file and the entry."""
@@ -70,10 +71,11 @@ class Scene:
     def simulation(self, system: System | None = None) -> Simulation:
         """The simulation at its start, with velocities drawn at the temperature of the scene, if it names one.
 
-        system : a state to go on from, instead of the structure of the scene; its velocities stay.
+        system : a state to go on from, instead of the structure of the scene; its velocities stay, and constraints as far as
+            the scene names no others.
         """
         dynamics = self.sections.dynamics
-        start, potentials = self.system() if system is None else system, self.potentials()
+        start, potentials = self.system() if system is None else self._constrained(system.copy()), self.potentials()
         with _blamed_on(str(self.path)):
             simulation = Simulation(start, potentials, self.method(), threads=dynamics.threads, precision=dynamics.precision)
         if system is None and dynamics.temperature is not None:
@@ -108,6 +110,14 @@ class Scene:
         """True if the scene gives its picture a name."""
         return isinstance(self.sections.output.plot, str)
 
+    def _constrained(self, system: System) -> System:
+        """A system with the constraints of the scene."""
+        section = self.sections.constraints
+        if section is not None:
+            with _blamed_on(f"{self.path}: constraints"):
+                system.constraints = section.constraints(self.sections.structure.bonds, system.constraints)
+        return system
+
     def _from_lattice(self) -> System:
         structure, unit_system = self.sections.structure, self.units
         lattice, element, mass = structure.lattice or "", structure.element, 1.0
@@ -124,20 +134,16 @@ class Scene:
         structure, reduced = self.sections.structure, self.units is units.LJ
         from minimd.ase import system_from_file
 
-        read = system_from_file(self.path.parent / (structure.file or ""))
-        if read.constraints:
-            raise ValueError(f"{self.path}: structure.file {structure.file!r} holds constraints, which scenes do not keep; run it from a script")
-        cell = read.cell
-        if structure.cell is not None or structure.pbc is not None:
-            cell = Cell.of(read.cell.vectors if structure.cell is None else structure.cell, structure.pbc)
+        read = system_from_file(self.path.parent / (structure.file or ""), structure.cell, structure.pbc)
         return System(
             read.positions,
             masses=None if reduced else read.masses,
             velocities=None if reduced else read.velocities,
-            cell=cell,
+            cell=read.cell,
             species=structure.species or read.species,
             bonds=structure.bonds,
             units=self.units,
+            constraints=read.constraints,
         )
 
 

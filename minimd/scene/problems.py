@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from minimd.scene.sections import Reading, Section, Unknown
+from minimd.scene.section import Reading, Section, Unknown
 
 PLAIN = {  # pydantic's words: ours
     "Input should be": "must be",

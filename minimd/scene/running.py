@@ -8,7 +8,9 @@ import numpy as np
 
 from minimd import units
 from minimd.h5md import H5MDContents, H5MDWriter, annotate, read_file
+from minimd.integrators import DistanceConstraints
 from minimd.potentials import PairPotential
+from minimd.rigidity import FixedAtoms
 from minimd.scene.document import Scene, parse_scene
 from minimd.scene.ending import kept, nothing_written
 from minimd.simulation import Observer, Simulation
@@ -88,7 +90,8 @@ def resume_run(
     Parameters
     ----------
     steps : how many more; up to the end of the scene if not given.
-    scene : whose potentials and method are used, instead of those of the scene that is stored in the file.
+    scene : whose potentials and method are used, instead of those of the scene that is stored in the file; it may name no other
+        constraints than the file holds.
 
     Raises
     ------
@@ -176,6 +179,7 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
         f"scene          {scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""),
         f"system         {_atoms(simulation)}",
         f"cell           {_cell(simulation)}",
+        *([f"constraints    {_constraints(simulation)}"] if simulation.constraints else []),
         *(f"potential      {_potential(potential, scene.units)}" for potential in scene.potentials()),
         f"method         {dynamics.method}, timestep {_time(dynamics.timestep, scene.units)}" + _bath(scene),
     ]
@@ -195,6 +199,12 @@ def _atoms(simulation: Simulation) -> str:
     names = ", ".join(f"{count} {name}" for name, count in zip(system.species_names, counts, strict=True))
     bonds = f"; {len(system.bonds)} bonds" if len(system.bonds) else ""
     return f"{len(system)} atoms ({names}){bonds}"
+
+
+def _constraints(simulation: Simulation) -> str:
+    lengths = [f"lengths kept: {len(one.pairs)}" for one in simulation.constraints if isinstance(one, DistanceConstraints)]
+    fixed = [f"atoms fixed: {len(one.atoms)}" for one in simulation.constraints if isinstance(one, FixedAtoms)]
+    return ", ".join([*lengths, *fixed]) + f"; {simulation.n_dof} degrees of freedom"
 
 
 def _cell(simulation: Simulation) -> str:

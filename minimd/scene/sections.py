@@ -1,104 +1,20 @@
-"""What may stand in a scene file: one class for each section, one line for each key.
+"""What may stand in a scene file: one class for each section, one line for each key."""
 
-A key that holds a quantity carries its unit, timestep_fs; a field of a section is named without it, and holds the quantity.
-"""
-
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
 from minimd.integrators import SPLITTINGS, THERMOSTATS
+from minimd.integrators.constraints import SOLVERS, TOLERANCE, DistanceConstraints
 from minimd.lattice import BASES
 from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones
 from minimd.potentials.mixing import MIXING
 from minimd.potentials.truncation import TRUNCATIONS
-from minimd.scene.key_units import KEY_UNITS
+from minimd.rigidity import Constraint, FixedAtoms
+from minimd.scene.section import Dimension, Section, one_of, reading_of
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
-
-
-class Dimension(str):
-    """Marks a field as a quantity: a key of KEY_UNITS[units]."""
-
-
-@dataclass
-class Unknown:
-    """A key that its section does not have, and one that it has already in another unit."""
-
-    table: dict
-    key: str
-    twice: bool
-
-
-@dataclass
-class Reading:
-    """What is noted while a document is read: its unit system, the class of each table by its id, unknown keys."""
-
-    units: str
-    sections: dict[int, type["Section"]] = field(default_factory=dict)
-    unknown: list[Unknown] = field(default_factory=list)
-
-
-def _reading(info: ValidationInfo) -> Reading:
-    """The notes that go with a validation."""
-    if not isinstance(info.context, Reading):
-        raise TypeError("a section is read with context=Reading(units)")
-    return info.context
-
-
-class Section(BaseModel):
-    """A table of a scene file. Its fields hold numbers in the units of the engine."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-    @classmethod
-    def keys_of(cls, name: str, units: str) -> dict[str, float | None]:
-        """The keys under which a field may be written, and the factor that each puts on its numbers; None for no number."""
-        dimension = next((mark for mark in cls.model_fields[name].metadata if isinstance(mark, Dimension)), None)
-        return {name: None} if dimension is None else {name + ending: size for ending, size in KEY_UNITS[units][dimension].items()}
-
-    @classmethod
-    def keys(cls, units: str) -> dict[str, tuple[str, float | None]]:
-        """All keys of the section: the field of each, and the factor that it puts on its numbers."""
-        return {key: (name, size) for name in cls.model_fields for key, size in cls.keys_of(name, units).items()}
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_units(cls, table: Any, info: ValidationInfo) -> Any:
-        """The table under the names of the fields, units multiplied into the numbers; unknown keys are noted and dropped."""
-        if not isinstance(table, dict):
-            return table
-        reading = _reading(info)
-        reading.sections[id(table)] = cls
-        keys, fields = cls.keys(reading.units), {}
-        for key, value in table.items():
-            name, size = keys.get(key, (None, None))
-            if name is None or name in fields:
-                reading.unknown.append(Unknown(table, key, twice=name is not None))
-            else:
-                fields[name] = _multiplied(value, size)
-        return fields
-
-
-def _multiplied(value: Any, size: float | None) -> Any:
-    if size is None or isinstance(value, bool):
-        return value
-    if isinstance(value, list):
-        return [_multiplied(entry, size) for entry in value]
-    return value * size if isinstance(value, int | float) else value
-
-
-def _one_of(allowed: Iterable[str]) -> AfterValidator:
-    names = tuple(allowed)
-
-    def check(value: str) -> str:
-        if value not in names:
-            raise ValueError(f"must be one of {', '.join(map(repr, names))}")
-        return value
-
-    return AfterValidator(check)
 
 
 Three = Field(min_length=3, max_length=3)
@@ -112,7 +28,7 @@ class StructureSection(Section):
     """[structure]: a file that ASE reads, or a block of a cubic crystal."""
 
     file: str | None = None
-    lattice: Annotated[str, _one_of(BASES)] | None = None
+    lattice: Annotated[str, one_of(BASES)] | None = None
     element: str | None = None
     repeat: Annotated[list[PositiveInt], Three] | None = None
     density: Annotated[Positive | None, Dimension("density")] = None
@@ -130,7 +46,7 @@ class StructureSection(Section):
             self._forbid("file", "element", "repeat", "density", "lattice_constant")
             return self
         self._forbid("lattice", "cell")
-        units = _reading(info).units
+        units = reading_of(info).units
         if self.repeat is None or (self.element is None and units == "ASE"):
             raise ValueError("must have repeat beside lattice" if self.repeat is None else "must have element beside lattice")
         if (self.density is None) == (self.lattice_constant is None):
@@ -142,6 +58,49 @@ class StructureSection(Section):
         for name in others:
             if getattr(self, name) is not None:
                 raise ValueError(f"cannot have {name} beside {origin}")
+
+
+class ConstraintsSection(Section):
+    """[constraints]: lengths and atoms that are held fixed. What it does not name stays as the structure file has it."""
+
+    pairs: list[PairOfAtoms] | Literal["bonds"] | None = None
+    lengths: Annotated[Positive | list[Positive] | None, Dimension("length")] = None
+    fixed: list[NonNegativeInt] | None = None
+    tolerance: Positive | None = None
+    solver: Annotated[str, one_of(SOLVERS)] | None = None
+
+    @model_validator(mode="after")
+    def _has_as_many_lengths_as_pairs(self, info: ValidationInfo) -> Self:
+        key = next(iter(self.keys_of("lengths", reading_of(info).units)))
+        if self.lengths is not None and not self.pairs:
+            raise ValueError(f"must have pairs beside {key}")
+        if isinstance(self.lengths, list) and isinstance(self.pairs, list) and len(self.lengths) != len(self.pairs):
+            raise ValueError(f"must have one number as {key}, or one for each of its {len(self.pairs)} pairs; it has {len(self.lengths)}")
+        return self
+
+    def constraints(self, bonds: list[list[int]] | None, known: Sequence[Constraint]) -> tuple[Constraint, ...]:
+        """The constraints of a system whose file, of structure or run, holds some already.
+
+        bonds : of the structure.  known : of the file; they give what the section leaves open, lengths too if the pairs are the same.
+        Raises ValueError for impossible ones.
+        """
+        held = next((one for one in known if isinstance(one, DistanceConstraints)), None)
+        fixed: list[Constraint] = [one for one in known if isinstance(one, FixedAtoms)]
+        if self.fixed is not None:
+            fixed = [FixedAtoms(self.fixed)] if self.fixed else []
+        pairs = bonds if self.pairs == "bonds" else self.pairs
+        if pairs is None and held is not None:
+            pairs = held.pairs.tolist()
+        if not pairs and (self.tolerance is not None or self.solver is not None):
+            raise ValueError("tolerance and solver are those of lengths, of which there are none; give pairs, or leave them out")
+        return (*fixed, self._distances(pairs, held)) if pairs else tuple(fixed)
+
+    def _distances(self, pairs: list[list[int]], held: DistanceConstraints | None) -> DistanceConstraints:
+        is_held = held is not None and held.pairs.tolist() == pairs
+        lengths = held.lengths if held is not None and is_held and self.lengths is None else self.lengths
+        tolerance, solver = (held.tolerance, held.solver) if held is not None and is_held else (TOLERANCE, SOLVERS[0])
+        chosen: Any = self.solver or solver
+        return DistanceConstraints(pairs, lengths, self.tolerance or tolerance, chosen)
 
 
 class SpeciesSection(Section):
@@ -164,12 +123,12 @@ class LennardJonesSection(Section):
     epsilon: Annotated[NotNegative | None, Dimension("energy")] = None
     sigma: Annotated[Positive | None, Dimension("length")] = None
     species: dict[str, SpeciesSection] | None = None
-    pairs: list[PairSection] = []
-    mixing: Annotated[str, _one_of(MIXING)] = "lorentz-berthelot"
+    pairs: list[PairSection] = Field(default_factory=list)
+    mixing: Annotated[str, one_of(MIXING)] = "lorentz-berthelot"
     cutoff: Annotated[Positive | None, Dimension("length")] = None
-    truncation: Annotated[str, _one_of(TRUNCATIONS)] = "shifted"
+    truncation: Annotated[str, one_of(TRUNCATIONS)] = "shifted"
     switch_start: Annotated[Positive | None, Dimension("length")] = None
-    bonded_scale: Annotated[list[FiniteFloat], Three] = [1.0, 1.0, 1.0]
+    bonded_scale: Annotated[list[FiniteFloat], Three] = Field(default_factory=lambda: [1.0, 1.0, 1.0])
     tail_correction: bool = False
 
     @model_validator(mode="after")
@@ -223,7 +182,7 @@ class HarmonicAngleSection(Section):
 class DynamicsSection(Section):
     """[dynamics]: method and length. Without a temperature velocities stay; a bath needs one, and a relaxation time (1/friction)."""
 
-    method: Annotated[str, _one_of([*SPLITTINGS, *THERMOSTATS])] = "velocity-verlet"
+    method: Annotated[str, one_of([*SPLITTINGS, *THERMOSTATS])] = "velocity-verlet"
     timestep: Annotated[Positive, Dimension("time")]
     steps: NonNegativeInt
     temperature: Annotated[NotNegative | None, Dimension("temperature")] = None
@@ -274,6 +233,7 @@ class SceneSections(Section):
     title: str = ""
     units: Literal["ASE", "LJ"] = "ASE"
     structure: StructureSection
+    constraints: ConstraintsSection | None = None
     potential: Annotated[list[PotentialSection], Field(min_length=1)]
     dynamics: DynamicsSection
     equilibration: EquilibrationSection | None = None
@@ -282,6 +242,12 @@ class SceneSections(Section):
     @model_validator(mode="after")
     def _can_equilibrate(self, info: ValidationInfo) -> Self:
         if self.equilibration is not None and self.dynamics.temperature is None:
-            key = next(iter(DynamicsSection.keys_of("temperature", _reading(info).units)))
+            key = next(iter(DynamicsSection.keys_of("temperature", reading_of(info).units)))
             raise ValueError(f"equilibration needs dynamics.{key}, the temperature of the first velocities")
+        return self
+
+    @model_validator(mode="after")
+    def _has_the_bonds_it_makes_rigid(self) -> Self:
+        if self.constraints is not None and self.constraints.pairs == "bonds" and not self.structure.bonds:
+            raise ValueError('constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs')
         return self

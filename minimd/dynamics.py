@@ -45,7 +45,8 @@ class Dynamics:
         self._rigidity = Rigidity(self.system, self.system.constraints if constraints is None else constraints)
         self._state = State(self.system.positions, self.system.velocities, self._forces.forces, self._rigidity.inverse_masses)
         self._state.constraints = self._rigidity.bonds
-        self._state.k_B, self._state.n_dof = self.system.units.k_B, self.n_dof
+        self._state.k_B = self.system.units.k_B
+        self._share_energy()
         self._noise_shift = 0
         self._reason: ArithmeticError | None = None  # why the last attempt failed
 
@@ -113,6 +114,11 @@ class Dynamics:
         """
         self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B, self.n_dof)
 
+    def _share_energy(self) -> None:
+        """Tell the state which motions share the kinetic energy; a single atom keeps its three."""
+        self._state.n_dof = self.n_dof
+        self._state.conserves_momentum = self.conserves_momentum and len(self.system) > 1
+
     def _look(self) -> None:
         """Make sure that forces, energy and virial are those of the present positions."""
         if not (self._state.forces_are_current and self._forces.has_energy):
@@ -178,7 +184,7 @@ class Dynamics:
     def _check_start(self) -> None:
         """Look at the state anew, and raise NonFiniteError if the first step would throw atoms across the scene."""
         self._state.forces_are_current = False
-        self._state.n_dof = self.n_dof
+        self._share_energy()
         self._rigidity.begin(self.system, self._state)
         self._forces.fit_skin(observables.largest_speed(self.velocities) * abs(self.method.timestep))
         self._look()

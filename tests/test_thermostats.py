@@ -83,6 +83,58 @@ def test_rescaling_for_long_draws_the_canonical_kinetic_energy():
     assert stats.kstest(energies / 1.3, stats.gamma(2.5).cdf).pvalue > 1e-3
 
 
+def test_rescaling_leaves_the_motion_of_the_whole_alone():
+    """n_dof = 3N − 3: what is drawn is the kinetic energy relative to the center of mass, whatever the momentum; the same as at rest."""
+    rng, masses, drift = np.random.default_rng(3), np.array([1.0, 2.0, 5.0]), np.array([0.3, -2.0, 7.0])
+    inner = rng.normal(size=(3, 3))
+    inner -= masses @ inner / masses.sum()
+    rest, moving = state(inner, masses, n_dof=6), state(inner + drift, masses, n_dof=6)
+    for s in (rest, moving):
+        s.conserves_momentum = True
+        BUSSI.thermalize(s, 0.2)
+    assert np.abs(rest.velocities - inner).max() > 1e-3
+    assert moving.velocities - drift == pytest.approx(rest.velocities, abs=1e-13)  # rounding
+    assert masses @ moving.velocities == pytest.approx(masses.sum() * drift, rel=1e-14)
+    assert moving.heat == pytest.approx(rest.heat, rel=1e-12)
+    assert rest.heat == pytest.approx(0.5 * masses @ ((rest.velocities**2).sum(axis=1) - (inner**2).sum(axis=1)), rel=1e-12)
+
+
+def test_rescaling_leaves_atoms_that_move_together_alone():
+    """Nothing but rounding is left beside the motion of the whole; it is not blown up to a temperature."""
+    s = state(np.full((7, 3), 0.1), np.linspace(1.0, 2.0, 7), n_dof=18)
+    s.conserves_momentum = True
+    BUSSI.thermalize(s, 0.2)
+    assert (s.velocities == 0.1).all()
+    assert s.heat == 0.0
+
+
+def test_a_liquid_that_flows_has_the_temperature_of_its_bath_and_keeps_its_flow():
+    sim = simulation(BUSSI)
+    sim.velocities[:] += [3.0, 0.0, -1.0]
+    inner = []
+
+    def look(run):
+        v = run.velocities - run.velocities.mean(axis=0)
+        inner.append((v**2).sum() / (3 * len(v) - 3))
+
+    sim.run(3000, every=20, observers=[look])
+    blocks = np.array(inner[31:]).reshape(10, -1).mean(axis=1)
+    assert sim.velocities.mean(axis=0) == pytest.approx([3.0, 0.0, -1.0], abs=1e-12)  # rounding
+    assert blocks.mean() == pytest.approx(1.3, abs=4.0 * blocks.std(ddof=1) / np.sqrt(10))  # statistics
+
+
+def test_single_and_fixed_atoms_keep_all_their_degrees_of_freedom():
+    """A momentum that is no constant is thermal: it is rescaled with the rest."""
+    lj, one = md.LennardJones(1.0, 1.0, cutoff=2.0), md.System([[0.0, 0.0, 0.0]], velocities=[[1.0, 2.0, 3.0]])
+    two = md.System([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], velocities=[[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+    for system, fixed in ((one, None), (two, md.FixedAtoms([0]))):
+        sim = md.Simulation(system, lj, BUSSI, fixed)
+        sim.run(1)
+        assert sim.n_dof == 3
+        assert sim.velocities[-1] / [1.0, 2.0, 3.0] == pytest.approx(sim.velocities[-1, 0], rel=1e-14)
+        assert abs(sim.velocities[-1, 0] - 1.0) > 1e-3
+
+
 def test_noise_depends_on_seed_and_step_alone():
     def after(step, seed=5):
         s = state(np.ones((4, 3)), np.ones(4))

@@ -47,7 +47,7 @@ class Dynamics:
         self._state.constraints = self._rigidity.bonds
         self._state.k_B = self.system.units.k_B
         self._share_energy()
-        self._noise_shift = 0
+        self._noise_shift, self._equilibrated = 0, 0  # noise of step n is that of n + shift; steps of equilibrations so far
         self._reason: ArithmeticError | None = None  # why the last attempt failed
 
     def __repr__(self) -> str:

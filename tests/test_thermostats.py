@@ -278,6 +278,25 @@ def test_equilibration_and_run_have_different_noise():
     assert sim.step == 3
 
 
+def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition():
+    """Two of them, and one after a run: none meets the noise of another, or that of the run."""
+
+    def steps_of_noise():
+        sim, seen = simulation(LANGEVIN), []
+        sim.method = md.LangevinBAOAB(0.01, 1.3, 2.0, 5)
+        thermalize = sim.method.thermalize
+        sim.method.thermalize = lambda s, duration: (seen.append(s.step), thermalize(s, duration))
+        sim.equilibrate(5, 1.3)
+        sim.equilibrate(3, 1.3)
+        sim.run(4)
+        sim.equilibrate(2, 1.3)
+        return seen, sim.velocities
+
+    first, again = steps_of_noise(), steps_of_noise()
+    assert first[0] == again[0] == [-5, -4, -3, -2, -1, -8, -7, -6, 0, 1, 2, 3, -10, -9]
+    assert (first[1] == again[1]).all()
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -188,7 +188,8 @@ class Dynamics:
         self._rigidity.begin(self.system, self._state)
         self._forces.fit_skin(observables.largest_speed(self.velocities) * abs(self.method.timestep))
         self._look()
-        fault = fault_at_start(self.system, self.forces, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
+        accelerations = self.forces * self._rigidity.inverse_masses[:, None]
+        fault = fault_at_start(self.system, accelerations, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
         if fault:
             raise NonFiniteError(self._autopsy(fault, self.step))
 

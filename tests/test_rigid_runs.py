@@ -171,6 +171,18 @@ def test_fixed_atoms_stay_and_the_report_promises_no_momentum():
     assert "not a constant" in str(sim.report())
 
 
+def test_fixed_atoms_may_overlap_each_other_but_not_one_that_moves():
+    """A force on an atom that does not move throws nothing across the scene."""
+    positions = [[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [1.5, 0.0, 0.0]]
+    lj = md.LennardJones(1.0, 1.0, cutoff=2.5)
+    sim = md.Simulation(md.System(positions), lj, md.VelocityVerlet(0.002), md.FixedAtoms([0, 1]))
+    sim.run(50)
+    assert (sim.positions[:2] == positions[:2]).all()
+    assert abs(sim.positions[2, 0] - 1.5) > 1e-3
+    with pytest.raises(md.NonFiniteError, match="the force on atom 1 would move it"):
+        md.Simulation(md.System(positions), lj, md.VelocityVerlet(0.002), md.FixedAtoms([0])).run(1)
+
+
 def test_the_report_tells_of_constraints():
     sim = simulation(md.VelocityVerlet(0.002))
     sim.run(100, every=20)

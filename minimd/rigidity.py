@@ -20,21 +20,29 @@ class FixedAtoms:
 
     Parameters
     ----------
-    atoms : indices, or one bool for each atom.
+    atoms : indices, none if empty, or one bool for each atom.
 
     Raises
     ------
-    ValueError : for anything else.
+    ValueError : for anything else; from a Simulation, for atoms that it does not have, or another number of bools.
     """
 
     def __init__(self, atoms: ArrayLike) -> None:
-        chosen = np.asarray(atoms)
+        chosen = np.asarray(atoms) if np.size(atoms) else np.empty(0, dtype=np.int64)
+        self._n_bools = chosen.size if chosen.dtype == bool else None
         self.atoms = np.flatnonzero(chosen) if chosen.dtype == bool else np.unique(chosen)
         if chosen.ndim != 1 or not np.issubdtype(self.atoms.dtype, np.integer) or self.atoms.min(initial=0) < 0:
             raise ValueError(f"fixed atoms must be a list of indices, counted from 0, or one bool for each atom; got {atoms!r}")
 
     def __repr__(self) -> str:
         return f"FixedAtoms({len(self.atoms)} atoms)"
+
+    def check_size(self, n_atoms: int) -> None:
+        """ValueError unless so many atoms can be meant."""
+        if self._n_bools not in (None, n_atoms):
+            raise ValueError(f"fixed atoms must be given as indices, or as one bool for each of {n_atoms} atoms; got {self._n_bools} bools")
+        if self.atoms.max(initial=-1) >= n_atoms:
+            raise ValueError(f"fixed atoms must be among 0 to {n_atoms - 1}; they name atom {self.atoms.max()}")
 
 
 Constraint = DistanceConstraints | FixedAtoms
@@ -57,19 +65,18 @@ class Rigidity:
         if len(distances) > 1:
             raise ValueError("all pairs must be given in one DistanceConstraints: those that share atoms are solved together")
         self.given = tuple(given)
-        self.inverse_masses = self._masses(system, [constraint.atoms for constraint in given if isinstance(constraint, FixedAtoms)])
+        self.inverse_masses = self._masses(system, [constraint for constraint in given if isinstance(constraint, FixedAtoms)])
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self._distances = distances[0] if distances else None
         self.bonds = self._rigid_bonds(system)
         self.n_constraints = self.bonds.n_constraints if self.bonds else 0
 
     @staticmethod
-    def _masses(system: System, fixed: list[NDArray[np.int64]]) -> NDArray[np.float64]:
+    def _masses(system: System, fixed: list[FixedAtoms]) -> NDArray[np.float64]:
         inverse_masses = 1.0 / system.masses
-        for atoms in fixed:
-            if atoms.max(initial=-1) >= len(system):
-                raise ValueError(f"fixed atoms must be among 0 to {len(system) - 1}; they name atom {atoms.max()}")
-            inverse_masses[atoms] = 0.0
+        for constraint in fixed:
+            constraint.check_size(len(system))
+            inverse_masses[constraint.atoms] = 0.0
         return inverse_masses
 
     def _rigid_bonds(self, system: System) -> RigidBonds | None:

@@ -171,6 +171,29 @@ def test_fixed_atoms_stay_and_the_report_promises_no_momentum():
     assert "not a constant" in str(sim.report())
 
 
+@pytest.mark.parametrize("none", [[], (), np.zeros(216, dtype=bool)])
+def test_no_fixed_atoms_are_none(none):
+    sim = md.Simulation(dumbbells()[0], law(), md.VelocityVerlet(0.002), md.FixedAtoms(none))
+    assert sim.conserves_momentum
+    assert sim.n_dof == 3 * len(sim.system) - 3
+
+
+@pytest.mark.parametrize(
+    ("atoms", "message"),
+    [
+        (np.ones(5, dtype=bool), "one bool for each of 216 atoms; got 5 bools"),
+        (np.zeros(217, dtype=bool), "one bool for each of 216 atoms; got 217 bools"),
+        ([216], "must be among 0 to 215; they name atom 216"),
+        ([0.5], r"must be a list of indices, counted from 0, or one bool for each atom; got \[0.5\]"),
+        ([-1], "must be a list of indices"),
+        ([[0, 1]], "must be a list of indices"),
+    ],
+)
+def test_fixed_atoms_that_do_not_exist_are_refused(atoms, message):
+    with pytest.raises(ValueError, match=message):
+        md.Simulation(dumbbells()[0], law(), md.VelocityVerlet(0.002), md.FixedAtoms(atoms))
+
+
 def test_fixed_atoms_may_overlap_each_other_but_not_one_that_moves():
     """A force on an atom that does not move throws nothing across the scene."""
     positions = [[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [1.5, 0.0, 0.0]]

@@ -84,7 +84,9 @@ class Rigidity:
             return None
         if self._distances.pairs.max() >= len(system):
             raise ValueError(f"constraints must name atoms 0 to {len(system) - 1}; they name atom {self._distances.pairs.max()}")
-        return self._distances.on(system.positions, self.inverse_masses, nearest_images(system, self._distances.pairs))
+        bonds = self._distances.on(system.positions, self.inverse_masses, nearest_images(system, self._distances.pairs))
+        _check_images(system, bonds)
+        return bonds
 
     def degrees_of_freedom(self, conserves_momentum: bool) -> int:
         """Of the atoms that move; see observables. Raises ValueError if none is left."""
@@ -125,6 +127,18 @@ class Rigidity:
                 f"velocities along bonds by {turned:.1e} of the speed",
                 stacklevel=4,
             )
+
+
+def _check_images(system: System, bonds: RigidBonds) -> None:
+    """ValueError for lengths of which not only the nearest image is one: as a molecule turns, its bond would become another."""
+    if not system.cell.is_periodic:
+        return
+    half = 0.5 * float(np.linalg.norm(system.cell.lattice[system.cell.pbc], axis=1).min())
+    k = int(np.argmax(bonds.lengths))
+    if bonds.lengths[k] >= half:
+        i, j = bonds.pairs[k]
+        raise ValueError(f"constraint {k} (atoms {i}-{j}) has length {bonds.lengths[k]:g}, but rigid bonds must be shorter than half the shortest "
+                         f"lattice vector, {half:g}, for their periodic image to be certain; repeat the cell")  # fmt: skip
 
 
 def nearest_images(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -171,6 +171,25 @@ def test_fixed_atoms_stay_and_the_report_promises_no_momentum():
     assert "not a constant" in str(sim.report())
 
 
+@pytest.mark.parametrize("lengths", [1.2, None])
+def test_bonds_longer_than_half_the_cell_are_refused(lengths):
+    """In a cube of edge 2 a bond of 1.2 along a diagonal is its nearest image; once it has turned to an edge, that would be one of 0.8."""
+    arm = 1.2 / np.sqrt(3.0)
+    lj = md.LennardJones(1.0, 0.2, cutoff=0.9)
+
+    def made(edge):
+        return md.Simulation(
+            md.System([[0.0, 0.0, 0.0], [arm, arm, arm]], cell=edge), lj, md.VelocityVerlet(0.01), md.DistanceConstraints([[0, 1]], lengths)
+        )
+
+    with pytest.raises(ValueError, match=r"constraint 0 \(atoms 0-1\) has length 1.2, .* half the shortest lattice vector, 1, .* repeat the cell"):
+        made(2.0)
+    with pytest.raises(ValueError, match="half the shortest lattice vector, 1.2,"):
+        made([9.0, 2.4, 0.0])
+    assert made(2.5).n_dof == 2
+    assert made([0.0, 0.0, 0.0]).n_dof == 2
+
+
 @pytest.mark.parametrize("none", [[], (), np.zeros(216, dtype=bool)])
 def test_no_fixed_atoms_are_none(none):
     sim = md.Simulation(dumbbells()[0], law(), md.VelocityVerlet(0.002), md.FixedAtoms(none))

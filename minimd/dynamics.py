@@ -34,10 +34,8 @@ class Dynamics:
         constraints: Constraint | Sequence[Constraint] | None,
         options: Options,
     ) -> None:
-        if not isinstance(method, Splitting):
-            raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {method!r}")
+        self._method = _checked(method)
         self.system = system.copy() if isinstance(system, System) else System.from_ase(system)
-        self.method = method
         self.step = 0
         self.time = 0.0
         self._run_seconds, self._run_steps = 0.0, 0
@@ -52,6 +50,22 @@ class Dynamics:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.system!r}, {self.method!r}, step {self.step})"
+
+    @property
+    def method(self) -> Splitting:
+        """The integrator with its time step; another one takes over from the next run on.
+
+        Raises, when it is set
+        ----------------------
+        TypeError : for anything but a splitting with its time step.  ValueError : if it leaves no degree of freedom.
+        """
+        return self._method
+
+    @method.setter
+    def method(self, method: Splitting) -> None:
+        self._rigidity.degrees_of_freedom(_checked(method).conserves_momentum)
+        self._method = method
+        self._share_energy()
 
     @property
     def n_dof(self) -> int:
@@ -198,3 +212,9 @@ class Dynamics:
 
     def _autopsy(self, fault: str, step: int) -> str:
         return autopsy(self.system, fault, step, self.method.timestep, self.step)
+
+
+def _checked(method: Splitting) -> Splitting:
+    if not isinstance(method, Splitting):
+        raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {method!r}")
+    return method

@@ -348,3 +348,15 @@ def test_small_significant_drift_is_told_apart_from_none():
     simulation.run(2000, every=10, observers=[heat])
     assert 1e-4 < simulation.report().energy_drift.slope < 1e-2
     assert simulation.report().energy_is_conserved is False
+
+
+def test_another_method_is_checked_and_counts_its_degrees_of_freedom():
+    sim = md.Simulation(liquid(2), md.LennardJones(1.0, 1.0, cutoff=1.5), md.VelocityVerlet(0.002))
+    for wrong in (0.002, md.VelocityVerlet, None):
+        with pytest.raises(TypeError, match="method must be an integrator with its time step"):
+            sim.method = wrong
+    assert isinstance(sim.method, md.VelocityVerlet)
+    n_atoms = len(sim.system)
+    assert sim._state.n_dof == 3 * n_atoms - 3
+    sim.method = md.LangevinBAOAB(0.002, 1.0, 1.0, 1)
+    assert sim.n_dof == sim._state.n_dof == 3 * n_atoms

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,9 +85,9 @@ class Rigidity:
             return None
         if self._distances.pairs.max() >= len(system):
             raise ValueError(f"constraints must name atoms 0 to {len(system) - 1}; they name atom {self._distances.pairs.max()}")
-        bonds = self._distances.on(system.positions, self.inverse_masses, nearest_images(system, self._distances.pairs))
-        _check_images(system, bonds)
-        return bonds
+        pairs, lengths = self._distances.pairs, self._distances.lengths
+        images = nearest_images(system, pairs) if lengths is None else images_of_length(system, pairs, lengths)
+        return self._distances.on(system.positions, self.inverse_masses, images)
 
     def degrees_of_freedom(self, conserves_momentum: bool) -> int:
         """Of the atoms that move; see observables. Raises ValueError if none is left."""
@@ -94,10 +95,14 @@ class Rigidity:
         return degrees_of_freedom(n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed)
 
     def fit(self, system: System) -> None:
-        """Take each bond at its nearest image, should somebody have moved atoms by lattice vectors."""
+        """Take each bond at the image that has its length, should somebody have moved atoms by lattice vectors."""
         if self.bonds is None or self._distances is None or not system.cell.is_periodic:
             return
-        offsets = nearest_images(system, self.bonds.pairs)
+        off = self.bonds.violation(system.positions) > self.bonds.tolerance
+        if not off.any():
+            return
+        offsets = self.bonds.offsets.copy()
+        offsets[off] = images_of_length(system, self.bonds.pairs[off], self.bonds.lengths[off])
         if not np.array_equal(offsets, self.bonds.offsets):
             known = DistanceConstraints(self.bonds.pairs, self.bonds.lengths, self._distances.tolerance, self._distances.solver)
             self.bonds = known.on(system.positions, self.inverse_masses, offsets)
@@ -129,22 +134,21 @@ class Rigidity:
             )
 
 
-def _check_images(system: System, bonds: RigidBonds) -> None:
-    """ValueError for lengths of which not only the nearest image is one: as a molecule turns, its bond would become another."""
-    if not system.cell.is_periodic:
-        return
-    half = 0.5 * float(np.linalg.norm(system.cell.lattice[system.cell.pbc], axis=1).min())
-    k = int(np.argmax(bonds.lengths))
-    if bonds.lengths[k] >= half:
-        i, j = bonds.pairs[k]
-        raise ValueError(f"constraint {k} (atoms {i}-{j}) has length {bonds.lengths[k]:g}, but rigid bonds must be shorter than half the shortest "
-                         f"lattice vector, {half:g}, for their periodic image to be certain; repeat the cell")  # fmt: skip
-
-
 def nearest_images(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
     """(K, 3) lattice vectors [length] that make r_j − r_i of each pair shortest."""
     translations, cell = np.zeros((len(pairs), 3)), system.cell
     if cell.is_periodic:
         first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
         minimum_image_translations(system.positions, first, second, cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations)
+    return translations
+
+
+def images_of_length(system: System, pairs: NDArray[np.int64], lengths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(K, 3) lattice vectors [length] that bring |r_j − r_i| of each pair next to its length: those of the nearest images, up to half the cell."""
+    translations, cell = nearest_images(system, pairs), system.cell
+    for k in np.flatnonzero(lengths**2 >= cell.safe_distance2):
+        nearest = system.positions[pairs[k, 1]] - system.positions[pairs[k, 0]] + translations[k]
+        reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0).astype(int)
+        others = np.array(list(product(*(range(-n, n + 1) for n in reach)))) @ cell.lattice
+        translations[k] += others[np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))]
     return translations

@@ -171,23 +171,29 @@ def test_fixed_atoms_stay_and_the_report_promises_no_momentum():
     assert "not a constant" in str(sim.report())
 
 
-@pytest.mark.parametrize("lengths", [1.2, None])
-def test_bonds_longer_than_half_the_cell_are_refused(lengths):
-    """In a cube of edge 2 a bond of 1.2 along a diagonal is its nearest image; once it has turned to an edge, that would be one of 0.8."""
-    arm = 1.2 / np.sqrt(3.0)
-    lj = md.LennardJones(1.0, 0.2, cutoff=0.9)
+@pytest.mark.parametrize("length", [0.9, 1.2, 3.1])
+@pytest.mark.parametrize("skew", [0.0, 0.7])
+def test_bonds_longer_than_half_the_cell_turn_as_they_are(length, skew):
+    """In a cell of edge 2, where another image comes nearer as they turn: beside the same bond in open space, wrapped or not."""
+    cell, rng = np.array([[2.0, 0.0, 0.0], [skew, 2.0, 0.0], [skew, 0.3, 2.0]]), np.random.default_rng(1)
+    positions, velocities = np.outer([0.0, length], [0.8, 0.6, 0.0]), np.outer([-1.0, 1.0], [-0.3, 0.4, 0.5])
+    far = md.LennardJones(1e-30, 0.01, cutoff=0.5)
 
-    def made(edge):
-        return md.Simulation(
-            md.System([[0.0, 0.0, 0.0], [arm, arm, arm]], cell=edge), lj, md.VelocityVerlet(0.01), md.DistanceConstraints([[0, 1]], lengths)
-        )
+    def turning(edges, observers):
+        start = md.System(positions, velocities=velocities, cell=edges)
+        sim = md.Simulation(start, far, md.VelocityVerlet(0.01), md.DistanceConstraints([[0, 1]], length))
+        return sim, sim.run(600, every=7, observers=observers)
 
-    with pytest.raises(ValueError, match=r"constraint 0 \(atoms 0-1\) has length 1.2, .* half the shortest lattice vector, 1, .* repeat the cell"):
-        made(2.0)
-    with pytest.raises(ValueError, match="half the shortest lattice vector, 1.2,"):
-        made([9.0, 2.4, 0.0])
-    assert made(2.5).n_dof == 2
-    assert made([0.0, 0.0, 0.0]).n_dof == 2
+    def wrap(run):
+        run.positions[:] += rng.integers(-2, 3, run.positions.shape) @ cell
+
+    (free, _), (wrapped, record), (plain, _) = turning(None, []), turning(cell, [wrap]), turning(cell, [])
+    plain.run(50)
+    free.run(50)
+    wrapped.run(50)
+    assert record.constraint_violation.max() < 1e-12
+    assert np.abs(plain.positions - free.positions).max() < 1e-10  # rounding
+    assert np.abs(wrapped.velocities - free.velocities).max() < 1e-10
 
 
 @pytest.mark.parametrize("none", [[], (), np.zeros(216, dtype=bool)])

@@ -21,6 +21,7 @@ from minimd.integrators import (
     RadauIIA2,
     RadauIIA3,
     SecondOrder,
+    StepControl,
     VelocityVerlet,
     index_two,
     projected,
@@ -281,7 +282,7 @@ def test_jacobians_by_differences_are_those_in_closed_form():
 
 
 def test_drivers_with_varying_steps_keep_the_invariants_too():
-    adaptive = run_adaptive(KEPLER, projected(RadauIIA3, ENERGY), START, 2 * PERIOD, rtol=1e-6)
+    adaptive = run_adaptive(KEPLER, projected(RadauIIA3, ENERGY), START, 2 * PERIOD, control=StepControl(rtol=1e-6))
     reversible = run_reversible(KEPLER, with_multipliers(GaussLegendre1, ENERGY)(0.1), START, 2 * PERIOD)
     for path in (adaptive, reversible):
         assert np.ptp(np.diff(path.t)) > 0.05

@@ -18,7 +18,7 @@ from minimd.integrators.differential_algebraic import DifferentialAlgebraic
 from minimd.integrators.method import Answer, Method, Step
 from minimd.integrators.problems import Problem
 from minimd.integrators.stages import StageEquations
-from minimd.integrators.tableau import ROUNDING, Tableau, gauss, radau_iia
+from minimd.integrators.tableau import TABLEAU_ROUNDING, Tableau, gauss, radau_iia
 
 Array = NDArray[np.float64]
 FARTHEST = 3.0  # lengths of the last step to which its slopes are continued
@@ -55,7 +55,7 @@ class RungeKutta(Method):
 def _stage_order(tableau: Tableau) -> int:
     """Largest η with Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k for k = 1 … η."""
     c, eta = tableau.nodes, 0
-    while eta < c.size and np.abs(tableau.beta @ c**eta - c ** (eta + 1) / (eta + 1)).max() < ROUNDING:
+    while eta < c.size and np.abs(tableau.beta @ c**eta - c ** (eta + 1) / (eta + 1)).max() < TABLEAU_ROUNDING:
         eta += 1
     return eta
 

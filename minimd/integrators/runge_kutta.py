@@ -41,7 +41,15 @@ class RungeKutta(Method):
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """The step on any problem."""
+        """The step on any problem; one of index 3 needs a method whose last stage is the next state.
+
+        Raises
+        ------
+        TypeError : for Gauss-Legendre methods on problems of index 3, whose multipliers they leave off by order 1 at any time step.
+        """
+        if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
+            raise TypeError(f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers stay wrong however short "
+                            "the steps; take RadauIIA3 or BDF3, or a Holonomic problem with a splitting")  # fmt: skip
         return StageStep(problem, cls.tableau)
 
     @classmethod

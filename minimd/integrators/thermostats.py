@@ -80,14 +80,17 @@ class LangevinBAOAB(Thermostat):
         r(t+Δt)   = r(t+Δt/2) + Δt/2 v                         A
         v(t+Δt)   = v + Δt/2 F(t+Δt)/m                         B
 
-    Of order 2 in averages; those of positions are exact for harmonic forces at any stable Δt. Momentum is not conserved, so
-    that all 3N degrees of freedom are thermal. Without friction it is velocity Verlet.
+    Of order 2 in averages; those of positions are exact for harmonic forces at any stable Δt, where those of v² are low by
+    (ωΔt)²/4: a kinetic temperature below that of the bath, by O(Δt²), tells of the time step and not of the bath. Rigid molecules
+    share this: one on which nothing acts has the temperature of the bath. Momentum is not conserved, so that all 3N degrees of
+    freedom are thermal. Without friction it is velocity Verlet.
 
     Parameters
     ----------
     friction : γ ≥ 0 [1/time].  Others : see Thermostat.
 
     B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013); J. Chem. Phys. 138, 174102 (2013), eq. 7.
+    With constraints: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016).
     """
 
     name = "langevin-baoab"

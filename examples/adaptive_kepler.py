@@ -24,7 +24,7 @@ start = (1 - eccentricity, 0.0), (0.0, np.sqrt((1 + eccentricity) / (1 - eccentr
 end = 2 * np.pi * n_periods
 
 reversible = md.integrators.run_reversible(kepler, md.VelocityVerlet(timestep), start, end)
-estimated = md.integrators.run_adaptive(kepler, md.VelocityVerlet, start, end, rtol=tolerance, atol=tolerance)
+estimated = md.integrators.run_adaptive(kepler, md.VelocityVerlet, start, end, control=md.integrators.StepControl(rtol=tolerance, atol=tolerance))
 
 figure, (orbits, energies) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
 for label, path, color in (("by an error estimate", estimated, "tab:red"), ("reversible", reversible, "tab:blue")):

@@ -34,10 +34,8 @@ class Dynamics:
         constraints: Constraint | Sequence[Constraint] | None,
         options: Options,
     ) -> None:
-        if not isinstance(method, Splitting):
-            raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {method!r}")
+        self._method = _checked(method)
         self.system = system.copy() if isinstance(system, System) else System.from_ase(system)
-        self.method = method
         self.step = 0
         self.time = 0.0
         self._run_seconds, self._run_steps = 0.0, 0
@@ -46,12 +44,29 @@ class Dynamics:
         self.system.constraints = self._rigidity.kept
         self._state = State(self.system.positions, self.system.velocities, self._forces.forces, self._rigidity.inverse_masses)
         self._state.constraints = self._rigidity.bonds
-        self._state.k_B, self._state.n_dof = self.system.units.k_B, self.n_dof
-        self._noise_shift = 0
+        self._state.k_B = self.system.units.k_B
+        self._share_energy()
+        self._noise_shift, self._equilibrated = 0, 0  # noise of step n is that of n + shift; steps of equilibrations so far
         self._reason: ArithmeticError | None = None  # why the last attempt failed
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.system!r}, {self.method!r}, step {self.step})"
+
+    @property
+    def method(self) -> Splitting:
+        """The integrator with its time step; another one takes over from the next run on.
+
+        Raises, when it is set
+        ----------------------
+        TypeError : for anything but a splitting with its time step.  ValueError : if it leaves no degree of freedom.
+        """
+        return self._method
+
+    @method.setter
+    def method(self, method: Splitting) -> None:
+        self._rigidity.degrees_of_freedom(_checked(method).conserves_momentum)
+        self._method = method
+        self._share_energy()
 
     @property
     def n_dof(self) -> int:
@@ -113,6 +128,11 @@ class Dynamics:
         ValueError : if the temperature is negative or not finite, or nothing moves.
         """
         self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B, self.n_dof)
+
+    def _share_energy(self) -> None:
+        """Tell the state which motions share the kinetic energy; a single atom keeps its three."""
+        self._state.n_dof = self.n_dof
+        self._state.conserves_momentum = self.conserves_momentum and len(self.system) > 1
 
     def _look(self) -> None:
         """Make sure that forces, energy and virial are those of the present positions."""
@@ -179,11 +199,12 @@ class Dynamics:
     def _check_start(self) -> None:
         """Look at the state anew, and raise NonFiniteError if the first step would throw atoms across the scene."""
         self._state.forces_are_current = False
-        self._state.n_dof = self.n_dof
+        self._share_energy()
         self._rigidity.begin(self.system, self._state)
         self._forces.fit_skin(observables.largest_speed(self.velocities) * abs(self.method.timestep))
         self._look()
-        fault = fault_at_start(self.system, self.forces, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
+        accelerations = self.forces * self._rigidity.inverse_masses[:, None]
+        fault = fault_at_start(self.system, accelerations, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
         if fault:
             raise NonFiniteError(self._autopsy(fault, self.step))
 
@@ -192,3 +213,9 @@ class Dynamics:
 
     def _autopsy(self, fault: str, step: int) -> str:
         return autopsy(self.system, fault, step, self.method.timestep, self.step)
+
+
+def _checked(method: Splitting) -> Splitting:
+    if not isinstance(method, Splitting):
+        raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {method!r}")
+    return method

@@ -23,9 +23,15 @@ def fault_of(system: System, timestep: float, longest_stride: float) -> str | No
     return None
 
 
-def fault_at_start(system: System, forces: NDArray[np.float64], potential_energy: float, timestep: float, longest_stride: float) -> str | None:
-    """What would go wrong in the first step: forces, (N, 3) [energy/length], that are not finite or throw atoms across the scene."""
-    push = _lengths(forces) / system.masses * timestep**2
+def fault_at_start(
+    system: System,
+    accelerations: NDArray[np.float64],
+    potential_energy: float,
+    timestep: float,
+    longest_stride: float,
+) -> str | None:
+    """What would go wrong in the first step: accelerations, (N, 3) [length/time²], that are not finite or throw atoms across the scene."""
+    push = _lengths(accelerations) * timestep**2
     if not (np.isfinite(push).all() and np.isfinite(potential_energy)):
         return "forces or energies are not finite"
     if push.max() > longest_stride:

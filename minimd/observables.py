@@ -7,12 +7,14 @@ the forces need.
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.integrators.splitting import kinetic_energy as kinetic_energy_of
+
 Array = NDArray[np.float64]
 
 
 def kinetic_energy(velocities: Array, masses: Array) -> float:
     """K = Σ ½ m v² [energy].  velocities : (N, 3).  masses : (N,)."""
-    return 0.5 * float(np.einsum("i,ij,ij->", masses, velocities, velocities))
+    return float(kinetic_energy_of(np.ascontiguousarray(velocities), masses))
 
 
 def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True) -> int:

@@ -11,7 +11,7 @@ BLOCKS = 20  # averages of the total energy between which the drift is fitted
 SIGNIFICANT = 3.0  # standard errors
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
 FEW = 4  # frames below which nothing can be judged
-ROUNDING = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
+MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Report:
     @property
     def momentum_is_conserved(self) -> bool:
         """True if the change is what rounding explains, which adds up like a random walk, or if nothing else was promised."""
-        return self.momentum_change is None or self.momentum_change < ROUNDING * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        return self.momentum_change is None or self.momentum_change < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
 
     def __str__(self) -> str:
         energy, time, temperature = self.units

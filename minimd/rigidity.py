@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,21 +21,29 @@ class FixedAtoms:
 
     Parameters
     ----------
-    atoms : indices, or one bool for each atom.
+    atoms : indices, none if empty, or one bool for each atom.
 
     Raises
     ------
-    ValueError : for anything else.
+    ValueError : for anything else; from a Simulation, for atoms that it does not have, or another number of bools.
     """
 
     def __init__(self, atoms: ArrayLike) -> None:
-        chosen = np.asarray(atoms)
+        chosen = np.asarray(atoms) if np.size(atoms) else np.empty(0, dtype=np.int64)
+        self._n_bools = chosen.size if chosen.dtype == bool else None
         self.atoms = np.flatnonzero(chosen) if chosen.dtype == bool else np.unique(chosen)
         if chosen.ndim != 1 or not np.issubdtype(self.atoms.dtype, np.integer) or self.atoms.min(initial=0) < 0:
             raise ValueError(f"fixed atoms must be a list of indices, counted from 0, or one bool for each atom; got {atoms!r}")
 
     def __repr__(self) -> str:
         return f"FixedAtoms({len(self.atoms)} atoms)"
+
+    def check_size(self, n_atoms: int) -> None:
+        """ValueError unless so many atoms can be meant."""
+        if self._n_bools not in (None, n_atoms):
+            raise ValueError(f"fixed atoms must be given as indices, or as one bool for each of {n_atoms} atoms; got {self._n_bools} bools")
+        if self.atoms.max(initial=-1) >= n_atoms:
+            raise ValueError(f"fixed atoms must be among 0 to {n_atoms - 1}; they name atom {self.atoms.max()}")
 
 
 Constraint = DistanceConstraints | FixedAtoms
@@ -58,7 +67,7 @@ class Rigidity:
         if len(distances) > 1:
             raise ValueError("all pairs must be given in one DistanceConstraints: those that share atoms are solved together")
         self._threads = threads
-        self.inverse_masses = self._masses(system, [constraint.atoms for constraint in given if isinstance(constraint, FixedAtoms)])
+        self.inverse_masses = self._masses(system, [constraint for constraint in given if isinstance(constraint, FixedAtoms)])
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self._distances = distances[0] if distances else None
         self.bonds = self._rigid_bonds(system)
@@ -72,12 +81,11 @@ class Rigidity:
         return tuple(kept)
 
     @staticmethod
-    def _masses(system: System, fixed: list[NDArray[np.int64]]) -> NDArray[np.float64]:
+    def _masses(system: System, fixed: list[FixedAtoms]) -> NDArray[np.float64]:
         inverse_masses = 1.0 / system.masses
-        for atoms in fixed:
-            if atoms.max(initial=-1) >= len(system):
-                raise ValueError(f"fixed atoms must be among 0 to {len(system) - 1}; they name atom {atoms.max()}")
-            inverse_masses[atoms] = 0.0
+        for constraint in fixed:
+            constraint.check_size(len(system))
+            inverse_masses[constraint.atoms] = 0.0
         return inverse_masses
 
     def _rigid_bonds(self, system: System) -> RigidBonds | None:
@@ -85,7 +93,9 @@ class Rigidity:
             return None
         if self._distances.pairs.max() >= len(system):
             raise ValueError(f"constraints must name atoms 0 to {len(system) - 1}; they name atom {self._distances.pairs.max()}")
-        return self._distances.on(system.positions, self.inverse_masses, nearest_images(system, self._distances.pairs), self._threads)
+        pairs, lengths = self._distances.pairs, self._distances.lengths
+        images = nearest_images(system, pairs) if lengths is None else images_of_length(system, pairs, lengths)
+        return self._distances.on(system.positions, self.inverse_masses, images, self._threads)
 
     def degrees_of_freedom(self, conserves_momentum: bool) -> int:
         """Of the atoms that move; see observables. Raises ValueError if none is left."""
@@ -93,10 +103,14 @@ class Rigidity:
         return degrees_of_freedom(n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed)
 
     def fit(self, system: System) -> None:
-        """Take each bond at its nearest image, should somebody have moved atoms by lattice vectors."""
+        """Take each bond at the image that has its length, should somebody have moved atoms by lattice vectors."""
         if self.bonds is None or self._distances is None or not system.cell.is_periodic:
             return
-        offsets = nearest_images(system, self.bonds.pairs)
+        off = self.bonds.violation(system.positions) > self.bonds.tolerance
+        if not off.any():
+            return
+        offsets = self.bonds.offsets.copy()
+        offsets[off] = images_of_length(system, self.bonds.pairs[off], self.bonds.lengths[off])
         if not np.array_equal(offsets, self.bonds.offsets):
             known = DistanceConstraints(self.bonds.pairs, self.bonds.lengths, self._distances.tolerance, self._distances.solver)
             self.bonds = known.on(system.positions, self.inverse_masses, offsets, self._threads)
@@ -142,4 +156,15 @@ def nearest_images(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float
     if cell.is_periodic:
         first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
         minimum_image_translations(system.positions, first, second, cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations)
+    return translations
+
+
+def images_of_length(system: System, pairs: NDArray[np.int64], lengths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(K, 3) lattice vectors [length] that bring |r_j − r_i| of each pair next to its length: those of the nearest images, up to half the cell."""
+    translations, cell = nearest_images(system, pairs), system.cell
+    for k in np.flatnonzero(lengths**2 >= cell.safe_distance2):
+        nearest = system.positions[pairs[k, 1]] - system.positions[pairs[k, 0]] + translations[k]
+        reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0).astype(int)
+        others = np.array(list(product(*(range(-n, n + 1) for n in reach)))) @ cell.lattice
+        translations[k] += others[np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))]
     return translations

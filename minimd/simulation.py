@@ -64,12 +64,15 @@ class Simulation(Dynamics):
     def equilibrate(self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None) -> None:
         """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again.
 
+        The noise of a thermostat is that of steps before the start, other ones for each equilibration of this simulation.
+
         Raises
         ------
         NonFiniteError, KeyboardInterrupt : as run does.  ValueError : for counts or a temperature out of range.
         """
         _check_counts(n_steps, every)
-        self._noise_shift = -n_steps - self.step  # noise of its own, for a thermostat: that of steps before the start
+        self._equilibrated += n_steps
+        self._noise_shift = -self._equilibrated - self.step
         self._check_start()
         with Progress(n_steps, "equilibrating", progress) as bar, stop_on_interrupt(self._state):
             for done in range(every, n_steps + every, every):

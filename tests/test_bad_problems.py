@@ -10,6 +10,7 @@ from minimd.integrators import (
     Newton,
     Partitioned,
     SecondOrder,
+    StepControl,
     VelocityVerlet,
     run_adaptive,
     run_steps,
@@ -164,4 +165,4 @@ def test_solvers_are_solvers():
 )
 def test_tolerances_and_lengths_of_steps_are_positive(arguments, message):
     with pytest.raises(ValueError, match=message):
-        run_adaptive(OSCILLATOR, VelocityVerlet, ONE, 1.0, **arguments)
+        run_adaptive(OSCILLATOR, VelocityVerlet, ONE, 1.0, control=StepControl(**arguments))

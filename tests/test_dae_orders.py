@@ -18,6 +18,7 @@ from minimd.integrators import (
     GaussLegendre1,
     GaussLegendre2,
     GaussLegendre3,
+    GaussLegendre4,
     ImplicitEuler,
     RadauIIA2,
     RadauIIA3,
@@ -26,6 +27,7 @@ from minimd.integrators import (
     run_until,
 )
 from minimd.integrators.bdf import slope_weights
+from minimd.integrators.runge_kutta import StageStep
 
 BDFS = [BDF1, BDF2, BDF3, BDF4, BDF5]
 RADAU = {  # index: orders of y and z; of q, v and the multiplier
@@ -55,6 +57,25 @@ def test_gauss_loses_order_at_index_2(method):
     """y: s + 1 for odd s, s for even s; z: s − 1 and s − 2, nothing for s = 1 and 2."""
     problem = PROBLEMS[2] if method is GaussLegendre3 else INDEX2_LINEAR
     assert measured_orders(*problem, method, n_steps=(20, 40)) == pytest.approx(GAUSS_INDEX2[method], abs=0.1)
+
+
+@pytest.mark.parametrize("method", [GaussLegendre1, GaussLegendre2, GaussLegendre3, GaussLegendre4])
+def test_gauss_is_refused_at_index_3_because_multipliers_do_not_converge(method):
+    """Off by as much after steps half as long, or by four times more (s = 2); q of order 2 and 4 and v of order 2 or none would hide it."""
+    problem = pendulum()
+    with pytest.raises(TypeError, match=f"{method.name} does not converge on problems of index 3"):
+        run_steps(problem, method(0.01), HORIZONTAL, 1)
+    exact = run_steps(problem, RadauIIA3(0.5 / 500), HORIZONTAL, 500).y[-1]
+
+    def errors(n_steps):
+        step, y = StageStep(problem, method.tableau), problem.begin(HORIZONTAL)
+        for k in range(n_steps):
+            y = step(0.5 * k / n_steps, y, 0.5 / n_steps)
+        return [np.abs(part).max() for part in problem.parts(y - exact)]
+
+    coarse, fine = errors(50), errors(100)
+    assert fine[0] < 0.3 * coarse[0]
+    assert fine[2] > 0.9 * coarse[2] > 10.0
 
 
 @pytest.mark.parametrize("index", [1, 2, 3])

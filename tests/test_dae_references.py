@@ -6,7 +6,19 @@ import pytest
 from dae_problems import GRAVITY, HORIZONTAL, pendulum
 from references import load
 
-from minimd.integrators import BDF5, FirstOrder, GaussLegendre3, Hessenberg1, Hessenberg2, Implicit, Mechanical, RadauIIA3, run_adaptive, run_steps
+from minimd.integrators import (
+    BDF5,
+    FirstOrder,
+    GaussLegendre3,
+    Hessenberg1,
+    Hessenberg2,
+    Implicit,
+    Mechanical,
+    RadauIIA3,
+    StepControl,
+    run_adaptive,
+    run_steps,
+)
 
 ROBERTSON = load("dae/robertson.json")
 
@@ -68,7 +80,7 @@ def test_pendulum_of_any_index_returns_after_its_period(problem, start, method, 
 
 
 def test_robertson_to_1e11():
-    path = run_adaptive(robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), ROBERTSON["T"], rtol=1e-9, atol=[1e-13, 1e-17, 1e-9])
+    path = run_adaptive(robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), ROBERTSON["T"], control=StepControl(rtol=1e-9, atol=[1e-15, 1e-19, 1e-9]))
     assert path.success
     assert path.y[-1] == pytest.approx(ROBERTSON["y"], rel=1e-6)  # truncation
     assert len(path.t) < 500
@@ -84,7 +96,7 @@ def test_andrews_mechanism_starts_as_published():
 
 def test_andrews_mechanism():
     problem = Mechanical(andrews.mass, andrews.force, andrews.closures, andrews.gradient)
-    path = run_adaptive(problem, RadauIIA3, andrews.START, andrews.DATA["T"], rtol=1e-8, atol=1e-8)
+    path = run_adaptive(problem, RadauIIA3, andrews.START, andrews.DATA["T"], control=StepControl(rtol=1e-8, atol=1e-8))
     assert path.y[-1, [0, 2, 4, 6]] == pytest.approx(andrews.DATA["q_end_components_1_3_5_7"], rel=1e-6)  # truncation
 
 
@@ -97,7 +109,7 @@ def test_andrews_mechanism_to_eight_digits():
 
 def test_step_control_meets_its_tolerance_at_index_3():
     """The error of the position falls with rtol, the multiplier being weighted by h²."""
-    ends = [run_adaptive(pendulum(), RadauIIA3, HORIZONTAL, 2.0, rtol=rtol, atol=rtol) for rtol in (1e-5, 1e-7, 1e-9)]
+    ends = [run_adaptive(pendulum(), RadauIIA3, HORIZONTAL, 2.0, control=StepControl(rtol=rtol, atol=rtol)) for rtol in (1e-5, 1e-7, 1e-9)]
     errors = [np.abs(path.y[-1, :2] - [1.0, 0.0]).max() for path in ends]
     for rtol, error in zip((1e-5, 1e-7, 1e-9), errors, strict=True):
         assert error < 10 * rtol
@@ -117,7 +129,7 @@ def test_robertson_beside_ida(ida):
 
     solver = ida.IDA(residual, algebraic_idx=[2], rtol=1e-9, atol=[1e-12, 1e-16, 1e-12], max_num_steps=100_000)
     theirs = solver.solve([0.0, 4e5], np.array([1.0, 0.0, 0.0]), np.array([-0.04, 0.04, 0.0]))
-    ours = run_adaptive(robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), 4e5, rtol=1e-9, atol=[1e-12, 1e-16, 1e-9])
+    ours = run_adaptive(robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), 4e5, control=StepControl(rtol=1e-9, atol=[1e-12, 1e-16, 1e-9]))
     assert ours.y[-1] == pytest.approx(theirs.y[-1], rel=1e-6)
 
 

@@ -14,6 +14,7 @@ from minimd.integrators import (
     Implicit,
     Mechanical,
     RadauIIA3,
+    StepControl,
     pencil_index,
     run_adaptive,
     run_steps,
@@ -179,7 +180,7 @@ def test_equations_that_lose_their_solution_name_time_step_and_residual():
     with pytest.raises(ConvergenceError, match=r"step \d+ from t = .* with timestep 0\.03: .*") as told:
         run_steps(problem, RadauIIA3(0.03), ([0.0], [1.0]), 40)
     assert told.value.solution.t[-1] > 0.95
-    stopped = run_adaptive(problem, RadauIIA3, ([0.0], [1.0]), 2.0, min_step=1e-6)
+    stopped = run_adaptive(problem, RadauIIA3, ([0.0], [1.0]), 2.0, control=StepControl(min_step=1e-6))
     assert not stopped.success
     assert stopped.t[-1] == pytest.approx(1.0, abs=1e-3)
 

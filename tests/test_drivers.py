@@ -16,6 +16,7 @@ from minimd.integrators import (
     Partitioned,
     RadauIIA3,
     SecondOrder,
+    StepControl,
     VelocityVerlet,
     run_adaptive,
     run_steps,
@@ -74,7 +75,8 @@ def test_backwards_in_time_and_back(method):
 def test_the_error_of_adaptive_runs_falls_with_the_tolerance(method, sign):
     """In both directions of time; in proportion to tolerance^(p/(p+1)) for an error per step."""
     exact = kepler_orbit(5.0) * ([1.0, 1.0, 1.0, 1.0] if sign > 0.0 else [1.0, -1.0, -1.0, 1.0])
-    runs = [run_adaptive(KEPLER, method, KEPLER_START, 2.0 + sign * 5.0, t0=2.0, rtol=rtol, atol=rtol) for rtol in (1e-4, 1e-6, 1e-8)]
+    controls = [StepControl(tolerance, tolerance) for tolerance in (1e-4, 1e-6, 1e-8)]
+    runs = [run_adaptive(KEPLER, method, KEPLER_START, 2.0 + sign * 5.0, 2.0, control) for control in controls]
     errors = [np.abs(run.y[-1] - exact).max() for run in runs]
     assert all(run.success and run.t[-1] == 2.0 + sign * 5.0 for run in runs)
     assert (np.diff(runs[0].t) * sign > 0.0).all()
@@ -91,38 +93,45 @@ def test_a_step_is_accepted_if_its_estimated_error_is_allowed(method):
     estimate = np.sqrt(np.mean((one - two) ** 2)) / (2.0**method.order - 1.0)
     assert estimate == pytest.approx(np.sqrt(np.mean((two - kepler_orbit(0.05)) ** 2)), rel=0.3)
     for atol, n_rejected in ((1.001 * estimate, 0), (0.999 * estimate, 1)):
-        run = run_adaptive(KEPLER, method, KEPLER_START, 0.05, rtol=0.0, atol=atol, first_step=0.05)
+        run = run_adaptive(KEPLER, method, KEPLER_START, 0.05, control=StepControl(rtol=0.0, atol=atol, first_step=0.05))
         assert run.n_rejected >= n_rejected
         assert (len(run.t) == 2) == (n_rejected == 0)
 
 
 def test_steps_of_adaptive_runs_stay_within_their_bounds_and_shorten_where_the_solution_is_fast():
-    free = run_adaptive(KEPLER, BlanesMoan4, KEPLER_START, 6.0, rtol=1e-6)
-    bound = run_adaptive(KEPLER, BlanesMoan4, KEPLER_START, 6.0, rtol=1e-6, max_step=0.2, first_step=0.001)
-    long = run_adaptive(KEPLER, BlanesMoan4, KEPLER_START, 6.0, rtol=1e-3, atol=1e-3, min_step=0.1)
+    free = run_adaptive(KEPLER, BlanesMoan4, KEPLER_START, 6.0, control=StepControl(rtol=1e-6))
+    bound = run_adaptive(KEPLER, BlanesMoan4, KEPLER_START, 6.0, control=StepControl(rtol=1e-6, max_step=0.2, first_step=0.001))
+    long = run_adaptive(KEPLER, BlanesMoan4, KEPLER_START, 6.0, control=StepControl(rtol=1e-3, atol=1e-3, min_step=0.1))
     assert np.diff(free.t).max() > 3.0 * np.diff(free.t).min()
     assert np.diff(bound.t).max() <= 0.2 + 1e-15
     assert bound.t[1] == 0.001
     assert np.diff(long.t)[:-1].min() >= 0.1 - 1e-15
-    assert run_adaptive(KEPLER, BlanesMoan4, KEPLER_START, 6.0, first_step=1.0).n_rejected > 0
+    assert run_adaptive(KEPLER, BlanesMoan4, KEPLER_START, 6.0, control=StepControl(first_step=1.0)).n_rejected > 0
 
 
 def test_rejected_steps_are_counted():
     """Every step costs two short ones and a long one: 3 evaluations with position Verlet."""
-    run = run_adaptive(KEPLER, md.PositionVerlet, KEPLER_START, 6.0, rtol=1e-4)
+    run = run_adaptive(KEPLER, md.PositionVerlet, KEPLER_START, 6.0, control=StepControl(rtol=1e-4))
     assert run.n_rejected > 0
     assert run.nfev == 3 * (len(run.t) - 1 + run.n_rejected)
 
 
 def test_an_adaptive_run_ends_after_so_many_steps():
-    solution = run_adaptive(SecondOrder(lambda q: -q), VelocityVerlet, ([1.0], [0.0]), 10.0, rtol=1e-12, atol=1e-12, max_steps=50)
+    solution = run_adaptive(SecondOrder(lambda q: -q), VelocityVerlet, ([1.0], [0.0]), 10.0, control=StepControl(1e-12, 1e-12, max_steps=50))
     assert not solution.success
     assert "after 50 steps" in solution.message
     assert len(solution.t) + solution.n_rejected == 51
 
 
+def test_the_last_step_that_is_allowed_may_reach_the_end():
+    whole = run_adaptive(OSCILLATOR, VelocityVerlet, ONE, 1.0)
+    n_tried = len(whole.t) - 1 + whole.n_rejected
+    assert run_adaptive(OSCILLATOR, VelocityVerlet, ONE, 1.0, control=StepControl(max_steps=n_tried)).success
+    assert not run_adaptive(OSCILLATOR, VelocityVerlet, ONE, 1.0, control=StepControl(max_steps=n_tried - 1)).success
+
+
 def test_a_step_that_may_not_be_shorter_ends_the_run_where_it_is():
-    run = run_adaptive(KEPLER, VelocityVerlet, KEPLER_START, 6.0, rtol=1e-8, min_step=0.01)
+    run = run_adaptive(KEPLER, VelocityVerlet, KEPLER_START, 6.0, control=StepControl(rtol=1e-8, min_step=0.01))
     assert not run.success
     assert "min_step = 0.01" in run.message
     assert run.t[-1] < 6.0
@@ -132,7 +141,7 @@ def test_a_step_that_may_not_be_shorter_ends_the_run_where_it_is():
 @pytest.mark.parametrize("method", [VelocityVerlet, RadauIIA3])
 def test_a_singularity_ends_an_adaptive_run_before_it(method):
     """y′ = y² from 1: infinite at t = 1."""
-    run = run_adaptive(SecondOrder(lambda q, v: v * v), method, ([0.0], [1.0]), 2.0, rtol=1e-4)
+    run = run_adaptive(SecondOrder(lambda q, v: v * v), method, ([0.0], [1.0]), 2.0, control=StepControl(rtol=1e-4))
     assert not run.success
     assert run.t[-1] == pytest.approx(1.0, abs=1e-3)
     assert run.message.startswith(f"stopped at t = {run.t[-1]:g}")
@@ -143,7 +152,7 @@ def test_equations_without_a_solution_reject_the_step():
     stiff = SecondOrder(lambda q, v: -q - np.exp(5.0 * v), solver=Newton(max_iterations=6))
     with pytest.raises(md.ConvergenceError):
         run_steps(stiff, VelocityVerlet(1.0), ([0.0], [1.0]), 1)
-    run = run_adaptive(stiff, VelocityVerlet, ([0.0], [1.0]), 1.0, rtol=1e-4, first_step=1.0)
+    run = run_adaptive(stiff, VelocityVerlet, ([0.0], [1.0]), 1.0, control=StepControl(rtol=1e-4, first_step=1.0))
     assert run.success
     assert run.n_rejected > 0
 
@@ -152,15 +161,16 @@ def test_tolerances_may_differ_from_component_to_component():
     """A component without tolerance to speak of drives the steps, one with a large tolerance does not."""
     problem = SecondOrder(lambda q: -np.array([1.0, 100.0]) * q)
     start = (1.0, 1.0), (0.0, 0.0)
-    loose, tight = (run_adaptive(problem, BlanesMoan4, start, 5.0, rtol=0.0, atol=[1e-8, fast, 1e-8, fast]) for fast in (1e3, 1e-8))
+    controls = [StepControl(rtol=0.0, atol=[1e-8, fast, 1e-8, fast]) for fast in (1e3, 1e-8)]
+    loose, tight = (run_adaptive(problem, BlanesMoan4, start, 5.0, control=control) for control in controls)
     assert len(tight.t) > 3 * len(loose.t)
     assert loose.q[-1, 0] == pytest.approx(np.cos(5.0), abs=1e-6)
 
 
 def test_components_that_are_zero_need_no_absolute_tolerance():
-    run = run_adaptive(KEPLER, VelocityVerlet, KEPLER_START, 1.0, rtol=1e-5, atol=0.0)
+    run = run_adaptive(KEPLER, VelocityVerlet, KEPLER_START, 1.0, control=StepControl(rtol=1e-5, atol=0.0))
     assert run.success
-    flat = run_adaptive(SecondOrder(lambda q: -q), VelocityVerlet, ((1.0, 0.0), (0.3, 0.0)), 1.0, rtol=1e-5, atol=0.0)
+    flat = run_adaptive(SecondOrder(lambda q: -q), VelocityVerlet, ((1.0, 0.0), (0.3, 0.0)), 1.0, control=StepControl(rtol=1e-5, atol=0.0))
     assert flat.success
     assert (flat.q[:, 1] == 0.0).all()
 
@@ -172,7 +182,7 @@ def test_a_path_that_is_no_longer_finite_ends_the_run_with_what_was():
     assert np.isfinite(caught.value.solution.y).all()
     assert caught.value.solution.t[-1] == pytest.approx(0.4)
     assert not caught.value.solution.success
-    assert not run_adaptive(falls, VelocityVerlet, ONE, 1.0, rtol=1e-3).success
+    assert not run_adaptive(falls, VelocityVerlet, ONE, 1.0, control=StepControl(rtol=1e-3)).success
 
 
 @numba.njit

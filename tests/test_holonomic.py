@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import minimd as md
-from minimd.integrators import SPLITTINGS, Holonomic, run_adaptive, run_steps, run_until
+from minimd.integrators import SPLITTINGS, Holonomic, StepControl, run_adaptive, run_steps, run_until
 
 GRAVITY = np.array([0.0, -1.0])
 ANGLE_AT_3 = -0.94875159694619818661  # of θ″ = −sin θ from θ = 1 at rest; Jacobi's elliptic functions
@@ -147,8 +147,8 @@ def test_a_start_off_the_manifold_is_projected_and_told():
 
 
 def test_step_doubling_works_on_manifolds():
-    loose = run_adaptive(pendulum(), md.VelocityVerlet, START, 3.0, rtol=1e-4, atol=1e-4)
-    tight = run_adaptive(pendulum(), md.VelocityVerlet, START, 3.0, rtol=1e-8, atol=1e-8)
+    loose = run_adaptive(pendulum(), md.VelocityVerlet, START, 3.0, control=StepControl(rtol=1e-4, atol=1e-4))
+    tight = run_adaptive(pendulum(), md.VelocityVerlet, START, 3.0, control=StepControl(rtol=1e-8, atol=1e-8))
     assert abs(angle(tight.q[-1]) - ANGLE_AT_3) < 1e-2 * abs(angle(loose.q[-1]) - ANGLE_AT_3)
 
 

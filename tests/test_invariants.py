@@ -2,6 +2,23 @@
 
 import numpy as np
 import pytest
+from kept_problems import (
+    CASIMIR_AND_ENERGY,
+    ENERGY,
+    KEPLER,
+    PERIOD,
+    RIGID_BODY,
+    ROUNDING,
+    START,
+    TURNING,
+    angular_momentum,
+    attraction,
+    direction,
+    energy,
+    energy_slope,
+    slope,
+    values,
+)
 from references import load
 from scipy.integrate import solve_ivp
 
@@ -9,18 +26,15 @@ import minimd as md
 from minimd.integrators import (
     SE1,
     CandyRozmus4,
-    FirstOrder,
     GaussLegendre1,
     GaussLegendre2,
-    GaussLegendre3,
-    GaussLegendre4,
     ImplicitEuler,
     Invariants,
     KahanLi8,
-    Partitioned,
     RadauIIA2,
     RadauIIA3,
     SecondOrder,
+    StepControl,
     VelocityVerlet,
     index_two,
     projected,
@@ -33,62 +47,7 @@ from minimd.integrators import (
     with_multipliers,
 )
 
-START = (0.4, 0.0), (0.0, 2.0)  # Kepler, e = 0.6, at its pericentre, H = −1/2
-PERIOD = 2.0 * np.pi
 WRAPPERS = [projected, symmetrically_projected, with_multipliers]
-ROUNDING = 4e-15  # a few ulp of the terms of the invariant, which are of order one
-
-
-def attraction(q):
-    return -q / (q @ q) ** 1.5
-
-
-def energy(q, v):
-    return 0.5 * (v @ v) - 1.0 / np.sqrt(q @ q)
-
-
-def energy_slope(q, v):
-    return np.array([q / (q @ q) ** 1.5, v])
-
-
-def angular_momentum(q, v):
-    return q[0] * v[1] - q[1] * v[0]
-
-
-def eccentricity_vector(q, v):
-    return v[1] * angular_momentum(q, v) - q[0] / np.sqrt(q @ q), -v[0] * angular_momentum(q, v) - q[1] / np.sqrt(q @ q)
-
-
-def direction(q, v):
-    """Of the pericentre."""
-    x, y = eccentricity_vector(q, v)
-    return np.arctan2(y, x)
-
-
-KEPLER = SecondOrder(attraction)
-ENERGY = Invariants(energy, energy_slope)
-INERTIA = np.array([1.0, 2.0, 4.0])
-RIGID_BODY = FirstOrder(lambda y: np.cross(y, y / INERTIA))
-CASIMIR_AND_ENERGY = Invariants(lambda y: [y @ y, 0.5 * y @ (y / INERTIA)], lambda y: [2.0 * y, y / INERTIA])
-TURNING = np.array([0.1, 1.0, 0.3])  # about the unstable axis
-
-
-def values(g, solution):
-    return np.array([g(q, v) for q, v in zip(solution.q, solution.v, strict=True)])
-
-
-def kepler_end():
-    """Closed form, at t = 7.5."""
-    reference = load("geometric/problems.json")["kepler_e0.6_T7.5"]
-    return np.array([*reference["q"], *reference["p"]], dtype=float)
-
-
-def end_error(method, timestep, problem=KEPLER):
-    return np.linalg.norm(run_until(problem, method(timestep), START, 7.5).y[-1] - kepler_end())
-
-
-def slope(method, timesteps, problem=KEPLER):
-    return np.polyfit(np.log(timesteps), np.log([end_error(method, h, problem) for h in timesteps]), 1)[0]
 
 
 @pytest.mark.parametrize("wrapper", WRAPPERS)
@@ -97,11 +56,6 @@ def test_the_order_is_that_of_the_method(wrapper, method, h):
     on_manifold = wrapper(method, ENERGY)
     assert on_manifold.order == on_manifold.order_on(KEPLER) == method.order
     assert slope(on_manifold, [h, h / 1.5, h / 2.25]) == pytest.approx(method.order, abs=0.2)  # truncation
-
-
-@pytest.mark.parametrize(("method", "h"), [(VelocityVerlet, 0.01), (RadauIIA2, 0.02), (GaussLegendre2, 0.06)])
-def test_the_order_of_a_method_on_the_stabilized_problem_is_its_own(method, h):
-    assert slope(method, [h, h / 1.5, h / 2.25], stabilized(KEPLER, ENERGY, 1.0)) == pytest.approx(method.order, abs=0.2)  # truncation
 
 
 @pytest.mark.parametrize("wrapper", WRAPPERS)
@@ -173,66 +127,12 @@ def test_seven_invariants_of_the_outer_solar_system():
 
     path = run_steps(SecondOrder(gravity), projected(RadauIIA2, Invariants(conserved))(100.0), (x, v), 40)
     plain = run_steps(SecondOrder(gravity), RadauIIA2(100.0), (x, v), 40)
-    size = np.abs(conserved(x, np.abs(v)))
+    speeds, distances = np.linalg.norm(v, axis=1), np.linalg.norm(x, axis=1)
+    size = np.repeat([0.5 * m @ speeds**2, m @ speeds, m @ (distances * speeds)], [1, 3, 3])  # of the terms, which may cancel
     error, plain_error = (np.abs(np.array(conserved(s.q[-1], s.v[-1])) - conserved(x, v)) / size for s in (path, plain))
     assert path.q.shape == (41, 6, 3)
     assert error.max() < 1e-14  # rounding
     assert plain_error[0] > 1e-7
-
-
-@pytest.mark.parametrize("gamma", [0.5, 2.0])
-@pytest.mark.parametrize("method", [GaussLegendre3, RadauIIA3])
-def test_a_stabilized_invariant_decays_exponentially(gamma, method):
-    """(g − g₀)′ = −γ (g − g₀), whatever the flow along the manifold."""
-    path = run_until(stabilized(KEPLER, Invariants(energy, value=-0.45), gamma), method(0.01), START, 3.0)
-    defect = values(energy, path) + 0.45
-    assert defect[0] == pytest.approx(-0.05)
-    assert defect == pytest.approx(-0.05 * np.exp(-gamma * path.t), rel=1e-6)  # truncation
-
-
-def test_two_stabilized_invariants_decay_at_the_same_rate():
-    off = Invariants(lambda y: [y @ y, 0.5 * y @ (y / INERTIA)], lambda y: [2.0 * y, y / INERTIA], value=[1.0, 0.26])
-    path = run_until(stabilized(RIGID_BODY, off, 1.5), GaussLegendre3(0.05), TURNING, 4.0)
-    defect = np.array([off.g(y, None) - off.value for y in path.y])
-    assert defect == pytest.approx(np.exp(-1.5 * path.t)[:, None] * defect[0], rel=1e-6)  # truncation
-
-
-def test_stabilization_with_one_invariant_is_the_energy_form():
-    """y′ = f − γ (H − H₀) ∇H / |∇H|²."""
-    problem = stabilized(KEPLER, Invariants(energy, energy_slope, value=-0.3), 0.7)
-    y = problem.begin(START)
-    gradient = energy_slope(y[:2], y[2:]).reshape(-1)
-    expected = KEPLER.field(0.0, KEPLER.begin(START)) - 0.7 * (-0.5 + 0.3) * gradient / (gradient @ gradient)
-    assert problem.field(0.0, y) == pytest.approx(expected, abs=ROUNDING)
-    halves = problem.g(0.0, y[:2], y[2:]), problem.f(0.0, y[:2], y[2:])
-    assert np.concatenate(halves) == pytest.approx(expected, abs=ROUNDING)
-
-
-def test_stabilization_bounds_an_energy_that_drifts_otherwise():
-    plain = values(energy, run_steps(KEPLER, RadauIIA2(0.05), START, 2000))
-    steadied = values(energy, run_steps(stabilized(KEPLER, ENERGY, 5.0), RadauIIA2(0.05), START, 2000))
-    early, late = np.abs(steadied[:1000] + 0.5).max(), np.abs(steadied[1000:] + 0.5).max()
-    assert late == pytest.approx(early, rel=0.1)
-    assert np.abs(plain + 0.5)[-1] > 10 * late
-
-
-def test_a_problem_on_its_manifold_is_not_changed_by_stabilization():
-    exact, problem = run_until(KEPLER, KahanLi8(0.02), START, PERIOD), stabilized(KEPLER, ENERGY, 3.0)
-    assert isinstance(problem, Partitioned)
-    assert np.abs(run_until(problem, GaussLegendre4(0.02), START, PERIOD).y - exact.y).max() < 1e-10  # truncation of both
-
-
-@pytest.mark.parametrize(("method", "h"), [(ImplicitEuler, 0.002), (RadauIIA2, 0.02), (RadauIIA3, 0.05)])
-def test_the_problem_of_index_2_has_the_solutions_of_the_problem_itself(method, h):
-    """The energy is a constraint, to rounding; the multiplier vanishes with h, and the error as hᵖ."""
-    problem = index_two(KEPLER, ENERGY)
-    paths = [run_until(problem, method(step), START, 7.5) for step in (h, h / 2.0)]
-    errors = [np.linalg.norm(problem.parts(path.y)[0][-1] - kepler_end()) for path in paths]
-    multipliers = [np.abs(problem.parts(path.y)[1]).max() for path in paths]
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(method.order, abs=0.3)  # truncation
-    assert 1e-14 < multipliers[1] < 0.6 * multipliers[0]
-    energies = [energy(y[:2], y[2:]) for y in problem.parts(paths[1].y)[0]]
-    assert np.abs(np.array(energies) + 0.5).max() < 3 * ROUNDING
 
 
 @pytest.mark.parametrize("wrapper", WRAPPERS)
@@ -281,7 +181,7 @@ def test_jacobians_by_differences_are_those_in_closed_form():
 
 
 def test_drivers_with_varying_steps_keep_the_invariants_too():
-    adaptive = run_adaptive(KEPLER, projected(RadauIIA3, ENERGY), START, 2 * PERIOD, rtol=1e-6)
+    adaptive = run_adaptive(KEPLER, projected(RadauIIA3, ENERGY), START, 2 * PERIOD, control=StepControl(rtol=1e-6))
     reversible = run_reversible(KEPLER, with_multipliers(GaussLegendre1, ENERGY)(0.1), START, 2 * PERIOD)
     for path in (adaptive, reversible):
         assert np.ptp(np.diff(path.t)) > 0.05

@@ -171,6 +171,66 @@ def test_fixed_atoms_stay_and_the_report_promises_no_momentum():
     assert "not a constant" in str(sim.report())
 
 
+@pytest.mark.parametrize("length", [0.9, 1.2, 3.1])
+@pytest.mark.parametrize("skew", [0.0, 0.7])
+def test_bonds_longer_than_half_the_cell_turn_as_they_are(length, skew):
+    """In a cell of edge 2, where another image comes nearer as they turn: beside the same bond in open space, wrapped or not."""
+    cell, rng = np.array([[2.0, 0.0, 0.0], [skew, 2.0, 0.0], [skew, 0.3, 2.0]]), np.random.default_rng(1)
+    positions, velocities = np.outer([0.0, length], [0.8, 0.6, 0.0]), np.outer([-1.0, 1.0], [-0.3, 0.4, 0.5])
+    far = md.LennardJones(1e-30, 0.01, cutoff=0.5)
+
+    def turning(edges, observers):
+        start = md.System(positions, velocities=velocities, cell=edges)
+        sim = md.Simulation(start, far, md.VelocityVerlet(0.01), md.DistanceConstraints([[0, 1]], length))
+        return sim, sim.run(600, every=7, observers=observers)
+
+    def wrap(run):
+        run.positions[:] += rng.integers(-2, 3, run.positions.shape) @ cell
+
+    (free, _), (wrapped, record), (plain, _) = turning(None, []), turning(cell, [wrap]), turning(cell, [])
+    plain.run(50)
+    free.run(50)
+    wrapped.run(50)
+    assert record.constraint_violation.max() < 1e-12
+    assert np.abs(plain.positions - free.positions).max() < 1e-10  # rounding
+    assert np.abs(wrapped.velocities - free.velocities).max() < 1e-10
+
+
+@pytest.mark.parametrize("none", [[], (), np.zeros(216, dtype=bool)])
+def test_no_fixed_atoms_are_none(none):
+    sim = md.Simulation(dumbbells()[0], law(), md.VelocityVerlet(0.002), md.FixedAtoms(none))
+    assert sim.conserves_momentum
+    assert sim.n_dof == 3 * len(sim.system) - 3
+
+
+@pytest.mark.parametrize(
+    ("atoms", "message"),
+    [
+        (np.ones(5, dtype=bool), "one bool for each of 216 atoms; got 5 bools"),
+        (np.zeros(217, dtype=bool), "one bool for each of 216 atoms; got 217 bools"),
+        ([216], "must be among 0 to 215; they name atom 216"),
+        ([0.5], r"must be a list of indices, counted from 0, or one bool for each atom; got \[0.5\]"),
+        ([-1], "must be a list of indices"),
+        ([[0, 1]], "must be a list of indices"),
+    ],
+)
+def test_fixed_atoms_that_do_not_exist_are_refused(atoms, message):
+    with pytest.raises(ValueError, match=message):
+        md.Simulation(dumbbells()[0], law(), md.VelocityVerlet(0.002), md.FixedAtoms(atoms))
+
+
+def test_fixed_atoms_may_overlap_each_other_but_not_one_that_moves():
+    """A force on an atom that does not move throws nothing across the scene."""
+    positions = [[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [1.5, 0.0, 0.0]]
+    lj = md.LennardJones(1.0, 1.0, cutoff=2.5)
+    sim = md.Simulation(md.System(positions), lj, md.VelocityVerlet(0.002), md.FixedAtoms([0, 1]))
+    sim.run(50)
+    assert (sim.positions[:2] == positions[:2]).all()
+    assert abs(sim.positions[2, 0] - 1.5) > 1e-3
+    with pytest.raises(md.NonFiniteError, match="the force on atom 1 would move it"):
+        md.Simulation(md.System(positions), lj, md.VelocityVerlet(0.002), md.FixedAtoms([0])).run(1)
+
+
 def test_the_report_tells_of_constraints():
     sim = simulation(md.VelocityVerlet(0.002))
     sim.run(100, every=20)

@@ -5,7 +5,7 @@ import pytest
 from dae_problems import GRAVITY
 from test_dae_references import robertson
 
-from minimd.integrators import FirstOrder, ImplicitEuler, Mechanical, RadauIIA3, run_adaptive, run_steps
+from minimd.integrators import FirstOrder, ImplicitEuler, Mechanical, RadauIIA3, StepControl, run_adaptive, run_steps
 
 
 @pytest.mark.parametrize(("length", "time"), [(1e-10, 1e-12), (1e-9, 1e3), (1.0, 1e6), (1e3, 1e-3)])
@@ -21,7 +21,7 @@ def test_a_pendulum_of_index_3_swings_in_any_unit(length, time, n_steps):
 
 def test_a_variable_that_is_smaller_by_13_powers_of_ten_is_solved_for_as_well():
     """Robertson's y₂ in balance: 0.04 y₁ = 10⁴ y₂ y₃ + 3 10⁷ y₂² after an implicit Euler step that is long beside its relaxation."""
-    y = run_adaptive(robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), 1e9, rtol=1e-6, atol=[1e-12, 1e-18, 1e-8]).y[-1]
+    y = run_adaptive(robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), 1e9, control=StepControl(rtol=1e-6, atol=[1e-12, 1e-18, 1e-8])).y[-1]
     y1, y2, y3 = run_steps(robertson(), ImplicitEuler(1e9), (y[:2], y[2:]), 1).y[-1]
     gain, loss = 0.04 * y1, 1e4 * y2 * y3 + 3e7 * y2**2
     assert y2 < 1e-11

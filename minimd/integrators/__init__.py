@@ -27,7 +27,7 @@ from minimd.integrators.orders import nystrom_order, separable_order
 from minimd.integrators.pencil import pencil_index
 from minimd.integrators.problems import FirstOrder, Partitioned, SecondOrder
 from minimd.integrators.projection import index_two, projected, symmetrically_projected, with_multipliers
-from minimd.integrators.reversible import run_reversible
+from minimd.integrators.reversible import DensityControl, run_reversible
 from minimd.integrators.rows import Drift, Kick
 from minimd.integrators.runge_kutta import (
     GaussLegendre1,
@@ -41,7 +41,7 @@ from minimd.integrators.runge_kutta import (
 )
 from minimd.integrators.solution import Solution
 from minimd.integrators.splitting import Splitting, State
-from minimd.integrators.step_doubling import run_adaptive
+from minimd.integrators.step_doubling import StepControl, run_adaptive
 from minimd.integrators.tableau import Tableau, collocation, gauss, radau_iia
 from minimd.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling
 from minimd.integrators.two_step import stormer_summed, stormer_two_step
@@ -61,6 +61,7 @@ __all__ = [
     "THERMOSTATS",
     "BlanesMoan4",
     "CandyRozmus4",
+    "DensityControl",
     "DistanceConstraints",
     "Drift",
     "FirstOrder",
@@ -96,6 +97,7 @@ __all__ = [
     "Solution",
     "Splitting",
     "State",
+    "StepControl",
     "StochasticVelocityRescaling",
     "Suzuki4",
     "Tableau",

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.integrators.differences import CENTRAL, central_differences
+from minimd.integrators.rounding import EPS
 
 Array = NDArray[np.float64]
-EPS = float(np.finfo(float).eps)
 SPACINGS = 0.1 / 3.0 ** np.arange(12)  # of the points of a difference formula, in units of the time in which the path changes by its size
 WEIGHTS = {  # of the values at −3 … 3 spacings, for the derivative of the same number: formulas of order 6 and 4
     1: (np.array([-1, 9, -45, 0, 45, -9, 1]) / 60.0, np.array([0, 1, -8, 0, 8, -1, 0]) / 12.0),

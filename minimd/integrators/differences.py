@@ -5,9 +5,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.integrators.rounding import EPS
+
 Array = NDArray[np.float64]
-CENTRAL = float(np.finfo(float).eps) ** (1.0 / 3.0)  # of a variable: truncation and rounding are then alike, some 1e-11
-FORWARD = float(np.finfo(float).eps) ** 0.5  # the same for one-sided ones, some 1e-8
+CENTRAL = EPS ** (1.0 / 3.0)  # of a variable: truncation and rounding are then alike, some 1e-11
+FORWARD = EPS**0.5  # the same for one-sided ones, some 1e-8
 LEAST = 1e-3  # of the largest variable, for the steps of small ones
 
 

@@ -9,13 +9,13 @@ hidden, and a start must obey them too. E. Hairer, C. Lubich, M. Roche, The Nume
 by Runge-Kutta Methods (1989); E. Hairer, G. Wanner, Solving ODEs II (1996), VI and VII.
 """
 
-import inspect
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.integrators.arguments import argument_names
 from minimd.integrators.differences import forward_differences
 from minimd.integrators.nonlinear import FixedPoint, Newton, Solver
 
@@ -93,12 +93,8 @@ def taking(function: Function, names: tuple[str, ...], label: str) -> Function:
     ------
     TypeError : for anything but a function, or one with other arguments.
     """
-    if not callable(function):
-        raise TypeError(f"{label} must be a function of {', '.join(names)}; got {function!r}")
-    try:
-        takes = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
-    except ValueError:  # written in C
-        takes = list(names)
+    known = argument_names(function, label, f"a function of {', '.join(names)}")
+    takes = list(names) if known is None else known
     if len(takes) == len(names):
         return lambda *values: np.array(function(*values), dtype=float).reshape(-1)
     if takes != [name for name in names if name in takes]:

@@ -11,10 +11,10 @@ from minimd.errors import ConvergenceError, NonFiniteError
 from minimd.integrators.differential_algebraic import begun
 from minimd.integrators.method import Method, Step
 from minimd.integrators.problems import Problem
-from minimd.integrators.solution import Solution
+from minimd.integrators.solution import Solution, with_path
 
 Array = NDArray[np.float64]
-ROUNDING = 1e-12  # a last step shorter than this fraction of the others is made with the one before
+LEFTOVER = 1e-12  # of a step: a last one shorter than this is nothing but rounding, and made with the one before
 
 
 def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: float = 0.0, every: int = 1) -> Solution:
@@ -50,9 +50,9 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
     n_steps = (t_end - t0) / h
     if not (isfinite(n_steps) and n_steps > 0.0):
         raise ValueError(f"t_end must be finite and lie ahead of t0; t0 = {t0!r}, t_end = {t_end!r}, timestep = {h!r}")
-    whole = int(n_steps * (1.0 + ROUNDING) + ROUNDING)
+    whole = int(n_steps * (1.0 + LEFTOVER) + LEFTOVER)
     rest = t_end - (t0 + whole * h)
-    steps = [h] * whole + ([rest] if rest / h > ROUNDING * n_steps else [])
+    steps = [h] * whole + ([rest] if rest / h > LEFTOVER * n_steps else [])
     return _fixed(problem, method, start, t0, iter(steps), every, t_end)
 
 
@@ -80,9 +80,7 @@ def _fixed(problem: Problem, method: Method, start: Any, t0: float, steps: Itera
         if (n - 1) % every != 0:
             times.append(t)
             states.append(y)
-        error.solution = _path(problem, times, states, step)
-        error.solution.success, error.solution.message = False, str(error)
-        raise error from None
+        raise with_path(error, _path(problem, times, states, step)) from None
     if n % every != 0:
         times.append(t)
         states.append(y)
@@ -102,8 +100,7 @@ def _finite(solution: Solution, h: float) -> Solution:
     first = int(np.argmin(np.isfinite(solution.y).all(axis=1)))
     error = NonFiniteError(f"the state is not finite at t = {solution.t[first]:g}; the last finite one is at t = {solution.t[first - 1]:g}; "
                            f"reduce the timestep ({h:g}), or look for a singularity of the problem")  # fmt: skip
-    error.solution = Solution(solution.t[:first], solution.y[:first], solution.nfev, solution.shape, False, str(error))
-    raise error
+    raise with_path(error, Solution(solution.t[:first], solution.y[:first], solution.nfev, solution.shape))
 
 
 def check_problem(problem: Problem) -> None:

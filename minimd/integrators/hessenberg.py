@@ -54,6 +54,16 @@ class Hessenberg(DifferentialAlgebraic):
         y = np.asarray(y)
         return tuple(y[..., part] for part in self._slices)
 
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """y′ − f, then z′ − k where there is one, and g."""
+        *rates, g = self._answers(t, *self.parts(y))
+        return np.concatenate([*(own - rate for own, rate in zip(self.parts(slope), rates, strict=False)), g])
+
+    def field(self, t: float, y: Array) -> Array:
+        """f, then k where there is one, and zero for the algebraic variables."""
+        *rates, g = self._answers(t, *self.parts(y))
+        return np.concatenate([*rates, np.zeros(g.size)])
+
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
         """The k-th of the chain, zero on solutions: dᵏg/dtᵏ, from central differences along the solution."""
         raise NotImplementedError
@@ -148,16 +158,6 @@ class Hessenberg1(Hessenberg):
         super().__init__(solver)
         self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y", "z"), "g")
 
-    def residual(self, t: float, y: Array, slope: Array) -> Array:
-        """y′ − f and g."""
-        f, g = self._answers(t, *self.parts(y))
-        return np.concatenate([self.parts(slope)[0] - f, g])
-
-    def field(self, t: float, y: Array) -> Array:
-        """f, and zero for z."""
-        f, g = self._answers(t, *self.parts(y))
-        return np.concatenate([f, np.zeros(g.size)])
-
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
         """G itself."""
         return self.g(t, *parts)
@@ -185,16 +185,6 @@ class Hessenberg2(Hessenberg):
     def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
         super().__init__(solver)
         self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y"), "g")
-
-    def residual(self, t: float, y: Array, slope: Array) -> Array:
-        """y′ − f and g."""
-        f, g = self._answers(t, *self.parts(y))
-        return np.concatenate([self.parts(slope)[0] - f, g])
-
-    def field(self, t: float, y: Array) -> Array:
-        """f, and zero for z."""
-        f, g = self._answers(t, *self.parts(y))
-        return np.concatenate([f, np.zeros(g.size)])
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
         """G, and its time derivative."""
@@ -227,17 +217,6 @@ class Hessenberg3(Hessenberg):
     def __init__(self, f: Function, k: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
         super().__init__(solver)
         self.f, self.k, self.g = taking(f, ("t", "y", "z"), "f"), taking(k, ("t", "y", "z", "u"), "k"), taking(g, ("t", "y"), "g")
-
-    def residual(self, t: float, y: Array, slope: Array) -> Array:
-        """y′ − f, z′ − k and g."""
-        f, k, g = self._answers(t, *self.parts(y))
-        y_slope, z_slope, _ = self.parts(slope)
-        return np.concatenate([y_slope - f, z_slope - k, g])
-
-    def field(self, t: float, y: Array) -> Array:
-        """f, k, and zero for u."""
-        f, k, g = self._answers(t, *self.parts(y))
-        return np.concatenate([f, k, np.zeros(g.size)])
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
         """G, and its time derivatives."""

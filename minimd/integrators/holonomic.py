@@ -24,7 +24,7 @@ from minimd.integrators.nonlinear import Newton, Solver
 from minimd.integrators.orders import nystrom_order
 from minimd.integrators.partitioned import push
 from minimd.integrators.problems import Function, SecondOrder
-from minimd.integrators.rows import ROUNDING, Kick, Row
+from minimd.integrators.rows import ROW_ROUNDING, Kick, Row
 
 Array = NDArray[np.float64]
 KEPT = 1e-12  # violations of a start, relative to its size, that are put right without a word
@@ -145,7 +145,7 @@ def is_made_of_verlet(row: Row) -> bool:
     kicks, drifts = row[::2], (0.0, *(letter.coefficient for letter in row[1::2]), 0.0)
     halves = [(one + other) / 2.0 for one, other in pairwise(drifts)]
     return (
-        isinstance(row[0], Kick) and len(kicks) == len(halves) and all(abs(k.coefficient - w) < ROUNDING for k, w in zip(kicks, halves, strict=True))
+        isinstance(row[0], Kick) and len(kicks) == len(halves) and all(abs(k.coefficient - w) < ROW_ROUNDING for k, w in zip(kicks, halves, strict=True))
     )
 
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 ABSENT = 1e-12  # of the largest derivative of F: those below count as none
 RANK, NOISY_RANK = 1e-7, 1e-4  # singular values of matrices found by differences, and by differences of differences, that count as zero
 RELUCTANT = 0.1  # mobility of variables with a derivative, beside that of all others
-SOLVED, ROUNDING = 1e-7, 1e-12  # of the terms of an equation, and of the largest variable in it: what may be left of it
+SOLVED, NEGLIGIBLE = 1e-7, 1e-12  # of the terms of an equation, and of the largest variable in it: what may be left of it
 HIGHEST_INDEX = 3
 ORDINALS = ("", "the first time derivative of ", "the second time derivative of ")
 
@@ -147,7 +147,7 @@ class Implicit(DifferentialAlgebraic):
 
     def _check_solved(self, t: float, left: Array, terms: Array, x: Array, unit: float, size: float) -> None:
         """ValueError if an equation of the derivative array could not be made zero."""
-        allowed = SOLVED * (terms @ np.abs(x)) + ROUNDING * terms.max(axis=1) * max(np.abs(x).max(), size)
+        allowed = SOLVED * (terms @ np.abs(x)) + NEGLIGIBLE * terms.max(axis=1) * max(np.abs(x).max(), size)
         k = int(np.argmax(np.abs(left) - allowed))
         if not abs(left[k]) <= allowed[k]:
             order, equation = divmod(k, self._slope.size)

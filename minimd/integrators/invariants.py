@@ -7,7 +7,6 @@ U. M. Ascher, H. Chin, S. Reich, Numer. Math. 67, 131 (1994); U. M. Ascher, L. R
 Differential Equations and Differential-Algebraic Equations (1998), 9.2. Projections stand in projection.py.
 """
 
-import inspect
 from collections.abc import Callable
 from math import isfinite
 from numbers import Real
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.errors import ConvergenceError
+from minimd.integrators.arguments import argument_names
 from minimd.integrators.differences import central_differences
 from minimd.integrators.problems import Field, FirstOrder, Function, Partitioned, Problem
 
@@ -229,9 +229,7 @@ def _joined(q: Array, v: Array) -> Array:
 
 def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
     """The function as one of the state and the shape of q and v, with a fresh flat answer."""
-    if not callable(function):
-        raise TypeError(f"{name} must be a function of y, or of q and v; got {function!r}")
-    if _names(function) == ["y"]:
+    if argument_names(function, name, "a function of y, or of q and v") in (["y"], None):
         return lambda y, shape: np.array(function(y), dtype=float).reshape(-1)
     field = Field(function, "qv", name)
     if "t" in field.takes:
@@ -244,14 +242,6 @@ def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
         return field(0.0, y[:n].reshape(shape), y[n:].reshape(shape))
 
     return of_halves
-
-
-def _names(function: Function) -> list[str]:
-    """The arguments of a function that have no default; y if nobody knows."""
-    try:
-        return [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
-    except ValueError:  # written in C
-        return ["y"]
 
 
 def _shown(numbers: Array) -> str:

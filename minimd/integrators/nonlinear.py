@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from minimd.errors import ConvergenceError
 from minimd.integrators.differences import forward_differences
+from minimd.integrators.rounding import EPS
 
 Array = NDArray[np.float64]
 Residual = Callable[[Array], Array]
-EPS = float(np.finfo(float).eps)
 SLOW = 0.3  # a correction shrinks at least by this factor per iteration, or the Jacobian is renewed
 NEAR = 16.0 * EPS  # corrections, relative to the unknowns, that are taken for rounding once they shrink slowly
 STALLED = 0.5  # a new Jacobian that does not even bring this factor does not help

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiling import kernel
-from minimd.integrators.rows import ROUNDING, Kick, Letter, Row
+from minimd.integrators.rows import ROW_ROUNDING, Kick, Letter, Row
 
 if TYPE_CHECKING:
     from minimd.integrators.problems import Field, Partitioned
@@ -123,6 +123,6 @@ def euler_factors(row: Row) -> list[tuple[type[Letter], float]]:
     for letter in row:
         rest = letter.coefficient - rest
         factors.append((type(letter), rest))
-    if abs(rest) > ROUNDING * len(row):
+    if abs(rest) > ROW_ROUNDING * len(row):
         raise TypeError("a row whose kicks and drifts do not add up to the same time has no implicit form")
-    return [(kind, weight) for kind, weight in factors[:-1] if abs(weight) > ROUNDING * len(row)]
+    return [(kind, weight) for kind, weight in factors[:-1] if abs(weight) > ROW_ROUNDING * len(row)]

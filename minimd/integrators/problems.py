@@ -9,7 +9,6 @@ is how a method knows that a step is explicit. A function that takes all three i
 then solved as an implicit one, and is done at once where it turns out to be explicit after all.
 """
 
-import inspect
 from collections.abc import Callable
 from math import prod
 from typing import Any, Protocol
@@ -17,6 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.integrators.arguments import argument_names
 from minimd.integrators.method import Step
 from minimd.integrators.nonlinear import Newton, Solver
 from minimd.integrators.orders import nystrom_order, separable_order
@@ -88,7 +88,7 @@ _CALLS: dict[str, Callable[[Function], Function]] = {
 
 def _arguments(function: Function, usual: str, name: str) -> str:
     """Which of t, q, v a function takes: by their names, else by their number if it is the usual one or three."""
-    names = _names(function, name)
+    names = argument_names(function, name)
     if names is None:
         return usual
     if set(names) <= set("tqv") and "".join(names) in _CALLS:
@@ -97,17 +97,6 @@ def _arguments(function: Function, usual: str, name: str) -> str:
     if len(names) == len(letters) and all(given == letter or given not in ("t", "q", "v") for given, letter in zip(names, letters, strict=True)):
         return letters
     raise TypeError(f"{name} must take some of t, q, v, in this order and under these names; it takes ({', '.join(names)})")
-
-
-def _names(function: Function, name: str) -> list[str] | None:
-    """Names of the arguments that a function must be given; None if they cannot be known."""
-    if not callable(function):
-        raise TypeError(f"{name} must be a function; got {function!r}")
-    try:
-        parameters = inspect.signature(function).parameters.values()
-    except (TypeError, ValueError):  # written in C, such as numpy.sin
-        return None
-    return [f"*{p.name}" if p.kind is p.VAR_POSITIONAL else p.name for p in parameters if p.default is p.empty and p.kind is not p.VAR_KEYWORD]
 
 
 class Partitioned:
@@ -235,7 +224,7 @@ class FirstOrder:
 
 
 def _of_time_and_state(function: Function, name: str) -> Function:
-    names = _names(function, name) or ["y"]
+    names = argument_names(function, name) or ["y"]
     if names == ["t"]:
         return lambda t, y: function(t)
     if len(names) > 2 or (len(names) == 2 and (names[0] == "y" or names[1] == "t")):

@@ -22,9 +22,9 @@ from minimd.integrators.hessenberg import Hessenberg2
 from minimd.integrators.invariants import Invariants, Manifold, Shape, check_invariants, corrected
 from minimd.integrators.method import Method, Step
 from minimd.integrators.problems import FirstOrder, Partitioned, Problem
+from minimd.integrators.rounding import EPS
 
 Array = NDArray[np.float64]
-EPS = float(np.finfo(float).eps)
 Arrival = Callable[[Array], Array]
 MAX_CORRECTIONS = 50
 SMALL = 1e-10  # relative errors of invariants that may be taken for rounding once they no longer shrink

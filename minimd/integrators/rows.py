@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import chain
 from math import isclose
 
-ROUNDING = 1e-14  # coefficients of order one, sums of a few of them
+ROW_ROUNDING = 1e-14  # coefficients of order one, sums of a few of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +73,6 @@ def palindrome(half: Sequence[float]) -> tuple[float, ...]:
 def is_palindrome(letters: Row) -> bool:
     """Whether a row is its own mirror image, to rounding: then Φ*= Φ, the method is symmetric."""
     return all(
-        type(one) is type(other) and isclose(one.coefficient, other.coefficient, rel_tol=ROUNDING, abs_tol=ROUNDING)
+        type(one) is type(other) and isclose(one.coefficient, other.coefficient, rel_tol=ROW_ROUNDING, abs_tol=ROW_ROUNDING)
         for one, other in zip(letters, mirrored(letters), strict=True)
     )

@@ -18,7 +18,7 @@ from minimd.integrators.differential_algebraic import DifferentialAlgebraic
 from minimd.integrators.method import Answer, Method, Step
 from minimd.integrators.problems import Problem
 from minimd.integrators.stages import StageEquations
-from minimd.integrators.tableau import ROUNDING, Tableau, gauss, radau_iia
+from minimd.integrators.tableau import TABLEAU_ROUNDING, Tableau, gauss, radau_iia
 
 Array = NDArray[np.float64]
 FARTHEST = 3.0  # lengths of the last step to which its slopes are continued
@@ -41,7 +41,15 @@ class RungeKutta(Method):
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """The step on any problem."""
+        """The step on any problem; one of index 3 needs a method whose last stage is the next state.
+
+        Raises
+        ------
+        TypeError : for Gauss-Legendre methods on problems of index 3, whose multipliers they leave off by order 1 at any time step.
+        """
+        if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
+            raise TypeError(f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers stay wrong however short "
+                            "the steps; take RadauIIA3 or BDF3, or a Holonomic problem with a splitting")  # fmt: skip
         return StageStep(problem, cls.tableau)
 
     @classmethod
@@ -55,7 +63,7 @@ class RungeKutta(Method):
 def _stage_order(tableau: Tableau) -> int:
     """Largest η with Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k for k = 1 … η."""
     c, eta = tableau.nodes, 0
-    while eta < c.size and np.abs(tableau.beta @ c**eta - c ** (eta + 1) / (eta + 1)).max() < ROUNDING:
+    while eta < c.size and np.abs(tableau.beta @ c**eta - c ** (eta + 1) / (eta + 1)).max() < TABLEAU_ROUNDING:
         eta += 1
     return eta
 

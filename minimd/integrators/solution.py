@@ -1,9 +1,14 @@
 """What the methods for small systems return, in the manner of SciPy."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from minimd.errors import ConvergenceError, NonFiniteError
+
+Path = TypeVar("Path", bound="Solution")
 
 
 @dataclass
@@ -38,3 +43,15 @@ class Solution:
             raise AttributeError("this problem has no q and v; its states are in y")
         n = self.y.shape[1] // 2
         return self.y[:, k * n : (k + 1) * n].reshape(-1, *self.shape)
+
+
+def ended(path: Path, why: str) -> Path:
+    """A solution that did not reach its end."""
+    path.success, path.message = False, why
+    return path
+
+
+def with_path(error: ConvergenceError | NonFiniteError, path: Solution) -> ConvergenceError | NonFiniteError:
+    """The error of a run with the path before it, error.solution."""
+    error.solution = ended(path, str(error))
+    return error

@@ -9,6 +9,7 @@ reads the same from both ends. E. Hairer, C. Lubich, G. Wanner, Geometric Numeri
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -32,8 +33,9 @@ class State:
     forces_are_current : whether forces belong to positions; whoever moves positions sets it to False.
     stop_requested : set it to True to end a run of steps after the present one.
     constraints : lengths to keep, if any; inverse_masses are then zero for atoms that are held fixed.
-    step : steps made since the start, contacts : with a bath since the step began; noise depends on both.  n_dof : degrees of freedom.  k_B : in units of the others.
-    heat : what a thermostat has put in since the start [energy].
+    step : steps made since the start, contacts : with a bath since the step began; noise depends on both.
+    n_dof : degrees of freedom.  conserves_momentum : whether the motion of the whole is a constant, and none of them.
+    k_B : in units of the others.  heat : what a thermostat has put in since the start [energy].
     """
 
     positions: NDArray[np.float64]
@@ -46,8 +48,15 @@ class State:
     step: int = 0
     contacts: int = 0
     n_dof: int = 0
+    conserves_momentum: bool = False
     k_B: float = 1.0
     heat: float = 0.0
+
+    @cached_property
+    def masses(self) -> NDArray[np.float64]:
+        """(N,) [mass] of the atoms that move, zero for those that are held fixed."""
+        moving = self.inverse_masses > 0.0
+        return np.divide(1.0, self.inverse_masses, out=np.zeros(moving.shape), where=moving)
 
 
 ComputeForces = Callable[[State, bool], None]  # fills state.forces; True if somebody will look at the energy
@@ -70,6 +79,15 @@ def drift(positions, velocities, duration):
         positions[i, 0] += duration * velocities[i, 0]
         positions[i, 1] += duration * velocities[i, 1]
         positions[i, 2] += duration * velocities[i, 2]
+
+
+@kernel
+def kinetic_energy(velocities, masses):
+    """K = Σ ½ m v² [energy].  velocities : (N, 3) [length/time].  masses : (N,) [mass]."""
+    total = 0.0
+    for i in range(velocities.shape[0]):
+        total += 0.5 * masses[i] * (velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
+    return total
 
 
 def stages(method: "type[Splitting]") -> int:

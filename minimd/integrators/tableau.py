@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial.legendre import Legendre
 from numpy.typing import ArrayLike, NDArray
 
-ROUNDING = 1e-13  # sums of a few products of coefficients of order one
+TABLEAU_ROUNDING = 1e-13  # sums of a few products of coefficients of order one
 HIGHEST_ORDER = 10
 
 
@@ -39,17 +39,17 @@ class Tableau:
     @property
     def is_symplectic(self) -> bool:
         """Whether M = 0, to rounding."""
-        return bool(np.abs(self.symplecticity_defect).max() < ROUNDING)
+        return bool(np.abs(self.symplecticity_defect).max() < TABLEAU_ROUNDING)
 
     @property
     def is_symmetric(self) -> bool:
         """Whether β_{s+1−i,s+1−j} + β_ij = w_j: the method is its own adjoint (stages in rising order of their nodes)."""
-        return bool(np.abs(self.beta[::-1, ::-1] + self.beta - self.weights).max() < ROUNDING)
+        return bool(np.abs(self.beta[::-1, ::-1] + self.beta - self.weights).max() < TABLEAU_ROUNDING)
 
     @property
     def is_stiffly_accurate(self) -> bool:
         """Whether the last stage is the new state."""
-        return bool(np.abs(self.beta[-1] - self.weights).max() < ROUNDING)
+        return bool(np.abs(self.beta[-1] - self.weights).max() < TABLEAU_ROUNDING)
 
     @property
     def is_explicit(self) -> bool:
@@ -73,7 +73,7 @@ class Tableau:
 def _first_failure(defects: NDArray[np.float64], axis: int = 0) -> int:
     """How many conditions hold before the first that does not; conditions along the last axis, or along the first if axis is 1."""
     worst = np.abs(np.atleast_2d(defects)).max(axis=axis)
-    return int(np.argmax(worst > ROUNDING)) if (worst > ROUNDING).any() else worst.size
+    return int(np.argmax(worst > TABLEAU_ROUNDING)) if (worst > TABLEAU_ROUNDING).any() else worst.size
 
 
 def collocation(nodes: ArrayLike) -> Tableau:

@@ -16,9 +16,10 @@ from minimd.compiling import kernel
 from minimd.integrators.method import Step
 from minimd.integrators.problems import Problem
 from minimd.integrators.rows import Drift, Kick, Thermalize
-from minimd.integrators.splitting import Splitting, State
+from minimd.integrators.splitting import Splitting, State, kinetic_energy
 
 SEEDS = 2**128  # keys of numpy's Philox
+AT_REST = 1e-12  # of the kinetic energy: what is less, beside the motion of the whole, is rounding
 STEPS = 2**64  # counters of noise; steps before the start, of an equilibration, count from the other end
 
 
@@ -79,14 +80,17 @@ class LangevinBAOAB(Thermostat):
         r(t+Δt)   = r(t+Δt/2) + Δt/2 v                         A
         v(t+Δt)   = v + Δt/2 F(t+Δt)/m                         B
 
-    Of order 2 in averages; those of positions are exact for harmonic forces at any stable Δt. Momentum is not conserved, so
-    that all 3N degrees of freedom are thermal. Without friction it is velocity Verlet.
+    Of order 2 in averages; those of positions are exact for harmonic forces at any stable Δt, where those of v² are low by
+    (ωΔt)²/4: a kinetic temperature below that of the bath, by O(Δt²), tells of the time step and not of the bath. Rigid molecules
+    share this: one on which nothing acts has the temperature of the bath. Momentum is not conserved, so that all 3N degrees of
+    freedom are thermal. Without friction it is velocity Verlet.
 
     Parameters
     ----------
     friction : γ ≥ 0 [1/time].  Others : see Thermostat.
 
     B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013); J. Chem. Phys. 138, 174102 (2013), eq. 7.
+    With constraints: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016).
     """
 
     name = "langevin-baoab"
@@ -109,11 +113,11 @@ class LangevinBAOAB(Thermostat):
         kept = exp(-self.friction * duration)
         spread = sqrt(state.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
         _project(state)
-        before = _kinetic_energy(state)
+        before = kinetic_energy(state.velocities, state.masses)
         noise = self.noise(state).standard_normal(state.velocities.shape)
         mix(state.velocities, noise, state.inverse_masses, kept, spread)
         _project(state)
-        state.heat += _kinetic_energy(state) - before
+        state.heat += kinetic_energy(state.velocities, state.masses) - before
 
 
 class StochasticVelocityRescaling(Thermostat):
@@ -125,7 +129,9 @@ class StochasticVelocityRescaling(Thermostat):
 
         K′ = c K + (1 − c) K̄/n_dof (S + ξ²) + 2 ξ √(c (1 − c) K K̄/n_dof)
 
-    A total momentum of zero stays zero, and the direction of motion is kept; dynamics are hardly disturbed.
+    K is what belongs to the n_dof that are counted: where the total momentum is a constant, the motion of the whole is none of them,
+    so that K is relative to the center of mass, whose velocity V is kept: v ← V + √(K′/K) (v − V). Where atoms are held fixed V is
+    zero. Directions of motion are kept, and dynamics hardly disturbed.
 
     Parameters
     ----------
@@ -153,8 +159,10 @@ class StochasticVelocityRescaling(Thermostat):
     def thermalize(self, state: State, duration: float) -> None:
         """The exact change of the kinetic energy over a duration."""
         _project(state)
-        kinetic = _kinetic_energy(state)
-        if kinetic == 0.0:
+        drift = np.zeros(3)
+        whole = kinetic_energy(state.velocities, state.masses)
+        kinetic = whole - (motion_of_whole(state.velocities, state.masses, drift) if state.conserves_momentum else 0.0)
+        if kinetic <= AT_REST * whole:
             return
         noise, kept = self.noise(state), exp(-duration / self.relaxation_time)
         one, others = noise.standard_normal(), 2.0 * noise.standard_gamma(0.5 * (state.n_dof - 1))
@@ -162,7 +170,7 @@ class StochasticVelocityRescaling(Thermostat):
         scale = sqrt(max(kept + share * (others + one * one) + 2.0 * one * sqrt(kept * share), 0.0))
         if share > 0.0 and one < -sqrt(kept / share):
             scale = -scale
-        state.velocities *= scale
+        rescale(state.velocities, drift, scale)
         state.heat += kinetic * (scale * scale - 1.0)
 
 
@@ -175,26 +183,33 @@ def mix(velocities, noise, inverse_masses, kept, spread):
             velocities[i, x] = kept * velocities[i, x] + scale * noise[i, x]
 
 
+@kernel
+def motion_of_whole(velocities, masses, drift):
+    """½ M V² [energy], with V = Σ m v/M, M = Σ m.  (N, 3), (N,); drift = V, (3,) [length/time]."""
+    mass, px, py, pz = 0.0, 0.0, 0.0, 0.0
+    for i in range(velocities.shape[0]):
+        mass += masses[i]
+        px += masses[i] * velocities[i, 0]
+        py += masses[i] * velocities[i, 1]
+        pz += masses[i] * velocities[i, 2]
+    drift[0], drift[1], drift[2] = px / mass, py / mass, pz / mass
+    return 0.5 * (px * px + py * py + pz * pz) / mass
+
+
+@kernel
+def rescale(velocities, drift, scale):
+    """velocities = V + scale · (velocities − V), with V = drift.  (N, 3), (3,) [length/time], dimensionless."""
+    x, y, z = (1.0 - scale) * drift[0], (1.0 - scale) * drift[1], (1.0 - scale) * drift[2]
+    for i in range(velocities.shape[0]):
+        velocities[i, 0] = x + scale * velocities[i, 0]
+        velocities[i, 1] = y + scale * velocities[i, 1]
+        velocities[i, 2] = z + scale * velocities[i, 2]
+
+
 def _project(state: State) -> None:
     """Velocities without what constraints will take from them, for their kinetic energy to be counted."""
     if state.constraints is not None:
         state.constraints.project_velocities(state.velocities, state.positions)
-
-
-def _kinetic_energy(state: State) -> float:
-    """Σ ½ m v² of the atoms that move [energy]."""
-    return kinetic_energy(state.velocities, state.inverse_masses)
-
-
-@kernel
-def kinetic_energy(velocities, inverse_masses):
-    """Σ ½ m v² of the atoms with a finite mass.  (N, 3), (N,); [energy]."""
-    total = 0.0
-    for i in range(velocities.shape[0]):
-        if inverse_masses[i] > 0.0:
-            v2 = velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2
-            total += 0.5 * v2 / inverse_masses[i]
-    return total
 
 
 def _not_negative(name: str, value: float) -> float:

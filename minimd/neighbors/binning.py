@@ -10,7 +10,7 @@ from minimd.compiling import kernel, scalar
 
 ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
 FLATTEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick
-ROUNDING = 1.0 + 1e-9  # bins are this much wider than the reach, so that rounding never asks for one bin more
+WIDER = 1.0 + 1e-9  # bins are this much wider than the reach, so that rounding never asks for one bin more
 
 
 class Grid(NamedTuple):
@@ -43,7 +43,7 @@ def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
     origin = np.where(cell.pbc, 0.0, fractional.min(axis=0))
     extent = np.where(cell.pbc, 1.0, np.maximum(fractional.max(axis=0) - origin, np.finfo(float).tiny))
     widths = cell.heights * extent
-    counts = np.maximum(1.0, np.floor(2.0 * widths / (reach * ROUNDING)))
+    counts = np.maximum(1.0, np.floor(2.0 * widths / (reach * WIDER)))
     while counts.prod() > max(64.0, len(positions) / ATOMS_PER_BIN) and counts.max() > 1.0:
         counts = np.where(counts == counts.max(), np.ceil(0.5 * counts), counts)
     needed = np.ceil(reach * counts / np.maximum(widths, FLATTEST * reach * counts))

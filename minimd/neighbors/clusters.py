@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from minimd.cell import Cell
 from minimd.compiling import kernel, scalar, shared_kernel
-from minimd.neighbors.binning import FLATTEST, ROUNDING, Binned, counting_sort
+from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
 from minimd.neighbors.buffers import Buffers
 from minimd.potentials.cluster_loop import BLOCK, LANES
 from minimd.team import MOST_SHARES, Team, begin, finish_and_take, take, wait
@@ -70,10 +70,10 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Co
     across = np.maximum(1.0, np.minimum(widths[:2] / cube, len(positions)))
     across = np.maximum(1.0, np.rint(across * min(1.0, (len(positions) / (LANES * across.prod())) ** 0.5)))  # a flat scene has few
     bins = max(1.0, len(positions) / across.prod())
-    needed = np.ceil(ROUNDING * reach * across / widths[:2])
+    needed = np.ceil(WIDER * reach * across / widths[:2])
     needed = np.minimum(needed, np.where(cell.pbc[:2], across, across - 1.0))
     counts = np.array([*across, bins]).astype(np.int64)
-    return Columns(counts, needed.astype(np.int64), ROUNDING * reach / cell.heights[2], origin, extent)
+    return Columns(counts, needed.astype(np.int64), WIDER * reach / cell.heights[2], origin, extent)
 
 
 def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Columns, memory: Buffers, team: Team) -> Clusters:

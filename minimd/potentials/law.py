@@ -17,7 +17,7 @@ from minimd.compiling import scalar
 
 
 STEP = 1e-5  # of a central difference, relative to the distance
-ACCURACY, ROUNDING = 1e-4, 1e-9  # of that difference: relative, and beside the size of u
+ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative, and beside the size of u
 
 
 class UserLaw(NamedTuple):
@@ -60,7 +60,7 @@ def check_user_law(law: UserLaw, parameters: tuple[float, ...], distances: Itera
         slope = (low - high) / (2.0 * STEP * r * r)
         if isfinite(u) and isfinite(f) and isfinite(slope):
             tried += 1
-            if abs(f - slope) > ACCURACY * max(abs(f), abs(slope)) + ROUNDING * abs(u) / r**2:
+            if abs(f - slope) > ACCURACY * max(abs(f), abs(slope)) + BESIDE_U * abs(u) / r**2:
                 wrong.append(f"at r = {r:.4g} it returns {f:.6g} where -u'(r)/r is {slope:.6g}")
     if 2 * len(wrong) > tried:
         raise ValueError(f"the law must return u and -u'(r)/r; {wrong[-1]}")

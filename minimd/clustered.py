@@ -14,7 +14,7 @@ from minimd.options import Options
 from minimd.pair_laws import PairLaws, skin_for
 from minimd.potentials.cluster_loop import BLOCK, LANES, SHARES, ByLane, ForceSums, Sums, add_cluster_forces
 from minimd.potentials.law import is_user_law
-from minimd.potentials.pair_loop import FORCES, PER_ATOM
+from minimd.potentials.pair_loop import FORCES, PER_ATOM, TOTALS
 from minimd.potentials.parameters import SameForAll
 from minimd.system import System
 from minimd.team import begin, finish_and_take, take, team_of, wait
@@ -84,9 +84,9 @@ class ClusteredPairs:
             self._parameters = tuple(self._by_lane(k, table, system.species_index) for k, table in enumerate(self._laws.tables))
             self._parameters_of = self.list.n_builds
         clusters, copies, memory = self.list.clusters, self.list.copies, self.list.memory
-        n_slots = len(clusters.atom) if detail != FORCES else 0
+        n_books = {FORCES: 0, TOTALS: len(clusters.filled), PER_ATOM: len(clusters.atom)}[detail]
         shares = np.zeros(len(copies.owner) * LANES * SHARES if detail == PER_ATOM else 0)
-        sums = (Sums if detail != FORCES else ForceSums)(memory.forces, np.zeros(n_slots), np.zeros((n_slots, 6)), shares)
+        sums = (Sums if detail != FORCES else ForceSums)(memory.forces, np.zeros(n_books), np.zeros((n_books, 6)), shares)
         scene = (system.positions, clusters, self.list.chunks.cluster, copies, self.list.rows, memory)
         before = net_force(forces) if self._is_mixed else None
         self._team.run(self._evaluate, *scene, self._markers, self._parameters, detail, sums, forces)
@@ -94,7 +94,10 @@ class ClusteredPairs:
             net = np.subtract(net_force(forces), before)
             if np.isfinite(net).all():
                 take_out(*net, forces)
-        if detail != FORCES:
+        if detail == TOTALS:
+            energies[0] += sums.energies.sum()
+            virials[0] += sums.virials.sum(axis=0)
+        elif detail == PER_ATOM:
             self._book(sums, energies, virials)
 
     def _book(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
@@ -103,10 +106,9 @@ class ClusteredPairs:
         real = (np.arange(LANES) < clusters.filled[:, None]).ravel()
         energies[clusters.atom[real]] += sums.energies[real]
         virials[clusters.atom[real]] += sums.virials[real]
-        if sums.shares.size:
-            atoms, of_lanes = clusters.atom.reshape(-1, LANES)[self.list.copies.owner], sums.shares.reshape(-1, SHARES, LANES)
-            np.add.at(energies, atoms, of_lanes[:, 0])
-            np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
+        atoms, of_lanes = clusters.atom.reshape(-1, LANES)[self.list.copies.owner], sums.shares.reshape(-1, SHARES, LANES)
+        np.add.at(energies, atoms, of_lanes[:, 0])
+        np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
 
     @property
     def words(self) -> str:

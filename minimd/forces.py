@@ -13,7 +13,7 @@ from minimd.errors import NonFiniteError
 from minimd.neighbors.closest import closest_pair
 from minimd.options import Options
 from minimd.potentials.pair import PairPotential
-from minimd.potentials.pair_loop import FORCES, PER_ATOM
+from minimd.potentials.pair_loop import FORCES, PER_ATOM, TOTALS
 from minimd.system import System
 from minimd.terms import FixedPairs, ListedPairs, Potential, Term, plan
 
@@ -52,8 +52,7 @@ class Forces:
         self._plan()
         self.forces = np.zeros_like(system.positions)
         self._compiled: set[int] = set()
-        self._energies = np.zeros(len(system))
-        self._virials = np.zeros((len(system), 6))
+        self._energies, self._virials = np.zeros(0), np.zeros((0, 6))
         self._detail = FORCES
         self._tail: tuple[float | None, float, float] = (None, 0.0, 0.0)
 
@@ -84,7 +83,7 @@ class Forces:
             self._plan()
         self.forces[:] = 0.0
         if detail != FORCES:
-            self._energies[:], self._virials[:] = 0.0, 0.0
+            self._open_books(detail)
         if detail in self._compiled:
             self._sum(detail)
         else:
@@ -94,6 +93,14 @@ class Forces:
         self.n_evaluations += 1
         self._detail = detail
         return self.forces
+
+    def _open_books(self, detail: int) -> None:
+        """Room for energies and virials: of all atoms, or, where nothing but cluster lists asks for their totals, of one."""
+        one_will_do = detail == TOTALS and all(isinstance(term, ClusteredPairs) for term in self.terms)
+        n = 1 if one_will_do else len(self.system)
+        if len(self._energies) != n:
+            self._energies, self._virials = np.empty(n), np.empty((n, 6))
+        self._energies[:], self._virials[:] = 0.0, 0.0
 
     def _sum(self, detail: int) -> None:
         for term in self.terms:

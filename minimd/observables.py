@@ -1,12 +1,14 @@
 """What can be measured on a state: energies, temperature, pressure, linear and angular momentum.
 
-Sums are written with einsum: matrix products would wake the threads of BLAS, which then spin for a while on the cores that
-the forces need.
+Sums are compiled: they need no memory, and no threads of BLAS, which would spin for a while on the cores that the forces need.
 """
+
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiling import kernel
 from minimd.integrators.splitting import kinetic_energy as kinetic_energy_of
 
 Array = NDArray[np.float64]
@@ -50,35 +52,75 @@ def pressure(kinetic: float, virial: Array, volume: float) -> float:
     return (2.0 * kinetic + float(np.trace(virial))) / (3.0 * volume)
 
 
+@kernel
+def _momentum(velocities, masses):
+    px = py = pz = 0.0
+    for i in range(masses.size):
+        px += masses[i] * velocities[i, 0]
+        py += masses[i] * velocities[i, 1]
+        pz += masses[i] * velocities[i, 2]
+    return px, py, pz
+
+
+@kernel
+def _absolute_momentum(velocities, masses):
+    total = 0.0
+    for i in range(masses.size):
+        total += masses[i] * sqrt(velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
+    return total
+
+
+@kernel
+def _largest_speed(velocities):
+    largest2 = 0.0
+    for i in range(velocities.shape[0]):
+        largest2 = max(largest2, velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
+    return sqrt(largest2)
+
+
+@kernel
+def _angular_momentum(positions, velocities, masses):
+    lx = ly = lz = 0.0
+    for i in range(masses.size):
+        x, y, z = positions[i]
+        vx, vy, vz = velocities[i]
+        lx += masses[i] * (y * vz - z * vy)
+        ly += masses[i] * (z * vx - x * vz)
+        lz += masses[i] * (x * vy - y * vx)
+    return lx, ly, lz
+
+
+@kernel
+def _absolute_angular_momentum(positions, velocities, masses, center):
+    total = 0.0
+    for i in range(masses.size):
+        arm2 = (positions[i, 0] - center[0]) ** 2 + (positions[i, 1] - center[1]) ** 2 + (positions[i, 2] - center[2]) ** 2
+        speed2 = velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2
+        total += masses[i] * sqrt(arm2 * speed2)
+    return total
+
+
 def momentum(velocities: Array, masses: Array) -> Array:
     """P = Σ m v [mass length/time], (3,)."""
-    return _weighted(masses, velocities)
+    return np.array(_momentum(velocities, masses))
 
 
 def absolute_momentum(velocities: Array, masses: Array) -> float:
     """Σ |m v| [mass length/time]: the scale against which a change of the total momentum is seen."""
-    return float(np.einsum("i,i->", masses, _lengths(velocities)))
+    return _absolute_momentum(velocities, masses)
 
 
 def largest_speed(velocities: Array) -> float:
     """max |v| [length/time]."""
-    return float(_lengths(velocities).max())
+    return _largest_speed(velocities)
 
 
 def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
     """Σ m |r − r_cm| |v| [mass length²/time]: the scale against which a change of the angular momentum is seen."""
-    centered = positions - _weighted(masses, positions) / masses.sum()
-    return float(np.einsum("i,i,i->", masses, _lengths(centered), _lengths(velocities)))
+    center = momentum(positions, masses) / masses.sum()  # Σ m r: the same sum
+    return _absolute_angular_momentum(positions, velocities, masses, center)
 
 
 def angular_momentum(positions: Array, velocities: Array, masses: Array) -> Array:
     """L = Σ m r × v about the origin [mass length²/time], (3,); a constant only where nothing is periodic."""
-    return _weighted(masses, np.cross(positions, velocities))
-
-
-def _weighted(weights: Array, vectors: Array) -> Array:
-    return np.einsum("i,ij->j", weights, vectors)
-
-
-def _lengths(vectors: Array) -> Array:
-    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+    return np.array(_angular_momentum(positions, velocities, masses))

@@ -50,8 +50,10 @@ def minimd_peak(scene: str, threads: int, precision: Precision) -> Callable[[int
 
     def run(n: int) -> int:
         loaded = SCENES[scene](n)
-        Minimd(loaded, threads, precision).run(STEPS)
-        return len(loaded.system)
+        n_atoms, engine = len(loaded.system), Minimd(loaded, threads, precision)
+        del loaded  # the simulation has a copy
+        engine.run(STEPS)
+        return n_atoms
 
     return run
 

@@ -80,10 +80,10 @@ def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Colu
     """The clusters of all columns, the second lattice direction running faster than the first."""
     n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
     binned = Binned(
-        order=memory.array("order", np.int64, n),
-        bins=memory.array("bins", np.int64, n),
-        bin_start=memory.array("bin_start", np.int64, n_bins + 1),
-        place=memory.array("place", np.int64, n_bins + 1),
+        order=memory.array("order", np.int32, n),
+        bins=memory.array("bins", np.int32, n),
+        bin_start=memory.array("bin_start", np.int32, n_bins + 1),
+        place=memory.array("place", np.int32, n_bins + 1),
         cells=memory.array("cells", np.float64, n, 3),
         height=memory.array("height", np.float64, n),
     )

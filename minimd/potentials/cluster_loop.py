@@ -78,7 +78,7 @@ class Sums(NamedTuple):
     """Where the loop adds what it finds.
 
     forces : flat, BLOCK numbers for each copy, of the type of the pair arithmetic [energy/length].
-    energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows.
+    energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows with PER_ATOM, else (C,) and (C, 6) of their clusters.
     shares : flat, SHARES · LANES numbers for each copy: energies and virials of the lanes; empty unless PER_ATOM.
     """
 
@@ -112,7 +112,7 @@ def add_cluster_forces(first, last, home, rows, coordinates, unit, law, paramete
         r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= Σ f r_ij,   W += f r_ij ⊗ r_ij
 
     home : (C,) int, where each cluster stands among the copies.  coordinates, unit : see separation.
-    detail : see pair_loop; with TOTALS each pair is booked on its atom i, with PER_ATOM half of it on each.
+    detail : see pair_loop; with TOTALS each pair is booked on the cluster of its atom i, with PER_ATOM half of it on each atom.
     """
     nothing = broadcast(0.0, load(sums.forces, 0, LANES))
     zero = convert(nothing, 0.0)
@@ -152,13 +152,14 @@ def add_cluster_forces(first, last, home, rows, coordinates, unit, law, paramete
         sums.forces[place + LANES] += total(fy)
         sums.forces[place + 2 * LANES] += total(fz)
         if somebody_looks(sums):
-            sums.energies[slot] += own_share * total(energy)
-            sums.virials[slot, 0] += own_share * total(xx)
-            sums.virials[slot, 1] += own_share * total(yy)
-            sums.virials[slot, 2] += own_share * total(zz)
-            sums.virials[slot, 3] += own_share * total(yz)
-            sums.virials[slot, 4] += own_share * total(xz)
-            sums.virials[slot, 5] += own_share * total(xy)
+            book = slot if detail == PER_ATOM else slot // LANES
+            sums.energies[book] += own_share * total(energy)
+            sums.virials[book, 0] += own_share * total(xx)
+            sums.virials[book, 1] += own_share * total(yy)
+            sums.virials[book, 2] += own_share * total(zz)
+            sums.virials[book, 3] += own_share * total(yz)
+            sums.virials[book, 4] += own_share * total(xz)
+            sums.virials[book, 5] += own_share * total(xy)
 
 
 @scalar

@@ -1,6 +1,7 @@
 """minimd: a molecular-dynamics mini-engine. Fast, exact, and small enough to read in an afternoon."""
 
 from minimd import integrators, units
+from minimd.advice import StepAdvice, advise_timestep
 from minimd.cell import Cell
 from minimd.errors import ConstraintError, ConvergenceError, NonFiniteError
 from minimd.forces import Evaluation, Forces, evaluate
@@ -34,9 +35,11 @@ __all__ = [
     "Record",
     "Report",
     "Simulation",
+    "StepAdvice",
     "StochasticVelocityRescaling",
     "System",
     "VelocityVerlet",
+    "advise_timestep",
     "evaluate",
     "integrators",
     "neighbor_list",

@@ -6,6 +6,7 @@ from minimd.cell import Cell
 from minimd.errors import ConstraintError, ConvergenceError, NonFiniteError
 from minimd.forces import Evaluation, Forces, evaluate
 from minimd.integrators import DistanceConstraints, LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
+from minimd.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
 from minimd.record import Record
@@ -29,6 +30,7 @@ __all__ = [
     "LangevinBAOAB",
     "Leapfrog",
     "LennardJones",
+    "Minimization",
     "NonFiniteError",
     "PairPotential",
     "PositionVerlet",
@@ -42,6 +44,7 @@ __all__ = [
     "advise_timestep",
     "evaluate",
     "integrators",
+    "minimize",
     "neighbor_list",
     "units",
 ]

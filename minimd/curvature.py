@@ -55,8 +55,9 @@ def bonded_pairs(system: System, potential: BondPotential) -> NDArray[np.int64]:
 
 def _among(pairs: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which of the pairs, (B,) bool, are among others, in either order."""
-    known = {frozenset(pair) for pair in others.tolist()}
-    return np.array([frozenset(pair) in known for pair in pairs.tolist()], dtype=bool)
+    n_atoms = 1 + max(pairs.max(initial=0), others.max(initial=0))
+    names, known = (each.min(axis=1) * n_atoms + each.max(axis=1) for each in (pairs, others))
+    return np.isin(names, known)
 
 
 class Curvature:

@@ -6,7 +6,7 @@
 
 with all masses 1, E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006), in the form of J. Guénolé et al., Comput. Mater. Sci. 175,
 109584 (2020), which keeps the half step back and the step of symplectic Euler. Two things are added. Units of time are not known
-here, so that Δt is limited by the curvature that the path itself shows, κ = |ΔF|/|Δr|. And no atom moves farther than a given
+here, so that Δt is limited by the largest curvature κ = |ΔF|/|Δr|, from a few power iterations now and then. And no atom moves farther than a given
 length in a step, which leads out of overlaps, however large their forces.
 """
 
@@ -24,9 +24,11 @@ from minimd.rigidity import Rigidity, nearest_images
 Array = NDArray[np.float64]
 
 DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99  # Guénolé et al., table 2
-FIRST, LONGEST = 0.1, 1.0  # √κ Δt at the start, and at most; symplectic Euler blows up at 2
-FORGETTING = 0.9  # κ falls by this factor in a step at most
-PROBE = 1e-3  # of the longest step: the first one, to see the curvature
+FIRST, LONGEST = 0.3, 1.0  # √κ Δt at the start, and at most; symplectic Euler blows up at 2, and κ may be seen too small
+FORGETTING = 0.9  # what a step has shown of κ counts less in each later one
+PROBE = 1e-3  # of the longest step: displacements that try the curvature
+PROBES, PROBE_EVERY = 5, 50  # displacements, each along the change of the forces in the one before; steps between two such series
+FIRST_SERIES = 4  # of them
 FALLING = 0.9  # the largest force must fall by this factor in a step of steepest descent
 LARGEST = 1e100  # of a force: larger ones are scaled down, all alike, so that their squares are numbers
 PUSHES = 100  # of pairs whose forces are infinite
@@ -98,7 +100,8 @@ class Descent:
         self._system, self._positions = forces.system, forces.system.positions
         self._forces = np.zeros_like(self._positions)
         self._velocities = np.zeros_like(self._positions)
-        self._curvature = 0.0
+        self._curvature, self._stiffest = 0.0, 0.0
+        self._probe = np.random.default_rng(1).standard_normal(self._positions.shape)
         self.n_steps, self.largest_force, self.stop_requested = 0, 0.0, False
 
     def begin(self) -> float:
@@ -167,21 +170,33 @@ class Descent:
                     raise ConstraintError(f"no step of the minimization keeps the constraints; the closest pair is {closest_pair(self._system)}")
 
     def _first_timestep(self) -> float:
-        """A short step downhill shows the curvature."""
+        """A part of 1/√κ."""
         if not self._goes_on():
             return 0.0
-        before, forces = self._positions.copy(), self._forces.copy()
-        self._moved(self._forces * (PROBE * self._longest / self.largest_force), 1.0)
-        self._evaluate()
-        self._see_curvature(before, forces)
-        self._count()
+        for _ in range(FIRST_SERIES):
+            self._try_curvature()
         return FIRST / np.sqrt(self._curvature)
 
+    def _try_curvature(self) -> None:
+        """κ from power iterations, which go on where the last series ended; at least so large that a first step is no longer than the longest."""
+        before, forces, largest = self._positions.copy(), self._forces.copy(), self.largest_force
+        for _ in range(PROBES):
+            self._rigidity.project(self._probe, before)
+            steps = self._probe * (PROBE * self._longest / longest_vector(self._probe))
+            self._positions[:] = before + steps
+            self._evaluate()
+            self._probe = forces - self._forces
+            self._stiffest = np.sqrt(overlap(self._probe, self._probe) / overlap(steps, steps))
+        self._positions[:], self._forces[:], self.largest_force = before, forces, largest
+        self._curvature = max(self._stiffest, largest / self._longest)
+
     def _see_curvature(self, before: Array, forces: Array) -> None:
-        """κ = |ΔF|/|Δr| of the last step, or what is left of an earlier one; at least so much that a first step is no longer than the longest."""
+        """κ after a step: that of the last series, and what this and earlier steps have shown."""
+        if self.n_steps % PROBE_EVERY == 0:
+            self._try_curvature()
         steps, change = self._positions - before, self._forces - forces
         shown = np.sqrt(overlap(change, change) / max(overlap(steps, steps), np.finfo(float).tiny))
-        self._curvature = max(shown, FORGETTING * self._curvature, self.largest_force / self._longest)
+        self._curvature = max(shown, FORGETTING * self._curvature, self._stiffest, self.largest_force / self._longest)
 
     def _count(self) -> None:
         self.n_steps += 1

@@ -26,7 +26,7 @@ def run_scene(
     progress: bool | None = None,
     tell: Tell = print,
 ) -> Simulation:
-    """Build a scene, equilibrate it, run it, and write its files.
+    """Build a scene, minimize and equilibrate it, run it, and write its files.
 
     Parameters
     ----------
@@ -47,6 +47,7 @@ def run_scene(
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
+    minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell)
     with kept(files, n_steps):
         simulation.run(
@@ -155,6 +156,18 @@ def check_outputs(trajectories: Sequence[Path], picture: Path | None, overwrite:
         raise FileExistsError(f"output {str(picture)!r} exists; choose another name, or pass overwrite=True")
     if picture is not None and not picture.absolute().parent.is_dir():
         raise FileNotFoundError(f"output folder {str(picture.absolute().parent)!r} does not exist; make it first")
+
+
+def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:
+    """Move the atoms to a minimum, if the scene asks for it."""
+    plan = scene.sections.minimization
+    if plan is None:
+        return
+    with nothing_written():
+        found = simulation.minimize(
+            force_tolerance=plan.force_tolerance, max_steps=plan.max_steps, max_step_length=plan.max_step_length, progress=progress
+        )
+    tell(str(found))
 
 
 def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:

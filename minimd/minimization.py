@@ -7,7 +7,6 @@ from numbers import Integral, Real
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.errors import Interrupted
 from minimd.fire import Descent

@@ -177,7 +177,7 @@ def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tel
     if plan is None or target is None or plan.steps == 0:  # SceneSections has checked that there is a target
         return
     tell(f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {plan.rescale_every}")
-    with nothing_written():
+    with nothing_written(" of the equilibration"):
         simulation.equilibrate(plan.steps, target, every=plan.rescale_every, progress=progress)
 
 

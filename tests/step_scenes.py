@@ -62,7 +62,8 @@ def bead_melt():
 
 def rigid_dumbbells():
     centers, edges = crystal("fcc", [2, 2, 2], 2.07)
-    arms = 0.25 * np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]] * 8) / np.sqrt(3.0)
+    arms = np.random.default_rng(1).standard_normal((32, 3))
+    arms *= 0.25 / np.linalg.norm(arms, axis=1)[:, None]
     pairs = np.arange(64).reshape(-1, 2)
     system = md.System(np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3), cell=edges, masses=[1.0, 3.0] * 32, bonds=pairs)
     laws = md.LennardJones(1.0, 1.0, cutoff=2.05, truncation="smooth", bonded_scale=(0, 1, 1))

@@ -140,7 +140,7 @@ def test_rigid_bonds_are_kept():
 @pytest.mark.parametrize("shape", ["chain", "water", "ring", "rod"])
 def test_constraints_of_any_shape_are_kept(shape):
     one, pairs, masses = SCENES[shape]
-    positions, pairs = np.concatenate([one, [*one, 0.7, 1.5, 1.2]]), np.concatenate([pairs, pairs + len(one)])
+    positions, pairs = np.concatenate([one, one + np.array([0.7, 1.5, 1.2])]), np.concatenate([pairs, pairs + len(one)])
     velocities = np.random.default_rng(2).standard_normal(positions.shape)
     system = md.System(positions, masses=np.tile(masses, 2), bonds=pairs, velocities=velocities)
     law = md.LennardJones(1.0, 1.0, bonded_scale=(0, 0, 1) if shape in ("water", "rod") else (0, 1, 1))
@@ -180,7 +180,7 @@ def test_two_atoms_on_one_spot_are_refused():
 
 def test_fixed_atoms_too_close_are_refused():
     system = md.System([[0.0, 0.0, 0.0], [1e-100, 0.0, 0.0]])
-    with pytest.raises(md.NonFiniteError, match="closest pair is atoms 0 and 1, .* constraints hold it there"):
+    with pytest.raises(md.NonFiniteError, match=r"closest pair is atoms 0 and 1, .* constraints hold it there"):
         md.minimize(system, LJ, md.FixedAtoms([0, 1]))
 
 

@@ -101,7 +101,8 @@ class Descent:
         self._forces = np.zeros_like(self._positions)
         self._velocities = np.zeros_like(self._positions)
         self._curvature, self._stiffest = 0.0, 0.0
-        self._probe = np.random.default_rng(1).standard_normal(self._positions.shape)
+        self._probe = _random_like(self._positions)
+        self._tolerance, self._max_steps = 0.0, 0
         self.n_steps, self.largest_force, self.stop_requested = 0, 0.0, False
 
     def begin(self) -> float:
@@ -182,6 +183,9 @@ class Descent:
         before, forces, largest = self._positions.copy(), self._forces.copy(), self.largest_force
         for _ in range(PROBES):
             self._rigidity.project(self._probe, before)
+            if not self._probe.any():  # no curvature at all
+                self._probe, self._stiffest = _random_like(before), 0.0
+                break
             steps = self._probe * (PROBE * self._longest / longest_vector(self._probe))
             self._positions[:] = before + steps
             self._evaluate()
@@ -242,3 +246,7 @@ class Descent:
         self._rigidity.project(velocities, self._positions)
         if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):
             raise NonFiniteError(f"forces are not finite; the closest pair is {pair}, and constraints hold it there")
+
+
+def _random_like(positions: Array) -> Array:
+    return np.random.default_rng(1).standard_normal(positions.shape)

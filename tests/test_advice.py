@@ -4,6 +4,8 @@ import warnings
 
 import numpy as np
 import pytest
+import scipy.linalg
+from rigid_scenes import SCENES as RIGID
 from step_scenes import SCENES, at_minimum, diatomic, fcc, longest_stable_step, rigid_dumbbells
 
 import minimd as md
@@ -88,6 +90,49 @@ def test_tension_of_a_rigid_bond_stiffens_its_swinging():
     advice = md.advise_timestep(system, spring, held)
     assert advice.frequency == pytest.approx(np.sqrt(60.0 * 1.5 / 2.0), rel=1e-7)
     assert advice.atoms == (1,)
+
+
+def reduced_frequency(system, law, quadratic, linear):
+    """The highest frequency of M^−1/2 (∇²U − Σ λ ∇²g) M^−1/2 on the null space of all ∇g, by dense algebra.
+
+    quadratic : pairs (i, j), each with g = ½ (r_ij² − d²).  linear : rows (3N,) whose product with r is constant.
+    """
+    n, x = 3 * len(system), system.positions.ravel().copy()
+
+    def forces(y):
+        return md.evaluate(md.System(y.reshape(-1, 3), bonds=system.bonds), law).forces.ravel()
+
+    hessian = np.array([forces(x - 1e-6 * e) - forces(x + 1e-6 * e) for e in np.eye(n)]) / 2e-6
+    curvatures = []
+    for i, j in quadratic:
+        b = np.zeros((3, n))
+        b[:, 3 * j : 3 * j + 3], b[:, 3 * i : 3 * i + 3] = np.eye(3), -np.eye(3)
+        curvatures.append(b.T @ b)
+    gradients = np.array([*(g @ x for g in curvatures), *linear])
+    root = 1.0 / np.sqrt(np.repeat(system.masses, 3))
+    multipliers = np.linalg.lstsq((gradients * root).T, -forces(x) * root, rcond=None)[0]  # at rest: M⁻¹(F + λ ∇g) keeps g
+    lagrangian = hessian - np.einsum("k,kab->ab", multipliers[: len(curvatures)], np.array(curvatures))
+    allowed = scipy.linalg.null_space(gradients * root)
+    return np.sqrt(np.linalg.eigvalsh(allowed.T @ (root[:, None] * lagrangian * root) @ allowed)[-1])
+
+
+@pytest.mark.parametrize("shape", ["water", "chain", "ring", "cube", "rod"])
+def test_frequencies_with_constraints_are_those_of_the_reduced_problem(shape):
+    one, pairs, masses = RIGID[shape]
+    one, pairs, masses = (one[:9], pairs[:8], masses[:9]) if shape == "chain" else (one, pairs, masses)
+    positions, pairs = np.concatenate([one, one + np.array([0.7, 1.5, 1.2])]), np.concatenate([pairs, pairs + len(one)])
+    system = md.System(positions, masses=np.tile(masses, 2), bonds=pairs)
+    law = md.LennardJones(1.0, 0.9)
+    quadratic, linear = pairs.tolist(), []
+    if shape == "rod":  # its ends are atoms 0 and 2, the middle one lies at 1.16 of 2.5 between them
+        quadratic = [[0, 2], [3, 5]]
+        for start in (0, 3):
+            for c in range(3):
+                row = np.zeros(18)
+                row[3 * np.array([start, start + 1, start + 2]) + c] = 1.16 / 2.5 - 1.0, 1.0, -1.16 / 2.5
+                linear.append(row)
+    advice = md.advise_timestep(system, law, md.DistanceConstraints(pairs))
+    assert advice.frequency == pytest.approx(reduced_frequency(system, law, quadratic, linear), rel=1e-4)  # ACCURACY of iterations
 
 
 def test_rigid_bonds_do_not_oscillate():

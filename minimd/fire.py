@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 
 DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99  # Guénolé et al., table 2
 FIRST, LONGEST = 0.3, 1.0  # √κ Δt at the start, and at most; symplectic Euler blows up at 2, and κ may be seen too small
-FORGETTING = 0.9  # what a step has shown of κ counts less in each later one
 PROBE = 1e-3  # of the longest step: displacements that try the curvature
 PROBES, PROBE_EVERY = 5, 50  # displacements, each along the change of the forces in the one before; steps between two such series
 FIRST_SERIES = 4  # of them
@@ -100,7 +99,7 @@ class Descent:
         self._system, self._positions = forces.system, forces.system.positions
         self._forces = np.zeros_like(self._positions)
         self._velocities = np.zeros_like(self._positions)
-        self._curvature, self._stiffest = 0.0, 0.0
+        self._curvature = 0.0
         self._probe = _random_like(self._positions)
         self._tolerance, self._max_steps = 0.0, 0
         self.n_steps, self.largest_force, self.stop_requested = 0, 0.0, False
@@ -157,12 +156,12 @@ class Descent:
                 timestep, mixing, downhill = timestep * SLOWER, MIXING, 0
                 self._velocities[:] = 0.0
             timestep = min(timestep, LONGEST / np.sqrt(self._curvature))
-            before, forces = self._positions.copy(), self._forces.copy()
             steer(self._velocities, self._forces, timestep, mixing, self._longest)
             if self._moved(self._velocities, timestep):
                 self._evaluate()
-                self._see_curvature(before, forces)
                 self._count()
+                if self.n_steps % PROBE_EVERY == 0:
+                    self._try_curvature()
                 refused = 0
             else:
                 timestep, refused = timestep * SLOWER, refused + 1
@@ -180,27 +179,19 @@ class Descent:
 
     def _try_curvature(self) -> None:
         """κ from power iterations, which go on where the last series ended; at least so large that a first step is no longer than the longest."""
-        before, forces, largest = self._positions.copy(), self._forces.copy(), self.largest_force
+        before, forces, largest, shown = self._positions.copy(), self._forces.copy(), self.largest_force, 0.0
         for _ in range(PROBES):
             self._rigidity.project(self._probe, before)
             if not self._probe.any():  # no curvature at all
-                self._probe, self._stiffest = _random_like(before), 0.0
+                self._probe = _random_like(before)
                 break
             steps = self._probe * (PROBE * self._longest / longest_vector(self._probe))
             self._positions[:] = before + steps
             self._evaluate()
             self._probe = forces - self._forces
-            self._stiffest = np.sqrt(overlap(self._probe, self._probe) / overlap(steps, steps))
+            shown = np.sqrt(overlap(self._probe, self._probe) / overlap(steps, steps))
         self._positions[:], self._forces[:], self.largest_force = before, forces, largest
-        self._curvature = max(self._stiffest, largest / self._longest)
-
-    def _see_curvature(self, before: Array, forces: Array) -> None:
-        """κ after a step: that of the last series, and what this and earlier steps have shown."""
-        if self.n_steps % PROBE_EVERY == 0:
-            self._try_curvature()
-        steps, change = self._positions - before, self._forces - forces
-        shown = np.sqrt(overlap(change, change) / max(overlap(steps, steps), np.finfo(float).tiny))
-        self._curvature = max(shown, FORGETTING * self._curvature, self._stiffest, self.largest_force / self._longest)
+        self._curvature = max(shown, largest / self._longest)
 
     def _count(self) -> None:
         self.n_steps += 1

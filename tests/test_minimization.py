@@ -11,6 +11,7 @@ from rigid_scenes import SCENES
 
 import minimd as md
 from minimd.errors import Interrupted
+from minimd.fire import steer
 from minimd.forces import Forces
 from minimd.lattice import crystal
 from minimd.potentials.pair_loop import TOTALS
@@ -88,6 +89,17 @@ def test_a_dimer_finds_its_length_from_anywhere(distance, direction):
     assert np.linalg.norm(arm) == pytest.approx(2 ** (1 / 6), abs=1e-7)
     np.testing.assert_allclose(arm / np.linalg.norm(arm), direction, atol=1e-12)
     assert found.n_steps < 300
+
+
+@pytest.mark.parametrize("longest", [100.0, 0.01])
+def test_velocities_turn_as_published(longest):
+    rng = np.random.default_rng(3)
+    velocities, forces, timestep, mixing = rng.standard_normal((5, 3)), rng.standard_normal((5, 3)), 0.1, 0.25
+    kicked = velocities + timestep * forces
+    expected = (1.0 - mixing) * kicked + mixing * np.linalg.norm(kicked) * forces / np.linalg.norm(forces)
+    expected *= min(1.0, longest / (timestep * np.linalg.norm(expected, axis=1).max()))
+    steer(velocities, forces, timestep, mixing, longest)
+    np.testing.assert_allclose(velocities, expected, rtol=1e-13)
 
 
 @pytest.mark.parametrize("scene", ["overlaps", "far from home"])

@@ -72,7 +72,8 @@ def minimize(
 
     No step moves an atom farther than max_step_length, so that atoms far too close to each other find their way out, whatever
     their forces. Two atoms on exactly one spot are refused: no force tells where they should go, and nearly always one of them is
-    there twice. Constraints are kept, fixed atoms stay; velocities stay too, but for what constraints forbid in the new place.
+    there twice. A start where all forces vanish stays as it is, even if it is no minimum: shake a crystal whose symmetry should break.
+    Constraints are kept, fixed atoms stay; velocities stay too, but for what constraints forbid in the new place.
 
     Parameters
     ----------

@@ -1,10 +1,12 @@
 """minimd: a molecular-dynamics mini-engine. Fast, exact, and small enough to read in an afternoon."""
 
 from minimd import integrators, units
+from minimd.advice import StepAdvice, advise_timestep
 from minimd.cell import Cell
 from minimd.errors import ConstraintError, ConvergenceError, NonFiniteError
 from minimd.forces import Evaluation, Forces, evaluate
 from minimd.integrators import DistanceConstraints, LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
+from minimd.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
 from minimd.record import Record
@@ -28,17 +30,21 @@ __all__ = [
     "LangevinBAOAB",
     "Leapfrog",
     "LennardJones",
+    "Minimization",
     "NonFiniteError",
     "PairPotential",
     "PositionVerlet",
     "Record",
     "Report",
     "Simulation",
+    "StepAdvice",
     "StochasticVelocityRescaling",
     "System",
     "VelocityVerlet",
+    "advise_timestep",
     "evaluate",
     "integrators",
+    "minimize",
     "neighbor_list",
     "units",
 ]

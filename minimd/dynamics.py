@@ -1,5 +1,6 @@
 """Dynamics: a system, its forces, its constraints and a method; makes steps, and finds out what went wrong when one fails."""
 
+import warnings
 from collections.abc import Sequence
 from time import perf_counter
 from typing import TYPE_CHECKING, NoReturn
@@ -9,13 +10,15 @@ from numpy.typing import NDArray
 
 from minimd import observables
 from minimd.compiling import compile_clock
+from minimd.curvature import stiffest_bond
 from minimd.errors import ConstraintError, NonFiniteError
-from minimd.faults import autopsy, broken_constraint, fault_at_start, fault_of
+from minimd.faults import autopsy, broken_constraint, fault_at_start, fault_of, unstable_bond
 from minimd.forces import Forces, Potential
 from minimd.integrators.splitting import Splitting, State
 from minimd.options import Options
 from minimd.potentials.pair_loop import FORCES, TOTALS
 from minimd.rigidity import Constraint, Rigidity
+from minimd.stacklevel import outside_minimd
 from minimd.system import System
 from minimd.velocities import maxwell_boltzmann, rescaled
 
@@ -47,6 +50,7 @@ class Dynamics:
         self._state.k_B = self.system.units.k_B
         self._share_energy()
         self._noise_shift, self._equilibrated = 0, 0  # noise of step n is that of n + shift; steps of equilibrations so far
+        self._checked_timestep = 0.0  # none yet
         self._reason: ArithmeticError | None = None  # why the last attempt failed
 
     def __repr__(self) -> str:
@@ -201,12 +205,22 @@ class Dynamics:
         self._state.forces_are_current = False
         self._share_energy()
         self._rigidity.begin(self.system, self._state)
+        self._warn_of_timestep()
         self._forces.fit_skin(observables.largest_speed(self.velocities) * abs(self.method.timestep))
         self._look()
         accelerations = self.forces * self._rigidity.inverse_masses[:, None]
         fault = fault_at_start(self.system, accelerations, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
         if fault:
             raise NonFiniteError(self._autopsy(fault, self.step))
+
+    def _warn_of_timestep(self) -> None:
+        """Say, once for each time step, that it is longer than the stiffest harmonic bond allows."""
+        if self._checked_timestep == self.method.timestep:
+            return
+        self._checked_timestep = self.method.timestep
+        warning = unstable_bond(self.system, stiffest_bond(self.system, self._forces.potentials, self._rigidity), self.method)
+        if warning:
+            warnings.warn(warning, stacklevel=outside_minimd())
 
     def _fault(self) -> str | None:
         return fault_of(self.system, self.method.timestep, self._forces.longest_stride)

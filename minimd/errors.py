@@ -1,4 +1,4 @@
-"""The three ways in which physics or its arithmetic can fail while something runs."""
+"""The three ways in which physics or its arithmetic can fail while something runs, and the one in which a user ends it."""
 
 from typing import Any
 
@@ -17,3 +17,11 @@ class ConvergenceError(ArithmeticError):
     """The equations of an implicit step could not be solved. solution : the path before."""
 
     solution: Any = None
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C in a computation that has something to show for itself. result : how far it came."""
+
+    def __init__(self, message: str, result: Any = None) -> None:
+        super().__init__(message)
+        self.result = result

@@ -1,8 +1,13 @@
 """What can be wrong with a state, said in words: which atoms, how far, which pair is the first suspect."""
 
+from math import sqrt
+
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.curvature import StiffBond
+from minimd.integrators.splitting import Splitting
+from minimd.integrators.stability import stability_limit
 from minimd.neighbors.closest import closest_pair
 from minimd.system import System
 
@@ -45,7 +50,8 @@ def autopsy(system: System, fault: str, step: int, timestep: float, last_good_st
     units = system.units
     return (
         f"{fault}, at step {step}; the closest pair before it is {closest_pair(system)}: overlapping atoms, or timestep "
-        f"{timestep * units.to_picosecond * units.shown_small_time:g} {units.small_time} too large. "
+        f"{timestep * units.to_picosecond * units.shown_small_time:g} {units.small_time} too large; "
+        f"minimize moves atoms apart, advise_timestep tells how large it may be. "
         f"The system holds the last good state, that of step {last_good_step}"
     )
 
@@ -57,6 +63,21 @@ def broken_constraint(system: System, reason: ArithmeticError, step: int, timest
         f"{reason}, at step {step}; reduce the timestep ({timestep * units.to_picosecond * units.shown_small_time:g} {units.small_time}), "
         f"or look for overlapping atoms: the closest pair is {closest_pair(system)}. "
         f"The system holds the last good state, that of step {last_good_step}"
+    )
+
+
+def unstable_bond(system: System, bond: StiffBond | None, method: Splitting) -> str | None:
+    """That a time step is longer than a harmonic bond allows, in a sentence; None if it is not. Other forces may allow still less."""
+    if bond is None:
+        return None
+    limit = stability_limit(method.row()) / sqrt(bond.square)
+    if abs(method.timestep) <= limit:
+        return None
+    units = system.units
+    shown = units.to_picosecond * units.shown_small_time
+    return (
+        f"timestep {abs(method.timestep) * shown:.4g} {units.small_time} is longer than the bond of atoms {bond.i} and {bond.j} allows: "
+        f"{method.name} is stable up to {limit * shown:.4g} {units.small_time} on it; see advise_timestep"
     )
 
 

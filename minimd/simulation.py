@@ -12,6 +12,7 @@ from minimd.forces import Potential
 from minimd.frames import observe
 from minimd.integrators.splitting import Splitting
 from minimd.interrupt import stop_on_interrupt
+from minimd.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
 from minimd.options import Options
 from minimd.progress import Progress
 from minimd.record import Frame, Record
@@ -80,6 +81,23 @@ class Simulation(Dynamics):
                 self.rescale_temperature(temperature)
                 bar.advance_to(min(done, n_steps))
         self.step, self.time, self._state.heat, self._noise_shift = 0, 0.0, 0.0, 0
+
+    def minimize(
+        self,
+        *,
+        force_tolerance: float = FORCE_TOLERANCE,
+        max_steps: int = MAX_STEPS,
+        max_step_length: float = MAX_STEP_LENGTH,
+        progress: bool | None = None,
+    ) -> Minimization:
+        """Move the atoms to a minimum of the potential energy nearby; step and time do not change. See minimd.minimize.
+
+        Raises
+        ------
+        NonFiniteError, ConstraintError, ValueError, KeyboardInterrupt : as minimize; sim.system then holds the state reached.
+        """
+        self._state.forces_are_current = False
+        return minimized(self._forces, self._rigidity, force_tolerance, max_steps, max_step_length, progress)
 
     def run(
         self,

@@ -149,3 +149,9 @@ def test_closest_pair_is_the_closest(scene):
     found = brute_force_pairs(positions, cell, pbc, closest.distance * (1 + 1e-9))
     assert {(i, j) for i, j, *_ in found} >= {(closest.first, closest.second)}
     assert not brute_force_pairs(positions, cell, pbc, closest.distance * (1 - 1e-9))
+
+
+def test_closest_pair_is_found_though_others_were_flung_away():
+    positions = np.array([[0.0, 0.0, 0.0], [1e200, 0.0, -1e180], [0.0, 3.0, 0.0], [0.0, 5.0, 0.0]])
+    assert closest_pair(md.System(positions)) == (2, 3, 2.0)
+    assert closest_pair(md.System(1e200 * np.eye(3)[:2])) is None

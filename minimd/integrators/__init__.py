@@ -41,6 +41,7 @@ from minimd.integrators.runge_kutta import (
 )
 from minimd.integrators.solution import Solution
 from minimd.integrators.splitting import Splitting, State
+from minimd.integrators.stability import accurate_step, energy_oscillation, stability_limit
 from minimd.integrators.step_doubling import StepControl, run_adaptive
 from minimd.integrators.tableau import Tableau, collocation, gauss, radau_iia
 from minimd.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling
@@ -103,9 +104,11 @@ __all__ = [
     "Tableau",
     "VelocityVerlet",
     "Yoshida6",
+    "accurate_step",
     "adjoint",
     "collocation",
     "compose",
+    "energy_oscillation",
     "gauss",
     "index_two",
     "nystrom_order",
@@ -117,6 +120,7 @@ __all__ = [
     "run_steps",
     "run_until",
     "separable_order",
+    "stability_limit",
     "stabilized",
     "stormer_summed",
     "stormer_two_step",

@@ -7,6 +7,7 @@ import numpy as np
 from minimd.neighbors.listing import neighbor_list
 from minimd.system import System
 
+FAR = 1e150  # coordinates beyond have no finite square
 GROWTH = 1.5  # the search radius grows by this factor until a pair is found
 
 
@@ -23,7 +24,7 @@ class ClosestPair(NamedTuple):
 
 def closest_pair(system: System) -> ClosestPair | None:
     """The two atoms that are closest to each other; None for a single atom in an open cell or where no distance is finite."""
-    finite = np.flatnonzero(np.isfinite(system.positions).all(axis=1))
+    finite = np.flatnonzero((np.abs(system.positions) < FAR).all(axis=1))
     if finite.size == 0 or (finite.size == 1 and not system.cell.is_periodic):
         return None
     part = System(system.positions[finite], cell=system.cell)

@@ -30,12 +30,12 @@ def kept(files: Sequence[Path], end: int) -> Iterator[None]:
 
 
 @contextmanager
-def nothing_written() -> Iterator[None]:
-    """Say of an interrupted equilibration that it has left nothing."""
+def nothing_written(where: str = "") -> Iterator[None]:
+    """Say of an interrupted preparation that it has left nothing.  where : it was interrupted, if the message does not say so."""
     try:
         yield
     except KeyboardInterrupt as error:
-        raise KeyboardInterrupt(f"{_words(error)} of the equilibration; nothing was written") from None
+        raise KeyboardInterrupt(f"{_words(error)}{where}; nothing was written") from None
 
 
 def _how_to_go_on(written: Sequence[Path], end: int) -> str:

@@ -8,13 +8,14 @@ KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension:
         "time": {"_fs": FEMTOSECOND},
         "temperature": {"_K": 1.0},
         "energy": {"_K": BOLTZMANN_EV_PER_K, "_eV": 1.0},
+        "force": {"_eV_A": 1.0},
         "density": {"_g_cm3": GRAM_PER_CM3},
         "stiffness": {"_eV_A2": 1.0},
         "angle": {"_degree": DEGREE},
         "angular stiffness": {"_eV_rad2": 1.0},
     },
     "LJ": {
-        **{dimension: {"": 1.0} for dimension in ("length", "time", "temperature", "energy", "density", "stiffness", "angular stiffness")},
+        **{dimension: {"": 1.0} for dimension in ("length", "time", "temperature", "energy", "force", "density", "stiffness", "angular stiffness")},
         "angle": {"_degree": DEGREE},
     },
 }

@@ -28,7 +28,7 @@ def run_scene(
     progress: bool | None = None,
     tell: Tell = print,
 ) -> Simulation:
-    """Build a scene, equilibrate it, run it, and write its files.
+    """Build a scene, minimize and equilibrate it, run it, and write its files.
 
     Parameters
     ----------
@@ -49,6 +49,7 @@ def run_scene(
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
+    minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell)
     with kept(files, n_steps):
         simulation.run(
@@ -160,6 +161,18 @@ def check_outputs(trajectories: Sequence[Path], picture: Path | None, overwrite:
         raise FileNotFoundError(f"output folder {str(picture.absolute().parent)!r} does not exist; make it first")
 
 
+def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:
+    """Move the atoms to a minimum, if the scene asks for it."""
+    plan = scene.sections.minimization
+    if plan is None:
+        return
+    with nothing_written():
+        found = simulation.minimize(
+            force_tolerance=plan.force_tolerance, max_steps=plan.max_steps, max_step_length=plan.max_step_length, progress=progress
+        )
+    tell(str(found))
+
+
 def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:
     """Run the equilibration of the scene, if it has one."""
     plan = scene.sections.equilibration
@@ -167,7 +180,7 @@ def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tel
     if plan is None or target is None or plan.steps == 0:  # SceneSections has checked that there is a target
         return
     tell(f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {plan.rescale_every}")
-    with nothing_written():
+    with nothing_written(" of the equilibration"):
         simulation.equilibrate(plan.steps, target, every=plan.rescale_every, progress=progress)
 
 

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, Positiv
 from minimd.integrators import SPLITTINGS, THERMOSTATS
 from minimd.integrators.constraints import SOLVERS, TOLERANCE, DistanceConstraints
 from minimd.lattice import BASES
+from minimd.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones
 from minimd.potentials.mixing import MIXING
 from minimd.potentials.truncation import TRUNCATIONS
@@ -201,6 +202,14 @@ class DynamicsSection(Section):
         return self
 
 
+class MinimizationSection(Section):
+    """[minimization]: before everything else, atoms move to a minimum of the potential energy nearby; also as an empty table."""
+
+    force_tolerance: Annotated[Positive, Dimension("force")] = FORCE_TOLERANCE
+    max_steps: NonNegativeInt = MAX_STEPS
+    max_step_length: Annotated[Positive, Dimension("length")] = MAX_STEP_LENGTH
+
+
 class EquilibrationSection(Section):
     """[equilibration]: steps before the run, with velocities rescaled to a temperature, that of the dynamics if not given."""
 
@@ -236,6 +245,7 @@ class SceneSections(Section):
     constraints: ConstraintsSection | None = None
     potential: Annotated[list[PotentialSection], Field(min_length=1)]
     dynamics: DynamicsSection
+    minimization: MinimizationSection | None = None
     equilibration: EquilibrationSection | None = None
     output: OutputSection = OutputSection.model_construct()
 

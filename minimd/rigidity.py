@@ -118,10 +118,7 @@ class Rigidity:
     def with_equal_masses(self, system: System) -> "Rigidity":
         """The same constraints, with their present lengths, on atoms of mass 1: projections are then the shortest ones, whoever is heavy."""
         light = System(system.positions, masses=1.0, cell=system.cell, units=system.units)
-        kept: list[Constraint] = [constraint for constraint in self.kept if isinstance(constraint, FixedAtoms)]
-        if self.bonds is not None and self._distances is not None:
-            kept.append(DistanceConstraints(self.bonds.pairs, self.bonds.lengths, self._distances.tolerance, self._distances.solver))
-        return Rigidity(light, kept)
+        return Rigidity(light, self.kept)
 
     def project(self, velocities: NDArray[np.float64], positions: NDArray[np.float64]) -> None:
         """Velocities that constraints allow, (N, 3) both."""

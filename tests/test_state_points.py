@@ -1,0 +1,46 @@
+"""Thermodynamics of the Lennard-Jones fluid, beside NIST's Monte Carlo results: energy and pressure at each state point.
+
+Provenance in the data file. N = 500, r_c = 3 σ with tail corrections, 200 t* or more at controlled temperature.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import minimd as md
+from minimd.lattice import constant_from_density, crystal
+
+DATA = json.loads((Path(__file__).parent / "data" / "nist_lj" / "state_points.json").read_text())
+TIMESTEP, EVERY = 0.004, 10
+N_MELT, N_EQUILIBRATION, N_STEPS = 5_000, 20_000, 100_000  # 20 t* at twice the temperature, 80 t*, 400 t*
+
+
+def averages(temperature, density, n_steps, seed=1):
+    """⟨U⟩/N and ⟨p⟩ of the fluid, with their standard errors."""
+    positions, edges = crystal("fcc", [5] * 3, constant_from_density("fcc", density))
+    law = md.LennardJones(1.0, 1.0, 3.0, "truncated", tail_correction=True)
+    system = md.System(positions, cell=edges)
+    fluid = md.Simulation(system, law, md.LangevinBAOAB(TIMESTEP, temperature, friction=0.5, seed=seed))
+    fluid.set_temperature(2.0 * temperature, seed=seed)
+    fluid.equilibrate(N_MELT, 2.0 * temperature)
+    fluid.run(N_EQUILIBRATION, every=N_EQUILIBRATION)
+    record = fluid.run(n_steps, every=EVERY)
+    answer = []
+    for series in (record.potential_energy / len(system), record.pressure):
+        blocks = series[1:].reshape(20, -1).mean(axis=1)
+        answer.append((blocks.mean(), blocks.std(ddof=1) / np.sqrt(len(blocks))))
+    return answer
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", DATA["mc_rows"], ids=lambda row: f"T{row['T']}-rho{row['rho']}")
+def test_energy_and_pressure_are_those_of_nist(row):
+    n_steps = N_STEPS if row["rho"] > 0.1 else 2 * N_STEPS  # a gas forgets slowly
+    (energy, of_energy), (pressure, of_pressure) = averages(row["T"], row["rho"], n_steps)
+    print(f"T* {row['T']} ρ* {row['rho']}: U* {energy:.4f} ± {of_energy:.4f} ({row['U']:.4f}), p* {pressure:.4f} ± {of_pressure:.4f} ({row['p']:.4f})")
+    assert abs(energy - row["U"]) < 0.01
+    assert abs(pressure - row["p"]) < 0.03
+    assert of_energy < 0.004
+    assert of_pressure < 0.015

@@ -124,13 +124,17 @@ def _length2(dx, dy, dz, a, b, c, lattice):
 def minimum_image_translations(positions, first, second, lattice, inverse, pbc, safe_distance2, translations):
     """translations[p] = the lattice vector that makes r_j − r_i + translation shortest, for fixed pairs (i, j) = (first, second)[p].
 
-    positions : (N, 3) [length].  first, second : (P,) int.  translations : (P, 3) [length], overwritten.
+    positions : (N, 3) [length].  first, second : (P,) int.
+    translations : (P, 3) [length], lattice vectors, such as zeros or those of a moment ago; kept where they are still certainly right.
     """
     for p in range(first.size):
         i, j = first[p], second[p]
         dx = positions[j, 0] - positions[i, 0]
         dy = positions[j, 1] - positions[i, 1]
         dz = positions[j, 2] - positions[i, 2]
+        x, y, z = dx + translations[p, 0], dy + translations[p, 1], dz + translations[p, 2]
+        if x * x + y * y + z * z <= safe_distance2:
+            continue
         a, b, c = minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2)
         for k in range(3):
             translations[p, k] = a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]

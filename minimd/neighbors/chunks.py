@@ -27,7 +27,7 @@ from minimd.simd import load, store
 from minimd.team import MOST_SHARES
 
 ALL_LANES = 255
-HOME = 13  # code of image (0, 0, 0) among the 27 images
+IMAGES, HOME = 27, 13  # number of images, and the code of image (0, 0, 0)
 ATOMS_IN_A_CHUNK = 800  # at least, on average: a share of work must be worth handing out
 
 
@@ -46,7 +46,7 @@ class Chunks(NamedTuple):
 class Copies(NamedTuple):
     """What stands in memory for M copies of C clusters.
 
-    owner, image : (M,) int, which cluster, and the code of its image.  shift : (M, 3) lattice vector of that image [length].
+    owner, key : (M,) int, which cluster, and that with its image as one number.  shift : (M, 3) lattice vector of that image [length].
     bottom, top : (M,) fractional coordinates along the third lattice vector.  boxes : (M, 6) see Clusters.
     lanes : (M,) uint8, bit k is set if lane k is not padding.
     home : (C,) int, the copy in image HOME in the cluster's own chunk.
@@ -55,7 +55,7 @@ class Copies(NamedTuple):
     """
 
     owner: Any
-    image: Any
+    key: Any
     shift: Any
     bottom: Any
     top: Any
@@ -127,6 +127,12 @@ def _seen(run_x, run_y, image_z, clusters, columns, pbc):
 
 
 @scalar
+def image_key(cluster, image):
+    """A cluster and the code of its image as one number."""
+    return cluster * IMAGES + image
+
+
+@scalar
 def fill_copies(chunk, chunks, clusters, columns, pbc, lattice, copies, coordinates):
     """Make the copies of one chunk."""
     run = chunks.run[chunk]
@@ -144,7 +150,7 @@ def fill_copies(chunk, chunks, clusters, columns, pbc, lattice, copies, coordina
                 z = a * lattice[0, 2] + b * lattice[1, 2] + image_z * lattice[2, 2]
                 is_home = image == HOME and run_x < chunks.column[chunk + 1]
                 for k in range(first, last):
-                    copies.owner[copy], copies.image[copy], copies.is_used[copy] = k, image, is_home
+                    copies.owner[copy], copies.key[copy], copies.is_used[copy] = k, image_key(k, image), is_home
                     copies.lanes[copy] = ALL_LANES >> (LANES - clusters.filled[k])
                     copies.bottom[copy], copies.top[copy] = clusters.bottom[k] + image_z, clusters.top[k] + image_z
                     for d, shift in enumerate((x, y, z)):

@@ -203,7 +203,7 @@ def scatter(first, last, clusters, copies, memory, forces, work):
 def _make_copies(n_clusters: int, n_copies: int, memory: Buffers) -> Copies:
     return Copies(
         owner=memory.array("owner", np.int32, n_copies),
-        image=memory.array("image", np.int32, n_copies),
+        key=memory.array("key", np.int32, n_copies),
         shift=memory.array("shift", np.float64, n_copies, 3),
         bottom=memory.array("copy bottom", np.float64, n_copies),
         top=memory.array("copy top", np.float64, n_copies),

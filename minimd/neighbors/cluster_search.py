@@ -18,7 +18,7 @@ import numpy as np
 
 from minimd.cell import minimum_image
 from minimd.compiling import inlined, scalar, shared_kernel
-from minimd.neighbors.chunks import ALL_LANES, HOME
+from minimd.neighbors.chunks import ALL_LANES, HOME, image_key
 from minimd.potentials.cluster_loop import BLOCK, COPY_BITS, LANES, LANES_FROM
 from minimd.simd import bits_from_mask, broadcast, fma, load
 from minimd.team import begin, finish_and_take, take, wait
@@ -160,9 +160,8 @@ def _exclude(slot, other, clusters, copies, cell, rows):
     y = clusters.coordinates[place + LANES] - clusters.coordinates[own + LANES]
     z = clusters.coordinates[place + 2 * LANES] - clusters.coordinates[own + 2 * LANES]
     a, b, c = minimum_image(x, y, z, *cell)
-    image = HOME + int(9.0 * a + 3.0 * b + c)
-    for entry in range(rows.start[slot], rows.stop[slot]):
-        copy = rows.entries[entry] & COPY_BITS
-        if copies.owner[copy] == cluster and copies.image[copy] == image:
+    key = image_key(cluster, HOME + int(9.0 * a + 3.0 * b + c))
+    for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])):  # unsigned: no check for indices that count from the end
+        if copies.key[rows.entries[entry] & COPY_BITS] == key:
             rows.entries[entry] &= ~np.uint32(1 << (LANES_FROM + lane))
             return

@@ -1,6 +1,7 @@
 """Dynamics: a system, its forces, its constraints and a method; makes steps, and finds out what went wrong when one fails."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from time import perf_counter
 from typing import TYPE_CHECKING, NoReturn
 
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd import observables
+from minimd.autopsy import Acting, Failure, Moment, examine
 from minimd.compiling import compile_clock
 from minimd.errors import ConstraintError, NonFiniteError
 from minimd.faults import autopsy, broken_constraint, fault_at_start, fault_of
@@ -21,6 +23,9 @@ from minimd.velocities import maxwell_boltzmann, rescaled
 
 if TYPE_CHECKING:
     import ase
+
+
+MOMENTS_APART, LEAST_REPLAY = 40, 20  # steps between two moments that are kept, and, where there were as many, from one to a failure
 
 
 class Dynamics:
@@ -48,6 +53,9 @@ class Dynamics:
         self._state.k_B, self._state.n_dof = self.system.units.k_B, self.n_dof
         self._noise_shift = 0
         self._reason: ArithmeticError | None = None  # why the last attempt failed
+        self._moments: list[Moment] = []  # two to go back to, of which one is new
+        self._first_step = 0  # of the present run
+        self.failed_from: Moment | None = None  # where a replay of the last failure begins
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.system!r}, {self.method!r}, step {self.step})"
@@ -125,6 +133,7 @@ class Dynamics:
     def _advance(self, n_steps: int, look: bool) -> None:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why."""
         before = self._saved()
+        self._keep(before)
         started, compiled = perf_counter(), compile_clock.seconds
         try:
             done = self._attempt(n_steps, look)
@@ -149,19 +158,22 @@ class Dynamics:
         self._reason = None
         return done if self._fault() is None else None
 
+    def _keep(self, state: tuple[NDArray, NDArray, float]) -> None:
+        """Remember the present moment, if the last one is some steps old."""
+        if not self._moments or self.step - self._moments[-1].step >= MOMENTS_APART:
+            self._moments = [*self._moments[-1:], Moment(self.step, self.time, *state)]
+
     def _replay(self, before: tuple[NDArray, NDArray, float], n_steps: int) -> NoReturn:
         """Repeat a failed run of steps one by one, up to the last good state; raise the error of the next."""
         self._restore(before)
         for _ in range(n_steps):
             good = self._saved()
             if self._attempt(1, look=False) is None:
-                fault = self._fault() or "the forces are not finite"
+                fault, at = self._fault() or "the forces are not finite", self.positions.copy()
                 self._restore(good)
-                if isinstance(self._reason, ConstraintError):
-                    raise ConstraintError(broken_constraint(self.system, self._reason, self.step + 1, self.method.timestep, self.step))
-                raise NonFiniteError(self._autopsy(fault, self.step + 1))
+                raise self._failure(fault, self.step + 1, at)
             self._count(1)
-        raise NonFiniteError(self._autopsy("a run of steps failed that succeeded one by one", self.step))
+        raise self._failure("a run of steps failed that succeeded one by one", self.step)
 
     def _saved(self) -> tuple[NDArray, NDArray, float]:
         return self.positions.copy(), self.velocities.copy(), self._state.heat
@@ -177,6 +189,7 @@ class Dynamics:
 
     def _check_start(self) -> None:
         """Look at the state anew, and raise NonFiniteError if the first step would throw atoms across the scene."""
+        self._moments, self._first_step, self._reason = [], self.step, None
         self._state.forces_are_current = False
         self._state.n_dof = self.n_dof
         self._rigidity.begin(self.system, self._state)
@@ -184,10 +197,25 @@ class Dynamics:
         self._look()
         fault = fault_at_start(self.system, self.forces, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
         if fault:
-            raise NonFiniteError(self._autopsy(fault, self.step))
+            raise self._failure(fault, self.step)
 
     def _fault(self) -> str | None:
         return fault_of(self.system, self.method.timestep, self._forces.longest_stride)
 
-    def _autopsy(self, fault: str, step: int) -> str:
-        return autopsy(self.system, fault, step, self.method.timestep, self.step)
+    def _failure(self, fault: str, step: int, at: NDArray[np.float64] | None = None) -> NonFiniteError | ConstraintError:
+        """The error for a run that failed in a step, with its autopsy; at : (N, 3), positions in that moment. The system is in the last good state."""
+        reason, here = self._reason, (step, self.method.timestep, self.step)
+        error: NonFiniteError | ConstraintError = NonFiniteError(autopsy(self.system, fault, *here))
+        if isinstance(reason, ConstraintError):
+            error, fault = ConstraintError(broken_constraint(self.system, reason, *here)), str(reason)
+        moments = self._moments or [Moment(self.step, self.time, *self._saved())]
+        start = next((moment for moment in reversed(moments) if self.step - moment.step >= LEAST_REPLAY), moments[0])
+        self.failed_from = start
+        failure = Failure(fault, step, self.step, getattr(reason, "atoms", None), at, start, is_first=start.step == self._first_step)
+        with suppress(ArithmeticError, ValueError, LookupError, TypeError):  # what is broken must not hide that it is
+            self._look()
+            acting = Acting(self._forces.potentials, self.forces, self._forces.energies, self._rigidity.inverse_masses)
+            error.autopsy = examine(self.system, acting, self.method, failure)
+            error.args = (f"{error}. Likely cause: {error.autopsy.cause}",)
+        return error
+

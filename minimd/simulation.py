@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from minimd.dynamics import Dynamics
-from minimd.errors import NonFiniteError
 from minimd.forces import Potential
 from minimd.frames import observe
 from minimd.integrators.splitting import Splitting
@@ -168,7 +167,7 @@ class Simulation(Dynamics):
     def _observe(self, record: Record, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
         frame = self._frame()
         if not np.isfinite(frame.observables["total_energy"]):
-            raise NonFiniteError(self._autopsy("the potential energy is not finite", self.step))
+            raise self._failure("the potential energy is not finite", self.step)
         record.append(frame)
         for writer in writers:
             writer.write(frame)

@@ -8,6 +8,7 @@ from minimd.integrators import DistanceConstraints, LangevinBAOAB, Leapfrog, Pos
 from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
 from minimd.record import Record
+from minimd.replaying import replay
 from minimd.report import Report
 from minimd.rigidity import FixedAtoms
 from minimd.simulation import Simulation
@@ -40,5 +41,6 @@ __all__ = [
     "evaluate",
     "integrators",
     "neighbor_list",
+    "replay",
     "units",
 ]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd import observables
-from minimd.autopsy import Acting, Failure, Moment, examine
+from minimd.autopsy import Acting, Failure, examine
+from minimd.causes import Moment
 from minimd.compiling import compile_clock
 from minimd.errors import ConstraintError, NonFiniteError
 from minimd.faults import autopsy, broken_constraint, fault_at_start, fault_of
@@ -51,7 +52,7 @@ class Dynamics:
         self._state = State(self.system.positions, self.system.velocities, self._forces.forces, self._rigidity.inverse_masses)
         self._state.constraints = self._rigidity.bonds
         self._state.k_B, self._state.n_dof = self.system.units.k_B, self.n_dof
-        self._noise_shift = 0
+        self.noise_shift = 0  # between the steps of a run and those that number its noise
         self._reason: ArithmeticError | None = None  # why the last attempt failed
         self._moments: list[Moment] = []  # two to go back to, of which one is new
         self._first_step = 0  # of the present run
@@ -83,6 +84,31 @@ class Dynamics:
     def constraints(self) -> tuple[Constraint, ...]:
         """What is held fixed."""
         return self._rigidity.given
+
+    @property
+    def potentials(self) -> tuple[Potential, ...]:
+        """What acts on the atoms."""
+        return self._forces.potentials
+
+    @property
+    def options(self) -> Options:
+        """Threads, precision and skin, as they were asked for."""
+        return self._forces.options
+
+    @property
+    def moment(self) -> Moment:
+        """A copy of the present state, for go_to."""
+        return Moment(self.step, self.time, *self._saved())
+
+    def go_to(self, moment: Moment) -> None:
+        """Go back to a state."""
+        self.step, self.time = moment.step, moment.time
+        self._restore(moment[2:])
+
+    @property
+    def rigid_lengths(self) -> NDArray[np.float64] | None:
+        """(K,) [length], of the pairs that are held rigid; None without."""
+        return None if self._rigidity.bonds is None else self._rigidity.bonds.lengths
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -149,7 +175,7 @@ class Dynamics:
 
     def _attempt(self, n_steps: int, look: bool) -> int | None:
         """Steps made, or None if the state after them is no longer a possible one."""
-        self._state.step = self.step + self._noise_shift
+        self._state.step = self.step + self.noise_shift
         try:
             done = self.method.advance(self._state, self._compute_forces, n_steps, look)
         except (NonFiniteError, ConstraintError) as reason:
@@ -203,12 +229,12 @@ class Dynamics:
         return fault_of(self.system, self.method.timestep, self._forces.longest_stride)
 
     def _failure(self, fault: str, step: int, at: NDArray[np.float64] | None = None) -> NonFiniteError | ConstraintError:
-        """The error for a run that failed in a step, with its autopsy; at : (N, 3), positions in that moment. The system is in the last good state."""
+        """The error for a run that failed in a step, with its autopsy; the system is in the last good state.  at : (N, 3), that of the failure."""
         reason, here = self._reason, (step, self.method.timestep, self.step)
         error: NonFiniteError | ConstraintError = NonFiniteError(autopsy(self.system, fault, *here))
         if isinstance(reason, ConstraintError):
             error, fault = ConstraintError(broken_constraint(self.system, reason, *here)), str(reason)
-        moments = self._moments or [Moment(self.step, self.time, *self._saved())]
+        moments = self._moments or [self.moment]
         start = next((moment for moment in reversed(moments) if self.step - moment.step >= LEAST_REPLAY), moments[0])
         self.failed_from = start
         failure = Failure(fault, step, self.step, getattr(reason, "atoms", None), at, start, is_first=start.step == self._first_step)
@@ -218,4 +244,3 @@ class Dynamics:
             error.autopsy = examine(self.system, acting, self.method, failure)
             error.args = (f"{error}. Likely cause: {error.autopsy.cause}",)
         return error
-

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from minimd.autopsy import left_at, place_of
 from minimd.dynamics import Dynamics
 from minimd.forces import Potential
 from minimd.frames import observe
@@ -60,22 +61,32 @@ class Simulation(Dynamics):
         super().__init__(system, potentials, method, constraints, Options(threads, precision, skin))
         self.record: Record | None = None
 
-    def equilibrate(self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None) -> None:
+    def equilibrate(self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None, autopsy: str | Path | None = None) -> None:
         """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again.
+
+        autopsy : a file to leave if it fails, as that of run.
 
         Raises
         ------
         NonFiniteError, KeyboardInterrupt : as run does.  ValueError : for counts or a temperature out of range.
         """
         _check_counts(n_steps, every)
-        self._noise_shift = -n_steps - self.step  # noise of its own, for a thermostat: that of steps before the start
-        self._check_start()
-        with Progress(n_steps, "equilibrating", progress) as bar, stop_on_interrupt(self._state):
-            for done in range(every, n_steps + every, every):
-                self._advance(min(every, n_steps - done + every), look=False)
-                self.rescale_temperature(temperature)
-                bar.advance_to(min(done, n_steps))
-        self.step, self.time, self._state.heat, self._noise_shift = 0, 0.0, 0.0, 0
+        self.noise_shift = -n_steps - self.step  # noise of its own, for a thermostat: that of steps before the start
+        try:
+            with (
+                left_at(place_of(autopsy or False, ()), self, False),
+                Progress(n_steps, "equilibrating", progress) as bar,
+                stop_on_interrupt(self._state),
+            ):
+                self._check_start()
+                for done in range(every, n_steps + every, every):
+                    self._advance(min(every, n_steps - done + every), look=False)
+                    self.rescale_temperature(temperature)
+                    self._moments = []  # a replay does not rescale
+                    bar.advance_to(min(done, n_steps))
+        finally:
+            self.noise_shift = 0
+        self.step, self.time, self._state.heat = 0, 0.0, 0.0
 
     def run(
         self,
@@ -87,6 +98,7 @@ class Simulation(Dynamics):
         overwrite: bool = False,
         observers: Sequence[Observer] = (),
         progress: bool | None = None,
+        autopsy: str | Path | bool = True,
     ) -> Record:
         """Make n_steps steps and observe the first state and every few steps after it.
 
@@ -98,16 +110,19 @@ class Simulation(Dynamics):
         overwrite : replace files that exist.
         observers : functions called with this simulation at each observation.
         progress : show a progress bar; if not given, on a terminal only.
+        autopsy : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere (False).
+            The file holds the last good state and what minimd.replay needs; where one stands that may not be replaced, it gets a number.
 
         Raises
         ------
-        NonFiniteError, ConstraintError : if the run blows up. The message names step, atoms and pair; sim.system holds the last good state.
+        NonFiniteError, ConstraintError : if the run blows up. The message names step, atoms and pair, the likely cause, and the file of
+            the autopsy; sim.system holds the last good state.
         KeyboardInterrupt : after Ctrl-C, with the state of the last whole step, all files valid.
         FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
         """
         _check_counts(n_steps, every)
-        self._check_start()
-        self._noise_shift = 0
+        with left_at(place_of(autopsy, trajectory), self, overwrite):
+            self._check_start()
         self.record = Record(self.system.units, len(self.system))
         self._run_seconds, self._run_steps = 0.0, 0
         self._forces.reset_counts()
@@ -115,6 +130,7 @@ class Simulation(Dynamics):
             self._state.constraints.iterations = 0
         start, end = self.step, self.step + n_steps
         with (
+            left_at(place_of(autopsy, trajectory), self, overwrite),  # behind the closing of all files
             stop_on_interrupt(self._state),
             open_trajectories(trajectory, self, store_forces=store_forces, overwrite=overwrite) as writers,
             Progress(n_steps, "running", progress) as bar,

@@ -10,7 +10,9 @@ from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, Lennar
 from minimd.record import Record
 from minimd.replaying import replay
 from minimd.report import Report
+from minimd.reversibility import Reversibility
 from minimd.rigidity import FixedAtoms
+from minimd.shadow import shadow_energy
 from minimd.simulation import Simulation
 from minimd.system import System
 
@@ -34,6 +36,7 @@ __all__ = [
     "PositionVerlet",
     "Record",
     "Report",
+    "Reversibility",
     "Simulation",
     "StochasticVelocityRescaling",
     "System",
@@ -42,5 +45,6 @@ __all__ = [
     "integrators",
     "neighbor_list",
     "replay",
+    "shadow_energy",
     "units",
 ]

@@ -111,6 +111,42 @@ class Dynamics:
         return None if self._rigidity.bonds is None else self._rigidity.bonds.lengths
 
     @property
+    def rigid_tolerance(self) -> float:
+        """By how much sweeps leave rigid bonds off [length]; 0 of the other solvers, which go to rounding, and without."""
+        bonds, swept = self._rigidity.bonds, any(getattr(one, "solver", "") == "shake" for one in self.constraints)
+        return float(bonds.tolerance * bonds.lengths.max()) if bonds is not None and swept else 0.0
+
+    @property
+    def rigid_velocity_violation(self) -> float | None:
+        """The largest velocity along a rigid bond, of the speed of its atoms; None without."""
+        bonds = self._rigidity.bonds
+        return None if bonds is None else float(bonds.velocity_violation(self.positions, self.velocities).max())
+
+    @property
+    def skins(self) -> list[float]:
+        """Of all lists that have one [length]."""
+        return self._forces.skins
+
+    @property
+    def inverse_masses(self) -> NDArray[np.float64]:
+        """(N,) [1/mass], zero of atoms that are held fixed."""
+        return self._rigidity.inverse_masses
+
+    def forces_displaced(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Forces, (N, 3) [energy/length], with all atoms moved by (N, 3) [length]; they are put back."""
+        here = self.positions.copy()
+        self.positions[:] += displacements
+        try:
+            return self._forces.compute(FORCES).copy()
+        finally:
+            self.positions[:] = here
+            self._state.forces_are_current = False
+
+    def make_steps(self, n_steps: int) -> None:
+        """Make steps that nobody looks at.  Raises NonFiniteError, ConstraintError, KeyboardInterrupt."""
+        self._advance(n_steps, look=False)
+
+    @property
     def positions(self) -> NDArray[np.float64]:
         """(N, 3) [length], never wrapped."""
         return self.system.positions

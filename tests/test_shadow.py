@@ -1,12 +1,14 @@
 """What a step conserves beyond the energy: its shadow, its way back, and what the report says of jumps, lists and constraints."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from references import liquid
+from references import liquid, melt_scene
 from test_rigid_runs import simulation as rigid_liquid
 
 import minimd as md
-from minimd import check
+from minimd import check, cli
 from minimd.h5md import H5MDWriter, read_file
 from minimd.integrators import SPLITTINGS
 from minimd.safety import cutoff_lines
@@ -94,6 +96,22 @@ def test_shadow_energy_sees_a_drift_that_the_energy_hides():
     assert report.shadow_drift.slope == pytest.approx(put_in, rel=0.2)
     assert abs(report.energy_drift.slope - put_in) > put_in
     assert report.shadow_is_conserved is False
+
+
+def test_scene_records_the_shadow_energy_and_goes_on_with_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("melt.toml").write_text(melt_scene(3, 40, "[output]\nevery = 5\nshadow_energy = true\n"))
+    assert cli.main(["run", "melt.toml", "--quiet"]) == 0
+    assert cli.main(["resume", "melt.h5md", "--steps", "20"]) == 0
+    assert "shadow energy  drift" in capsys.readouterr().out
+    record = read_file("melt.h5md").record
+    assert record.step.tolist() == list(range(0, 61, 5))
+    assert np.ptp(record.shadow_energy) < 0.2 * np.ptp(record.total_energy)
+    Path("bath.toml").write_text(
+        Path("melt.toml").read_text().replace("steps = 40", 'steps = 40\nmethod = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 1')
+    )
+    assert cli.main(["run", "bath.toml", "--quiet"]) == 2
+    assert "output.shadow_energy: there is no shadow energy with a thermostat" in capsys.readouterr().err
 
 
 def test_shadow_energy_is_refused_where_it_is_not_known():

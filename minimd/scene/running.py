@@ -160,7 +160,8 @@ def scene_kept(scene: Scene) -> Iterator[None]:
         yield
     except (NonFiniteError, ConstraintError) as error:
         if error.file is not None:
-            annotate(error.file, title=scene.sections.title or None, scene=scene.text)
+            with suppress(OSError, ValueError):  # the failure itself must be heard
+                annotate(error.file, title=scene.sections.title or None, scene=scene.text)
         raise
 
 

@@ -10,8 +10,11 @@ from minimd.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
 from minimd.record import Record
+from minimd.replaying import replay
 from minimd.report import Report
+from minimd.reversibility import Reversibility
 from minimd.rigidity import FixedAtoms
+from minimd.shadow import shadow_energy
 from minimd.simulation import Simulation
 from minimd.system import System
 
@@ -36,6 +39,7 @@ __all__ = [
     "PositionVerlet",
     "Record",
     "Report",
+    "Reversibility",
     "Simulation",
     "StepAdvice",
     "StochasticVelocityRescaling",
@@ -46,5 +50,7 @@ __all__ = [
     "integrators",
     "minimize",
     "neighbor_list",
+    "replay",
+    "shadow_energy",
     "units",
 ]

@@ -52,7 +52,12 @@ def _parser() -> argparse.ArgumentParser:
     resume.add_argument("file", type=Path, help="trajectory (.h5md) of a run from a scene file")
     resume.add_argument("--steps", type=_number_of_steps, metavar="N", help="how many more steps; up to the end of the scene if not given")
     resume.add_argument("--scene", metavar="TOML", help="take the potentials from this scene file, instead of the one stored in the run")
-    for command, function in ((run, _run), (resume, _resume)):
+    replay = commands.add_parser("replay", help="see a failed run fail again", description="Make the last steps of a failed run again, one by one.")
+    replay.add_argument("file", type=Path, help="file (.autopsy.h5md) that the run left")
+    replay.add_argument("--scene", metavar="TOML", help="take the potentials from this scene file, instead of the one stored in the run")
+    replay.add_argument("--out", type=Path, metavar="FILE", help="trajectory of the steps (.h5md); the picture lies beside it")
+    replay.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    for command, function in ((run, _run), (resume, _resume), (replay, _replay)):
         command.add_argument("--quiet", action="store_true", help="print nothing but errors")
         command.set_defaults(command=function)
     check = commands.add_parser("check", help="check a run for its conservation laws")
@@ -93,6 +98,21 @@ def _resume(arguments: argparse.Namespace) -> int:
     with _silence(arguments.quiet):
         resume_run(arguments.file, arguments.steps, scene=scene, progress=not arguments.quiet)
         _tell_next([arguments.file])
+    return OK
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    from minimd.autopsy_file import read_autopsy
+    from minimd.replaying import replay
+    from minimd.scene import load_scene
+
+    potentials = None if arguments.scene is None else load_scene(arguments.scene).potentials()
+    out, picture = (True, True) if arguments.out is None else (arguments.out, arguments.out.with_suffix(".png"))
+    with _silence(arguments.quiet):
+        print(read_autopsy(arguments.file).findings, flush=True)
+        seen = replay(arguments.file, potentials, trajectory=out, picture=picture, overwrite=arguments.overwrite)
+        print(seen)
+        print(f"written        {', '.join(str(file) for file in (seen.trajectory, seen.picture) if file)}")
     return OK
 
 

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from time import perf_counter
 from typing import TYPE_CHECKING, NoReturn
 
@@ -9,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd import observables
+from minimd.autopsy import Acting, Failure, examine
+from minimd.causes import Moment
 from minimd.compiling import compile_clock
 from minimd.curvature import stiffest_bond
 from minimd.errors import ConstraintError, NonFiniteError
@@ -24,6 +27,9 @@ from minimd.velocities import maxwell_boltzmann, rescaled
 
 if TYPE_CHECKING:
     import ase
+
+
+MOMENTS_APART, LEAST_REPLAY = 40, 20  # steps between two moments that are kept, and, where there were as many, from one to a failure
 
 
 class Dynamics:
@@ -49,9 +55,12 @@ class Dynamics:
         self._state.constraints = self._rigidity.bonds
         self._state.k_B = self.system.units.k_B
         self._share_energy()
-        self._noise_shift, self._equilibrated = 0, 0  # noise of step n is that of n + shift; steps of equilibrations so far
+        self.noise_shift, self._equilibrated = 0, 0  # noise of step n is that of n + shift; steps of equilibrations so far
         self._checked_timestep = 0.0  # none yet
         self._reason: ArithmeticError | None = None  # why the last attempt failed
+        self._moments: list[Moment] = []  # two to go back to, of which one is new
+        self._first_step = 0  # of the present run
+        self.failed_from: Moment | None = None  # where a replay of the last failure begins
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.system!r}, {self.method!r}, step {self.step})"
@@ -95,6 +104,67 @@ class Dynamics:
     def constraints(self) -> tuple[Constraint, ...]:
         """What is held fixed, with the lengths that are kept; also those of system."""
         return self._rigidity.kept
+
+    @property
+    def potentials(self) -> tuple[Potential, ...]:
+        """What acts on the atoms."""
+        return self._forces.potentials
+
+    @property
+    def options(self) -> Options:
+        """Threads, precision and skin, as they were asked for."""
+        return self._forces.options
+
+    @property
+    def moment(self) -> Moment:
+        """A copy of the present state, for go_to."""
+        return Moment(self.step, self.time, *self._saved())
+
+    def go_to(self, moment: Moment) -> None:
+        """Go back to a state."""
+        self.step, self.time = moment.step, moment.time
+        self._restore(moment[2:])
+
+    @property
+    def rigid_lengths(self) -> NDArray[np.float64] | None:
+        """(K,) [length], of the pairs that are held rigid; None without."""
+        return None if self._rigidity.bonds is None else self._rigidity.bonds.lengths
+
+    @property
+    def rigid_tolerance(self) -> float:
+        """By how much sweeps leave rigid bonds off [length]; 0 of the other solvers, which go to rounding, and without."""
+        bonds, swept = self._rigidity.bonds, any(getattr(one, "solver", "") == "shake" for one in self.constraints)
+        return float(bonds.tolerance * bonds.lengths.max()) if bonds is not None and swept else 0.0
+
+    @property
+    def rigid_velocity_violation(self) -> float | None:
+        """The largest velocity along a rigid bond, of the speed of its atoms; None without."""
+        bonds = self._rigidity.bonds
+        return None if bonds is None else float(bonds.velocity_violation(self.positions, self.velocities).max())
+
+    @property
+    def skins(self) -> list[float]:
+        """Of all lists that have one [length]."""
+        return self._forces.skins
+
+    @property
+    def inverse_masses(self) -> NDArray[np.float64]:
+        """(N,) [1/mass], zero of atoms that are held fixed."""
+        return self._rigidity.inverse_masses
+
+    def forces_displaced(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Forces, (N, 3) [energy/length], with all atoms moved by (N, 3) [length]; they are put back."""
+        here = self.positions.copy()
+        self.positions[:] += displacements
+        try:
+            return self._forces.compute(FORCES).copy()
+        finally:
+            self.positions[:] = here
+            self._state.forces_are_current = False
+
+    def make_steps(self, n_steps: int) -> None:
+        """Make steps that nobody looks at.  Raises NonFiniteError, ConstraintError, KeyboardInterrupt."""
+        self._advance(n_steps, look=False)
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -150,6 +220,7 @@ class Dynamics:
     def _advance(self, n_steps: int, look: bool) -> None:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why."""
         before = self._saved()
+        self._keep(before)
         started, compiled = perf_counter(), compile_clock.seconds
         try:
             done = self._attempt(n_steps, look)
@@ -165,7 +236,7 @@ class Dynamics:
 
     def _attempt(self, n_steps: int, look: bool) -> int | None:
         """Steps made, or None if the state after them is no longer a possible one."""
-        self._state.step = self.step + self._noise_shift
+        self._state.step = self.step + self.noise_shift
         try:
             done = self.method.advance(self._state, self._compute_forces, n_steps, look)
         except (NonFiniteError, ConstraintError) as reason:
@@ -174,19 +245,22 @@ class Dynamics:
         self._reason = None
         return done if self._fault() is None else None
 
+    def _keep(self, state: tuple[NDArray, NDArray, float]) -> None:
+        """Remember the present moment, if the last one is some steps old."""
+        if not self._moments or self.step - self._moments[-1].step >= MOMENTS_APART:
+            self._moments = [*self._moments[-1:], Moment(self.step, self.time, *state)]
+
     def _replay(self, before: tuple[NDArray, NDArray, float], n_steps: int) -> NoReturn:
         """Repeat a failed run of steps one by one, up to the last good state; raise the error of the next."""
         self._restore(before)
         for _ in range(n_steps):
             good = self._saved()
             if self._attempt(1, look=False) is None:
-                fault = self._fault() or "the forces are not finite"
+                fault, at = self._fault() or "the forces are not finite", self.positions.copy()
                 self._restore(good)
-                if isinstance(self._reason, ConstraintError):
-                    raise ConstraintError(broken_constraint(self.system, self._reason, self.step + 1, self.method.timestep, self.step))
-                raise NonFiniteError(self._autopsy(fault, self.step + 1))
+                raise self._failure(fault, self.step + 1, at)
             self._count(1)
-        raise NonFiniteError(self._autopsy("a run of steps failed that succeeded one by one", self.step))
+        raise self._failure("a run of steps failed that succeeded one by one", self.step)
 
     def _saved(self) -> tuple[NDArray, NDArray, float]:
         return self.positions.copy(), self.velocities.copy(), self._state.heat
@@ -202,6 +276,7 @@ class Dynamics:
 
     def _check_start(self) -> None:
         """Look at the state anew, and raise NonFiniteError if the first step would throw atoms across the scene."""
+        self._moments, self._first_step, self._reason = [], self.step, None
         self._state.forces_are_current = False
         self._share_energy()
         self._rigidity.begin(self.system, self._state)
@@ -211,7 +286,7 @@ class Dynamics:
         accelerations = self.forces * self._rigidity.inverse_masses[:, None]
         fault = fault_at_start(self.system, accelerations, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
         if fault:
-            raise NonFiniteError(self._autopsy(fault, self.step))
+            raise self._failure(fault, self.step)
 
     def _warn_of_timestep(self) -> None:
         """Say, once for each time step, that it is longer than the stiffest harmonic bond allows."""
@@ -225,8 +300,22 @@ class Dynamics:
     def _fault(self) -> str | None:
         return fault_of(self.system, self.method.timestep, self._forces.longest_stride)
 
-    def _autopsy(self, fault: str, step: int) -> str:
-        return autopsy(self.system, fault, step, self.method.timestep, self.step)
+    def _failure(self, fault: str, step: int, at: NDArray[np.float64] | None = None) -> NonFiniteError | ConstraintError:
+        """The error for a run that failed in a step, with its autopsy; the system is in the last good state.  at : (N, 3), that of the failure."""
+        reason, here = self._reason, (step, self.method.timestep, self.step)
+        error: NonFiniteError | ConstraintError = NonFiniteError(autopsy(self.system, fault, *here))
+        if isinstance(reason, ConstraintError):
+            error, fault = ConstraintError(broken_constraint(self.system, reason, *here)), str(reason)
+        moments = self._moments or [self.moment]
+        start = next((moment for moment in reversed(moments) if self.step - moment.step >= LEAST_REPLAY), moments[0])
+        self.failed_from = start
+        failure = Failure(fault, step, self.step, getattr(reason, "atoms", None), at, start, is_first=start.step == self._first_step)
+        with suppress(ArithmeticError, ValueError, LookupError, TypeError):  # what is broken must not hide that it is
+            self._look()
+            acting = Acting(self._forces.potentials, self.forces, self._forces.energies, self._rigidity.inverse_masses)
+            error.autopsy = examine(self.system, acting, self.method, failure)
+            error.args = (f"{error}. Likely cause: {error.autopsy.cause}",)
+        return error
 
 
 def _checked(method: Splitting) -> Splitting:

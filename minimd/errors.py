@@ -4,13 +4,22 @@ from typing import Any
 
 
 class NonFiniteError(ArithmeticError):
-    """A position, velocity, force or energy is no longer a finite number. solution : the path before, of small systems."""
+    """A position, velocity, force or energy is no longer a finite number.
+
+    solution : the path before, of small systems.  autopsy : minimd.autopsy.Autopsy of a simulation.  file : where that was written, or None.
+    """
 
     solution: Any = None
+    autopsy: Any = None
+    file: Any = None
 
 
 class ConstraintError(ArithmeticError):
-    """A constraint solver did not reach its tolerance."""
+    """A constraint solver did not reach its tolerance.  atoms : the two it holds.  autopsy, file : as of NonFiniteError."""
+
+    atoms: Any = None
+    autopsy: Any = None
+    file: Any = None
 
 
 class ConvergenceError(ArithmeticError):

@@ -72,6 +72,15 @@ class Forces:
         """Count evaluations and list builds from zero."""
         self.n_evaluations, self._builds_before = 0, self._builds_before - self.n_builds
 
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Evaluations and list builds; set them to forget those that have come since."""
+        return self.n_evaluations, self.n_builds
+
+    @counts.setter
+    def counts(self, counts: tuple[int, int]) -> None:
+        self.n_evaluations, self._builds_before = counts[0], self._builds_before + counts[1] - self.n_builds
+
     def compute(self, detail: int = FORCES) -> NDArray[np.float64]:
         """Evaluate the forces at system.positions and return them; TOTALS and PER_ATOM also evaluate energy and virial.
 
@@ -142,6 +151,12 @@ class Forces:
     def n_builds(self) -> int:
         """How often a list was built, since the last reset_counts."""
         return self._builds_before + sum(term.list.n_builds for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs)))
+
+    @property
+    def skins(self) -> list[float]:
+        """Of all lists that are rebuilt as atoms move [length]."""
+        lists = [term.list for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs))]
+        return [one.skin for one in lists if np.isfinite(one.cutoff)]
 
     @property
     def pair_search(self) -> str:

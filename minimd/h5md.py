@@ -255,5 +255,8 @@ def _check_continues(file: Path, contents: H5MDContents, simulation: "Simulation
             f"trajectory {str(file)!r} was written {'without' if simulation.method.is_thermostat else 'with'} a thermostat, "
             f"{simulation.method.name} would continue it otherwise; write to a new file"
         )
+    if ("shadow_energy" in contents.record) != ("shadow_energy" in simulation.extra_observables):
+        wanted = "('shadow_energy',)" if "shadow_energy" in contents.record else "()"
+        raise ValueError(f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set them so, or write to a new file")
     if store_forces and not contents.has_forces:
         raise ValueError(f"trajectory {str(file)!r} was begun without forces; resume without storing them, or write to a new file")

@@ -12,6 +12,7 @@ SERIES = {  # name in record and file: the attribute of UnitSystem that names it
     "kinetic_energy": "energy",
     "total_energy": "energy",
     "conserved_energy": "energy",
+    "shadow_energy": "energy",
     "temperature": "temperature",
     "pressure": "pressure",
     "momentum": "momentum",
@@ -45,6 +46,7 @@ class Record:
     step : (T,) int.  time : (T,) [time].
     potential_energy, kinetic_energy, total_energy : (T,) [energy].  temperature : (T,).
     conserved_energy : (T,) [energy], total energy minus heat, only with a thermostat.
+    shadow_energy : (T,) [energy], only where asked for: see minimd.shadow_energy.
     constraint_violation : (T,) largest |r² − d²|/d², only with lengths held fixed.
     pressure : (T,) [energy/length³], only where the cell has a volume.
     momentum, angular_momentum : (T, 3).  absolute_momentum : (T,) Σ |m v|.

@@ -1,17 +1,21 @@
 """The conservation report: what should have stayed constant, and whether it did."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.record import Record
+from minimd.safety import Line
 
 BLOCKS = 20  # averages of the total energy between which the drift is fitted
 SIGNIFICANT = 3.0  # standard errors
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
 FEW = 4  # frames below which nothing can be judged
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
+ROUNDING_OF_TURNS = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
+KEPT = 1e-8  # of d², violation of a rigid length that no one will see
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,8 @@ class Report:
     mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
     duration : [ps or τ].  n_frames, n_steps : observed, and between the first and the last.  cost : of the run, if known.
     kinetic_energy : mean per atom [energy].
+    shadow_drift, shadow_oscillation : as those of the energy, of the shadow energy; None and 0 where it was not recorded.
+    lines : what can be said without a run: see minimd.safety.
     """
 
     energy_drift: Drift
@@ -113,6 +119,9 @@ class Report:
     has_bath: bool = False
     constraint_violation: float | None = None
     cost: Cost | None = None
+    shadow_drift: Drift | None = None
+    shadow_oscillation: float = 0.0
+    lines: tuple[Line, ...] = ()
 
     @property
     def energy_is_conserved(self) -> bool | None:
@@ -124,7 +133,23 @@ class Report:
     @property
     def momentum_is_conserved(self) -> bool:
         """True if the change is what rounding explains, which adds up like a random walk, or if nothing else was promised."""
-        return self.momentum_change is None or self.momentum_change < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        return self.momentum_change is None or self.momentum_change < MOMENTUM_KEPT * self._walk
+
+    @property
+    def angular_momentum_is_conserved(self) -> bool:
+        """Likewise."""
+        return self.angular_momentum_change is None or self.angular_momentum_change < ROUNDING_OF_TURNS * self._walk
+
+    @property
+    def shadow_is_conserved(self) -> bool | None:
+        """Whether the shadow energy has no drift, as energy_is_conserved; None if it was not recorded, or in too few frames."""
+        if self.shadow_drift is None or self.n_frames < FEW:
+            return None
+        return not self.shadow_drift.is_significant or abs(self.shadow_drift.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
+
+    @property
+    def _walk(self) -> float:
+        return max(1.0, (self.n_steps / 1e4) ** 0.5)
 
     def __str__(self) -> str:
         energy, time, temperature = self.units
@@ -133,12 +158,20 @@ class Report:
             f"{'energy - heat ' if self.has_bath else 'total energy  '} drift {drift_.slope:+.2e} ± {drift_.error:.1e} {per} per {time}",
             f"               oscillation {self.energy_oscillation:.2e} {per} (standard deviation)",
         ]
+        if self.shadow_drift is not None:
+            said = {None: "too few frames to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
+            lines.append(f"shadow energy  drift {self.shadow_drift.slope:+.2e} ± {self.shadow_drift.error:.1e} {per} per {time}: {said}")
+            lines.append(f"               oscillation {self.shadow_oscillation:.2e} {per}")
         if self.momentum_change is not None:
-            lines.append(f"momentum       change {self.momentum_change:.1e} of the sum of |mv|")
+            said = "conserved" if self.momentum_is_conserved else "NOT CONSERVED"
+            lines.append(f"momentum       change {self.momentum_change:.1e} of the sum of |mv|: {said}")
         if self.angular_momentum_change is not None:
-            lines.append(f"ang. momentum  change {self.angular_momentum_change:.1e} of the sum of m|r||v|")
+            said = "conserved" if self.angular_momentum_is_conserved else "NOT CONSERVED"
+            lines.append(f"ang. momentum  change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {said}")
         if self.constraint_violation is not None:
-            lines.append(f"lengths        kept to {self.constraint_violation:.1e} (|r² − d²|/d²)")
+            said = "kept" if self.constraint_violation < KEPT else "NOT KEPT"
+            lines.append(f"lengths        kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
+        lines.extend(map(str, self.lines))
         lines.append(f"temperature    {self.mean_temperature:.4g} ± {self.temperature_deviation:.2g} {temperature}")
         if self.cost is not None:
             lines.extend(self.cost.lines())
@@ -157,20 +190,21 @@ class Report:
         return f"{energy}; {momentum}."
 
 
-def conservation_report(record: Record, angular: bool, cost: Cost | None = None, linear: bool = True) -> Report:
+def conservation_report(record: Record, angular: bool, cost: Cost | None = None, linear: bool = True, lines: Sequence[Line] = ()) -> Report:
     """The report of a record.
 
     linear, angular : whether the scene conserves momentum (no bath, nothing fixed) and angular momentum (nor anything periodic).
-    Of a run with a thermostat it is the total energy minus the heat that is judged.
+    lines : to show beside them.  Of a run with a thermostat it is the total energy minus the heat that is judged.
     """
     units = record.units
     has_bath = "conserved_energy" in record
     time, energy = record.time * units.to_picosecond, (record.conserved_energy if has_bath else record.total_energy) / record.n_atoms
     slope = (drift_of_walk if has_bath else drift)(time, energy)
-    about_line = energy - energy.mean() - slope.slope * (time - time.mean())
+    shadow = record.shadow_energy / record.n_atoms if "shadow_energy" in record else None
+    shadow_slope = None if shadow is None else drift(time, shadow)
     return Report(
         energy_drift=slope,
-        energy_oscillation=float(about_line.std()),
+        energy_oscillation=_oscillation(time, energy, slope),
         momentum_change=_largest_change(record.momentum, record.absolute_momentum) if linear else None,
         has_bath=has_bath,
         constraint_violation=float(record.constraint_violation.max()) if "constraint_violation" in record else None,
@@ -182,8 +216,16 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         n_frames=len(time),
         n_steps=int(record.step[-1] - record.step[0]),
         cost=cost,
+        shadow_drift=shadow_slope,
+        shadow_oscillation=0.0 if shadow is None or shadow_slope is None else _oscillation(time, shadow, shadow_slope),
+        lines=tuple(lines),
         units=(units.energy, units.shown_time, units.temperature),
     )
+
+
+def _oscillation(time: NDArray[np.float64], series: NDArray[np.float64], slope: Drift) -> float:
+    """Standard deviation about a line."""
+    return float((series - series.mean() - slope.slope * (time - time.mean())).std())
 
 
 def _largest_change(vectors: NDArray[np.float64], scales: NDArray[np.float64]) -> float:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from minimd.autopsy import left_at, place_of
 from minimd.dynamics import Dynamics
-from minimd.errors import NonFiniteError
 from minimd.forces import Potential
 from minimd.frames import observe
 from minimd.integrators.splitting import Splitting
@@ -17,7 +17,10 @@ from minimd.options import Options
 from minimd.progress import Progress
 from minimd.record import Frame, Record
 from minimd.report import Cost, Report, conservation_report
+from minimd.reversibility import Reversibility, probe
 from minimd.rigidity import Constraint
+from minimd.safety import safety_lines
+from minimd.shadow import check_has_shadow, correction, motion_curvature
 from minimd.system import System
 from minimd.trajectory import Writer, open_trajectories
 
@@ -42,6 +45,8 @@ class Simulation(Dynamics):
     Attributes
     ----------
     system : System, the state.  step : int, steps made so far.  time : [time].  record : Record of the last run.
+    extra_observables : names of more that is to be observed, ("shadow_energy",): see minimd.shadow_energy.
+    reversibility : Reversibility that was probed last.
 
     Raises
     ------
@@ -61,11 +66,14 @@ class Simulation(Dynamics):
     ) -> None:
         super().__init__(system, potentials, method, constraints, Options(threads, precision, skin))
         self.record: Record | None = None
+        self.extra_observables: Sequence[str] = ()
+        self.reversibility: Reversibility | None = None
 
-    def equilibrate(self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None) -> None:
+    def equilibrate(self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None, autopsy: str | Path | None = None) -> None:
         """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again.
 
         The noise of a thermostat is that of steps before the start, other ones for each equilibration of this simulation.
+        autopsy : a file to leave if it fails, as that of run.
 
         Raises
         ------
@@ -73,14 +81,22 @@ class Simulation(Dynamics):
         """
         _check_counts(n_steps, every)
         self._equilibrated += n_steps
-        self._noise_shift = -self._equilibrated - self.step
-        self._check_start()
-        with Progress(n_steps, "equilibrating", progress) as bar, stop_on_interrupt(self._state):
-            for done in range(every, n_steps + every, every):
-                self._advance(min(every, n_steps - done + every), look=False)
-                self.rescale_temperature(temperature)
-                bar.advance_to(min(done, n_steps))
-        self.step, self.time, self._state.heat, self._noise_shift = 0, 0.0, 0.0, 0
+        self.noise_shift = -self._equilibrated - self.step
+        try:
+            with (
+                left_at(place_of(autopsy or False, ()), self, False),
+                Progress(n_steps, "equilibrating", progress) as bar,
+                stop_on_interrupt(self._state),
+            ):
+                self._check_start()
+                for done in range(every, n_steps + every, every):
+                    self._advance(min(every, n_steps - done + every), look=False)
+                    self.rescale_temperature(temperature)
+                    self._moments = []  # a replay does not rescale
+                    bar.advance_to(min(done, n_steps))
+        finally:
+            self.noise_shift = 0
+        self.step, self.time, self._state.heat = 0, 0.0, 0.0
 
     def minimize(
         self,
@@ -109,6 +125,7 @@ class Simulation(Dynamics):
         overwrite: bool = False,
         observers: Sequence[Observer] = (),
         progress: bool | None = None,
+        autopsy: str | Path | bool = True,
     ) -> Record:
         """Make n_steps steps and observe the first state and every few steps after it.
 
@@ -120,16 +137,20 @@ class Simulation(Dynamics):
         overwrite : replace files that exist.
         observers : functions called with this simulation at each observation.
         progress : show a progress bar; if not given, on a terminal only.
+        autopsy : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere (False).
+            The file holds the last good state and what minimd.replay needs; where one stands that may not be replaced, it gets a number.
 
         Raises
         ------
-        NonFiniteError, ConstraintError : if the run blows up. The message names step, atoms and pair; sim.system holds the last good state.
+        NonFiniteError, ConstraintError : if the run blows up. The message names step, atoms and pair, the likely cause, and the file of
+            the autopsy; sim.system holds the last good state.
         KeyboardInterrupt : after Ctrl-C, with the state of the last whole step, all files valid.
         FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
         """
         _check_counts(n_steps, every)
-        self._check_start()
-        self._noise_shift = 0
+        self._check_extras()
+        with left_at(place_of(autopsy, trajectory), self, overwrite):
+            self._check_start()
         self.record = Record(self.system.units, len(self.system))
         self._run_seconds, self._run_steps = 0.0, 0
         self._forces.reset_counts()
@@ -137,6 +158,7 @@ class Simulation(Dynamics):
             self._state.constraints.iterations = 0
         start, end = self.step, self.step + n_steps
         with (
+            left_at(place_of(autopsy, trajectory), self, overwrite),  # behind the closing of all files
             stop_on_interrupt(self._state),
             open_trajectories(trajectory, self, store_forces=store_forces, overwrite=overwrite) as writers,
             Progress(n_steps, "running", progress) as bar,
@@ -150,6 +172,29 @@ class Simulation(Dynamics):
                 if self.step == next_look:
                     self._observe(self.record, writers, observers)
         return self.record
+
+    def probe_reversibility(self, n_steps: int) -> Reversibility:
+        """Make n_steps, turn all velocities round, make as many again, and say how far from the start that ends; the state is restored.
+
+        Three times n_steps are made: how far rounding would lead astray is measured too. Later reports repeat the answer.
+
+        Raises
+        ------
+        ValueError : with a thermostat, whose noise cannot be undone, or for a number of steps below 1.
+        NonFiniteError, ConstraintError : as run.
+        """
+        _check_counts(n_steps - 1, 1)
+        if self.method.is_thermostat:
+            raise ValueError(f"{self.method.name} is a thermostat: its noise cannot be undone, so that no run of it is reversible")
+        before, counted = self.moment, (self._run_seconds, self._run_steps, self._forces.counts)
+        self._check_start()
+        try:
+            with stop_on_interrupt(self._state):
+                self.reversibility = probe(self, int(n_steps))
+        finally:
+            self.go_to(before)
+            self._run_seconds, self._run_steps, self._forces.counts = counted
+        return self.reversibility
 
     def report(self) -> Report:
         """How well the last run conserved what it should, and how fast it was.
@@ -171,7 +216,8 @@ class Simulation(Dynamics):
             constraints=f"{bonds.words}; at most {bonds.iterations} iterations in a drift" if bonds else "",
         )
         is_free = self.conserves_momentum
-        return conservation_report(self.record, linear=is_free, angular=is_free and not self.system.cell.is_periodic, cost=cost)
+        angular = is_free and not self.system.cell.is_periodic
+        return conservation_report(self.record, linear=is_free, angular=angular, cost=cost, lines=safety_lines(self))
 
     def frame(self) -> Frame:
         """The state as it is now, with its observables; the forces are evaluated."""
@@ -179,17 +225,27 @@ class Simulation(Dynamics):
         return self._frame()
 
     def _frame(self) -> Frame:
+        bend = motion_curvature(self) if "shadow_energy" in self.extra_observables else None
         self._look()
         forces, virial = self._forces, self._forces.virial
         bonds = self._state.constraints
         if bonds is not None:
             virial = virial + bonds.virial(self.positions, self.velocities, forces.forces)
-        return observe(self, virial, forces.potential_energy, bonds)
+        frame = observe(self, virial, forces.potential_energy, bonds)
+        if bend is not None:
+            frame.observables["shadow_energy"] = frame.observables["total_energy"] + correction(self, bend)
+        return frame
+
+    def _check_extras(self) -> None:
+        if isinstance(self.extra_observables, str) or not set(self.extra_observables) <= {"shadow_energy"}:
+            raise ValueError(f"extra_observables must be ('shadow_energy',) or empty; they are {self.extra_observables!r}")
+        if self.extra_observables:
+            check_has_shadow(self)
 
     def _observe(self, record: Record, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
         frame = self._frame()
         if not np.isfinite(frame.observables["total_energy"]):
-            raise NonFiniteError(self._autopsy("the potential energy is not finite", self.step))
+            raise self._failure("the potential energy is not finite", self.step)
         record.append(frame)
         for writer in writers:
             writer.write(frame)

@@ -39,7 +39,9 @@ def averages(temperature, density, n_steps, seed=1):
 def test_energy_and_pressure_are_those_of_nist(row):
     n_steps = N_STEPS if row["rho"] > 0.1 else 2 * N_STEPS  # a gas forgets slowly
     (energy, of_energy), (pressure, of_pressure) = averages(row["T"], row["rho"], n_steps)
-    print(f"T* {row['T']} ρ* {row['rho']}: U* {energy:.4f} ± {of_energy:.4f} ({row['U']:.4f}), p* {pressure:.4f} ± {of_pressure:.4f} ({row['p']:.4f})")
+    print(
+        f"T* {row['T']} ρ* {row['rho']}: U* {energy:.4f} ± {of_energy:.4f} ({row['U']:.4f}), p* {pressure:.4f} ± {of_pressure:.4f} ({row['p']:.4f})"
+    )
     assert abs(energy - row["U"]) < 0.01
     assert abs(pressure - row["p"]) < 0.03
     assert of_energy < 0.004

@@ -199,6 +199,8 @@ class RigidBonds:
         i, j = self.pairs[constraint]
         off = max(self.violation(positions)[constraint], self.violation(positions + duration * velocities)[constraint])
         what = "drift" if duration else "velocity projection"
-        raise ConstraintError(
+        error = ConstraintError(
             f"constraint {constraint} (atoms {i}-{j}) cannot be kept in a {what} of {duration:g}: it is off by {off:.1e} of its length squared"
         )
+        error.atoms = int(i), int(j)
+        raise error

@@ -9,6 +9,7 @@ from minimd.system import System
 
 FAR = 1e150  # coordinates beyond have no finite square
 GROWTH = 1.5  # the search radius grows by this factor until a pair is found
+FIRST = 0.15  # of the spacing at which the diagonal of the scene is shared out among the atoms: half of what it is in a liquid
 
 
 class ClosestPair(NamedTuple):
@@ -32,7 +33,7 @@ def closest_pair(system: System) -> ClosestPair | None:
     if not np.any(spread):
         return ClosestPair(int(finite[0]), int(finite[1]), 0.0)
     largest = 2.0 * float(np.linalg.norm(spread)) + np.finfo(float).tiny
-    cutoff = largest / max(2.0, 2.0 * len(part)) ** (1.0 / 3.0)
+    cutoff = FIRST * largest / max(2.0, 2.0 * len(part)) ** (1.0 / 3.0)
     while True:
         i, j, d = neighbor_list("ijd", part, cutoff)
         if d.size or cutoff > largest * GROWTH:

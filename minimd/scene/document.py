@@ -16,6 +16,7 @@ from minimd.lattice import constant_from_density, crystal
 from minimd.scene.problems import problems
 from minimd.scene.section import Reading
 from minimd.scene.sections import SceneSections
+from minimd.shadow import check_has_shadow
 from minimd.simulation import Simulation
 from minimd.system import System
 
@@ -78,6 +79,10 @@ class Scene:
         start, potentials = self.system() if system is None else self._constrained(system.copy()), self.potentials()
         with _blamed_on(str(self.path)):
             simulation = Simulation(start, potentials, self.method(), threads=dynamics.threads, precision=dynamics.precision)
+        if self.sections.output.shadow_energy:
+            simulation.extra_observables = ("shadow_energy",)
+            with _blamed_on(f"{self.path}: output.shadow_energy"):
+                check_has_shadow(simulation)
         if system is None and dynamics.temperature is not None:
             simulation.set_temperature(dynamics.temperature, dynamics.seed)
         return simulation

@@ -26,7 +26,9 @@ def kept(files: Sequence[Path], end: int) -> Iterator[None]:
             raise
         message = f"{_words(error)}; what was written before is kept in {', '.join(map(str, written))}"
         hint = _how_to_go_on(written, end) if isinstance(error, KeyboardInterrupt) else ""
-        raise type(error)(message + hint) from None
+        failure = type(error)(message + hint)
+        failure.__dict__.update(error.__dict__)  # such as the autopsy
+        raise failure from None
 
 
 @contextmanager

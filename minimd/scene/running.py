@@ -1,12 +1,14 @@
 """Running a scene from start to report, and telling so all the while."""
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 
 from minimd import units
+from minimd.autopsy import place_of
+from minimd.errors import ConstraintError, NonFiniteError
 from minimd.h5md import H5MDContents, H5MDWriter, annotate, read_file
 from minimd.integrators import DistanceConstraints
 from minimd.potentials import PairPotential
@@ -49,9 +51,11 @@ def run_scene(
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
-    minimize(scene, simulation, progress, tell)
-    equilibrate(scene, simulation, progress, tell)
-    with kept(files, n_steps):
+    place = place_of(True, files)
+    with scene_kept(scene):
+        minimize(scene, simulation, progress, tell)
+        equilibrate(scene, simulation, progress, tell, place)
+    with kept(files, n_steps), scene_kept(scene):
         simulation.run(
             n_steps,
             every=output.every,
@@ -60,6 +64,7 @@ def run_scene(
             overwrite=overwrite,
             observers=[_scene_keeper(scene, files)],
             progress=progress,
+            autopsy=place or False,
         )
     tell(str(simulation.report()))
     if picture is not None:
@@ -111,7 +116,7 @@ def resume_run(
     tell(f"resumed        at step {contents.step}, {_time(contents.time, scene.units)}, behind {contents.n_frames} frames")
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories of the scene stay as they are")
-    with kept([Path(file)], contents.step + steps):
+    with kept([Path(file)], contents.step + steps), scene_kept(scene):
         _append(Path(file), simulation, steps, scene.sections.output.every, progress)
     tell(str(simulation.report()))
     tell(f"written        {file}")
@@ -122,7 +127,8 @@ def _append(file: Path, simulation: Simulation, steps: int, every: int, progress
     """Run, and append the frames to a file."""
     writer, completed = H5MDWriter.append_to(file, simulation), False
     try:
-        simulation.run(steps, every=every, observers=[lambda run: writer.write(run.frame())], progress=progress)
+        observers = [lambda run: writer.write(run.frame())]
+        simulation.run(steps, every=every, observers=observers, progress=progress, autopsy=place_of(True, file) or False)
         completed = True
     finally:
         writer.close(completed)
@@ -151,6 +157,18 @@ def _scene_keeper(scene: Scene, files: Sequence[Path]) -> Observer:
     return keep_scene
 
 
+@contextmanager
+def scene_kept(scene: Scene) -> Iterator[None]:
+    """Put the scene into the autopsy of a run that fails, so that it can be replayed."""
+    try:
+        yield
+    except (NonFiniteError, ConstraintError) as error:
+        if error.file is not None:
+            with suppress(OSError, ValueError):  # the failure itself must be heard
+                annotate(error.file, title=scene.sections.title or None, scene=scene.text)
+        raise
+
+
 def check_outputs(trajectories: Sequence[Path], picture: Path | None, overwrite: bool) -> None:
     """Refuse what cannot be written.  Raises ValueError, OSError as trajectory.checked_output."""
     for file in trajectories:
@@ -173,7 +191,7 @@ def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: 
     tell(str(found))
 
 
-def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:
+def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell, autopsy: Path | None = None) -> None:
     """Run the equilibration of the scene, if it has one."""
     plan = scene.sections.equilibration
     target = (plan and plan.temperature) or scene.sections.dynamics.temperature
@@ -181,7 +199,7 @@ def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tel
         return
     tell(f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {plan.rescale_every}")
     with nothing_written(" of the equilibration"):
-        simulation.equilibrate(plan.steps, target, every=plan.rescale_every, progress=progress)
+        simulation.equilibrate(plan.steps, target, every=plan.rescale_every, progress=progress, autopsy=autopsy)
 
 
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:

@@ -230,6 +230,7 @@ class OutputSection(Section):
     trajectory: str | list[str] | None = None
     every: PositiveInt = 100
     forces: bool = False
+    shadow_energy: bool = False
     plot: Annotated[bool | str, AfterValidator(_plot_name)] = False
 
 

@@ -1,0 +1,233 @@
+"""A run that blows up says why, leaves a file, and can be seen failing again."""
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from references import liquid, melt_scene
+from test_rigid_runs import simulation as rigid_liquid
+
+import minimd as md
+from minimd import cli
+from minimd.autopsy_file import read_autopsy
+from minimd.causes import is_stable, stability_limit
+from minimd.contacts import contacts
+from minimd.h5md import read_file
+from minimd.integrators import SPLITTINGS
+
+LJ = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
+BIG_STEP = 0.024  # at which a liquid lives for some hundred steps
+
+
+def failing(simulation, n_steps=4000, **how):
+    with pytest.raises((md.NonFiniteError, md.ConstraintError)) as caught:
+        simulation.run(n_steps, **how)
+    return caught.value
+
+
+def chain(timestep, k=1000.0):
+    """Ten beads on stiff springs."""
+    n = np.arange(10)
+    system = md.System(np.column_stack([n, 0 * n, 0 * n]), cell=20.0, bonds=np.column_stack([n[:-1], n[1:]]))
+    lj = md.LennardJones(1.0, 1.0, 2.5, "switched", bonded_scale=(0, 1, 1))
+    simulation = md.Simulation(system, [lj, md.HarmonicBond(k, 1.0)], md.VelocityVerlet(timestep))
+    simulation.set_temperature(0.5, seed=1)
+    return simulation
+
+
+def hollow(r2, limit):
+    """√(r² − limit): no number inside."""
+    return (r2 - limit) ** 0.5, -1.0 / (r2 - limit) ** 0.5
+
+
+def one_fast_atom():
+    system = liquid(3, temperature=0.5)
+    system.velocities[7] = [400.0, 0.0, 0.0]
+    return md.Simulation(system, md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(0.005))
+
+
+def two_approaching(law):
+    system = md.System([[0, 0, 0], [1.5, 0, 0]], velocities=[[1, 0, 0], [0, 0, 0]])
+    return md.Simulation(system, law, md.VelocityVerlet(0.01))
+
+
+CASES = {
+    "overlap": (lambda: md.Simulation(md.System([[0, 0, 0], [0.55, 0, 0], [3, 3, 3]], cell=10.0), LJ, md.VelocityVerlet(0.005)), (0, 1), 0),
+    "bond": (lambda: chain(0.05), None, None),
+    "pair": (lambda: md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(0.04)), None, None),
+    "hot": (one_fast_atom, None, None),
+    "constraint": (lambda: rigid_liquid(md.VelocityVerlet(0.08)), None, None),
+    "law": (lambda: two_approaching(md.PairPotential(hollow, (1.0,), 3.0, "truncated")), (0, 1), None),
+}
+
+
+@pytest.mark.parametrize("kind", CASES)
+def test_the_cause_is_told(kind):
+    make, atoms, step = CASES[kind]
+    error = failing(make())
+    found = error.autopsy
+    assert found.kind == kind
+    assert f"Likely cause: {found.cause}" in str(error)
+    assert "\n" not in found.cause
+    assert found.advice in str(found)
+    assert step is None or found.step == step
+    if atoms:
+        assert {found.pair.first, found.pair.second} == set(atoms)
+    assert error.file is None
+
+
+def test_figures_of_the_bond_are_those_of_the_oscillator():
+    """ω = √(k/μ) of a harmonic bond, wherever it is; μ of two atoms of mass 1 is ½."""
+    found = failing(chain(0.05)).autopsy
+    assert found.pair.is_bond
+    assert found.pair.frequency == pytest.approx(np.sqrt(1000.0 / 0.5), rel=1e-6)
+    assert "Δt·ω = 2.24 (stable to 2)" in found.cause
+
+
+def test_contact_knows_force_and_curvature_of_the_pair():
+    system = md.System([[0, 0, 0], [0.9, 0, 0]], masses=[1.0, 3.0])
+    (one,) = contacts(system, [md.LennardJones(2.0, 0.8)], 1.0 / system.masses, [0])
+    u = [md.LennardJones(2.0, 0.8).pair_energy(0.9 + h) for h in (-1e-4, 0.0, 1e-4)]
+    assert one.force == pytest.approx((u[0] - u[2]) / 2e-4, rel=1e-4)
+    assert one.frequency == pytest.approx(np.sqrt((u[0] - 2 * u[1] + u[2]) / 1e-8 / 0.75), rel=1e-4)
+    assert one.ratio == pytest.approx(0.9 / 0.8)
+    assert one.rest_frequency == pytest.approx(np.sqrt(72 * 2.0 / (2 ** (1 / 3) * 0.64) / 0.75))
+
+
+def test_contacts_see_images_and_exclusions():
+    system = md.System([[0.1, 0, 0], [4.9, 0, 0], [2.5, 0, 0]], cell=5.0, bonds=[[0, 2]])
+    potentials = [md.LennardJones(1.0, 1.0, 2.49, bonded_scale=(0, 1, 1)), md.HarmonicBond(1.0, 1.0)]
+    found = contacts(system, potentials, np.ones(3), [0])
+    assert {(one.first, one.second, one.is_bond) for one in found} == {(0, 1, False), (0, 2, True)}
+    assert next(one for one in found if not one.is_bond).distance == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("name", ["velocity-verlet", "position-verlet", "leapfrog"])
+def test_verlet_is_stable_up_to_two(name):
+    row = SPLITTINGS[name].row()
+    assert stability_limit(row) == pytest.approx(2.0, abs=0.011)
+    assert is_stable(row, 1.99)
+    assert not is_stable(row, 2.01)
+
+
+def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path):
+    simulation = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(BIG_STEP))
+    error = failing(simulation, every=20, trajectory=tmp_path / "a.h5md")
+    assert error.file == tmp_path / "a.autopsy.h5md"
+    assert f"minimd replay {error.file}" in str(error)
+    contents = read_file(error.file)
+    assert contents.step == simulation.step == error.autopsy.last_good_step
+    assert np.array_equal(contents.system.positions, simulation.positions)
+    assert np.array_equal(contents.system.velocities, simulation.velocities)
+    assert contents.record.step.tolist() == [error.autopsy.first_step, simulation.step]
+    assert 20 <= simulation.step - error.autopsy.first_step <= 120
+    kept = read_file(tmp_path / "a.h5md")
+    assert kept.record.step.tolist() == list(range(0, kept.step + 1, 20))
+    assert kept.step == simulation.step // 20 * 20
+
+
+def test_no_file_where_none_was_asked_for(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    failing(chain(0.05))
+    failing(chain(0.05), autopsy=False, trajectory="a.h5md")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.h5md"]
+    assert failing(chain(0.05), autopsy="why.h5md").file == Path("why.h5md")
+    assert read_autopsy("why.h5md").findings.kind == "bond"
+
+
+def test_an_older_autopsy_is_not_lost(tmp_path):
+    files = [failing(chain(0.05), trajectory=tmp_path / f"{k}.xyz", autopsy=tmp_path / "a.autopsy.h5md").file.name for k in range(3)]
+    assert files == ["a.autopsy.h5md", "a-2.autopsy.h5md", "a-3.autopsy.h5md"]
+
+
+def test_an_autopsy_that_cannot_be_written_does_not_hide_the_failure(tmp_path):
+    error = failing(chain(0.05), autopsy=tmp_path / "nowhere" / "a.h5md")
+    assert "Likely cause" in str(error)
+    assert "No autopsy was written" in str(error)
+    assert error.file is None
+
+
+def test_findings_come_back_from_the_file(tmp_path):
+    error = failing(rigid_liquid(md.VelocityVerlet(0.08)), autopsy=tmp_path / "a.h5md")
+    past = read_autopsy(error.file)
+    assert past.findings == error.autopsy
+    assert str(past.findings) == str(error.autopsy)
+    with h5py.File(error.file) as h5:
+        assert json.loads(h5["minimd/autopsy/simulation"].asstr()[()])["method"] == "velocity-verlet"
+    assert past.constraints[0].pairs.shape == (108, 2)
+    with pytest.raises(ValueError, match=r"holds no scene .*LennardJones"):
+        md.replay(error.file)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(BIG_STEP)),
+        lambda: md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.LangevinBAOAB(BIG_STEP, 1.44, 1.0, seed=2)),
+        lambda: rigid_liquid(md.VelocityVerlet(0.05), [md.DistanceConstraints(np.arange(216).reshape(-1, 2)), md.FixedAtoms([0])]),
+        lambda: chain(0.05),
+    ],
+    ids=["verlet", "langevin", "rigid and fixed", "bonds"],
+)
+def test_replay_fails_again_at_the_same_step_on_the_same_path(tmp_path, make):
+    simulation = make()
+    error = failing(simulation, trajectory=tmp_path / "a.h5md")
+    seen = md.replay(error.file, simulation.potentials)
+    assert seen.failed_at == error.autopsy.step
+    assert "failed again" in str(seen)
+    assert [row.step for row in seen.rows] == list(range(error.autopsy.first_step, error.autopsy.last_good_step + 1))
+    assert seen.rows[-1].energy == pytest.approx(read_file(error.file).record.total_energy[-1], rel=1e-6)
+    assert (seen.trajectory, seen.picture) == (tmp_path / "a.replay.h5md", tmp_path / "a.replay.png")
+    assert read_file(seen.trajectory).n_frames == len(seen.rows)
+    assert seen.picture.read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(FileExistsError, match="replace it"):
+        md.replay(error.file, simulation.potentials)
+
+
+def test_replay_of_a_start_that_was_refused(tmp_path):
+    make, _, _ = CASES["overlap"]
+    error = failing(make(), trajectory=tmp_path / "a.h5md")
+    seen = md.replay(error.file, LJ)
+    assert [row.step for row in seen.rows] == [0]
+    assert (seen.rows[0].first, seen.rows[0].second) == (0, 1)
+    assert seen.trajectory is None
+
+
+def test_replay_says_when_it_does_not_fail_again(tmp_path):
+    error = failing(chain(0.05), trajectory=tmp_path / "a.h5md")
+    seen = md.replay(error.file, md.HarmonicBond(1.0, 1.0))
+    assert seen.failed_at is None
+    assert "did not fail again" in str(seen)
+
+
+def test_scene_that_blows_up_is_replayed_from_its_file_alone(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("melt.toml").write_text(melt_scene(3, 4000).replace("timestep = 0.004", "timestep = 0.03"))
+    assert cli.main(["run", "melt.toml", "--quiet"]) == 3
+    assert "Autopsy in melt.autopsy.h5md" in capsys.readouterr().err
+    Path("melt.toml").unlink()
+    assert cli.main(["replay", "melt.autopsy.h5md"]) == 0
+    told = capsys.readouterr().out
+    assert "failed again" in told
+    assert "cause " in told
+    assert Path("melt.replay.h5md").exists()
+    assert Path("melt.replay.png").exists()
+    assert cli.main(["replay", "melt.autopsy.h5md"]) == 2
+    assert cli.main(["replay", "melt.autopsy.h5md", "--out", "other.h5md", "--quiet"]) == 0
+    assert cli.main(["replay", "melt.h5md"]) == 2
+    assert "holds no autopsy" in capsys.readouterr().err
+
+
+def test_equilibration_of_a_scene_that_blows_up_leaves_its_autopsy(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scene = melt_scene(3, 10, 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibration]\nsteps = 2000\nrescale_every = 10\n')
+    Path("melt.toml").write_text(scene.replace("timestep = 0.004", "timestep = 0.04"))
+    assert cli.main(["run", "melt.toml", "--quiet"]) == 3
+    past = read_autopsy("melt.autopsy.h5md")
+    assert past.noise_shift < 0
+    seen = md.replay("melt.autopsy.h5md")
+    assert seen.failed_at == past.findings.step
+    assert len(seen.rows) > 1
+    assert seen.rows[-1].energy == pytest.approx(read_file("melt.autopsy.h5md").record.total_energy[-1], rel=1e-6)  # with the same noise

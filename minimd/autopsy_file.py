@@ -1,7 +1,7 @@
 """The file that a failed run leaves: an H5MD file with the last good state, an earlier one, and what it takes to go there again.
 
 frames               the earlier state and the last good one, with forces and observables; the restart is the last good one
-minimd/autopsy       findings, method, constraints, options and potentials in words, as JSON
+minimd/autopsy       findings, method, options and potentials in words, as JSON
     positions ...    the earlier state to the last bit
 """
 
@@ -16,8 +16,7 @@ from minimd.autopsy import SUFFIX, Autopsy
 from minimd.causes import Moment
 from minimd.h5md import H5MDWriter, read_file
 from minimd.h5md_layout import opened
-from minimd.integrators import SPLITTINGS, THERMOSTATS, DistanceConstraints, Splitting
-from minimd.rigidity import Constraint, FixedAtoms
+from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting
 from minimd.system import System
 
 if TYPE_CHECKING:
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 class AutopsyFile:
     """What such a file holds.
 
-    findings : Autopsy.  system : System in the earlier state.  start : that state.  method, constraints : as they were.
+    findings : Autopsy.  system : System in the earlier state, with its constraints.  start : that state.  method : as it was.
     precision, skin, noise_shift : of the simulation.  potentials : in words.  scene, title : texts; the scene is empty if the run came from a script.
     """
 
@@ -36,7 +35,6 @@ class AutopsyFile:
     system: System
     start: Moment
     method: Splitting
-    constraints: tuple[Constraint, ...]
     precision: Any
     skin: float | None
     noise_shift: int
@@ -85,23 +83,10 @@ def _description(simulation: "Simulation") -> dict[str, Any]:
     return {
         "method": method.name,
         "parameters": method.parameters,
-        "constraints": [_told(one, simulation) for one in simulation.constraints],
         "precision": options.precision,
         "skin": options.skin,
         "noise_shift": simulation.noise_shift,
         "potentials": [f"{type(one).__name__}: {one!r}" for one in simulation.potentials],
-    }
-
-
-def _told(constraint: Constraint, simulation: "Simulation") -> dict[str, Any]:
-    if isinstance(constraint, FixedAtoms):
-        return {"fixed": constraint.atoms.tolist()}
-    lengths = simulation.rigid_lengths if constraint.lengths is None else constraint.lengths
-    return {
-        "pairs": constraint.pairs.tolist(),
-        "lengths": None if lengths is None else lengths.tolist(),
-        "tolerance": constraint.tolerance,
-        "solver": constraint.solver,
     }
 
 
@@ -127,7 +112,6 @@ def read_autopsy(path: str | Path) -> AutopsyFile:
         system=system,
         start=start,
         method={**SPLITTINGS, **THERMOSTATS}[told["method"]](**told["parameters"]),
-        constraints=tuple(_constraint(one) for one in told["constraints"]),
         precision=told["precision"],
         skin=told["skin"],
         noise_shift=told["noise_shift"],
@@ -135,9 +119,3 @@ def read_autopsy(path: str | Path) -> AutopsyFile:
         scene=contents.scene,
         title=contents.title,
     )
-
-
-def _constraint(told: dict[str, Any]) -> Constraint:
-    if "fixed" in told:
-        return FixedAtoms(np.array(told["fixed"], dtype=np.int64))
-    return DistanceConstraints(told["pairs"], told["lengths"], told["tolerance"], told["solver"])

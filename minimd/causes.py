@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.contacts import Contact, contacts
-from minimd.integrators.rows import Drift, Kick, Row
+from minimd.integrators.rows import Row
+from minimd.integrators.stability import stability_limit
 from minimd.neighbors.closest import closest_pair
 from minimd.observables import kinetic_energy
 from minimd.system import System
@@ -116,11 +117,13 @@ def unstable_bond(evidence: Evidence) -> Verdict | None:
     if not bonds:
         return None
     x, stiffest = max(bonds, key=lambda bond: bond[0])
-    if is_stable(evidence.row, x):
+    limit = stability_limit(evidence.row)
+    if x <= limit:
         return None
     cause = f"the time step {evidence.shown_timestep} is too long for the bond of {atoms_of(stiffest)}: Δt·ω = {x:.3g}"
-    limit = f" (stable to {stability_limit(evidence.row):.3g})"
-    return Verdict("bond", stiffest, cause + limit, f"take a time step {BOND_STEP / x:.2g} times as long, or hold the bond rigid")
+    return Verdict(
+        "bond", stiffest, f"{cause} (stable to {limit:.3g})", f"take a time step {BOND_STEP / x:.2g} times as long, or hold the bond rigid"
+    )
 
 
 def too_hot(evidence: Evidence) -> Verdict | None:
@@ -174,21 +177,6 @@ def _is_thrown(contact: Contact, evidence: Evidence) -> bool:
     """Whether a law without a length of its own throws a pair apart within one step."""
     inverse_mass = evidence.inverse_masses[contact.first] + evidence.inverse_masses[contact.second]
     return contact.ratio is None and bool(contact.force * inverse_mass * evidence.timestep**2 > THROWN * contact.distance)
-
-
-def stability_limit(row: Row) -> float:
-    """The largest ωΔt up to which a row is stable on the harmonic oscillator, to a percent: 2 for velocity Verlet."""
-    return float(next((x - 0.01 for x in np.arange(0.01, 10.0, 0.01) if not is_stable(row, x)), np.inf))
-
-
-def is_stable(row: Row, x: float) -> bool:
-    """Whether |tr M| ≤ 2 of one step with ωΔt = x, M the product of its drifts and kicks."""
-    step = np.eye(2)
-    for letter in row:
-        if isinstance(letter, (Drift, Kick)):
-            shear = [[1.0, letter.coefficient * x], [0.0, 1.0]] if isinstance(letter, Drift) else [[1.0, 0.0], [-letter.coefficient * x, 1.0]]
-            step = np.einsum("ij,jk->ik", np.array(shear), step)
-    return bool(abs(np.trace(step)) <= 2.0 + 1e-9)
 
 
 def atoms_of(contact: Contact) -> str:

@@ -133,7 +133,7 @@ def _potentials(past: "AutopsyFile", file: str | Path) -> list[Potential]:
 
 
 def _simulation(past: "AutopsyFile", potentials: Potential | Sequence[Potential]) -> Simulation:
-    simulation = Simulation(past.system, potentials, past.method, past.constraints, precision=past.precision, skin=past.skin)
+    simulation = Simulation(past.system, potentials, past.method, precision=past.precision, skin=past.skin)
     simulation.go_to(past.start)
     simulation.noise_shift = past.noise_shift
     return simulation

@@ -76,7 +76,8 @@ def _disturb(dynamics: "Dynamics", forces: NDArray[np.float64]) -> None:
     random, shape = np.random.default_rng(1), dynamics.positions.shape
     precision, exact = AMPLIFIED * ROUNDING[dynamics.options.precision], AMPLIFIED * ROUNDING["double"]
     kicks = np.abs(forces) * dynamics.inverse_masses[:, None] * abs(dynamics.method.timestep)
-    step = AMPLIFIED * dynamics.rigid_tolerance + exact * np.abs(dynamics.positions)
+    swept = 0.0 if dynamics.rigid_bonds is None else dynamics.rigid_bonds.accuracy
+    step = AMPLIFIED * swept + exact * np.abs(dynamics.positions)
     dynamics.positions[:] += random.choice([-1.0, 1.0], shape) * step * (dynamics.inverse_masses[:, None] > 0.0)
     dynamics.velocities[:] += random.choice([-1.0, 1.0], shape) * (precision * kicks + exact * np.abs(dynamics.velocities))
 

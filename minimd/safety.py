@@ -83,7 +83,7 @@ def list_lines(simulation: "Simulation") -> Iterator[Line]:
 
 def constraint_lines(simulation: "Simulation") -> Iterator[Line]:
     """How well the velocities of the present state obey the constraints."""
-    turning = simulation.rigid_velocity_violation
-    if turning is not None:
+    if simulation.rigid_bonds is not None:
+        turning = float(simulation.rigid_bonds.velocity_violation(simulation.positions, simulation.velocities).max())
         good = turning < TURNING
         yield Line("rigid bonds", f"velocities along them {turning:.1e} of the speed", "obeyed" if good else "NOT OBEYED", good)

@@ -69,5 +69,5 @@ def check_has_shadow(simulation: "Dynamics") -> None:
         raise ValueError(f"there is no shadow energy with a thermostat, which takes energy and gives it; the method is {method.name}")
     if method.row() not in COEFFICIENTS:
         raise ValueError(f"the shadow energy is known of velocity-verlet, leapfrog and position-verlet; the method is {method.name}")
-    if simulation.rigid_lengths is not None:
+    if simulation.rigid_bonds is not None:
         raise ValueError("the shadow energy is known without rigid bonds only; leave the constraints out, or do not ask for it")

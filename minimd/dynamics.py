@@ -15,7 +15,7 @@ from minimd.causes import Moment
 from minimd.compiling import compile_clock
 from minimd.curvature import stiffest_bond
 from minimd.errors import ConstraintError, NonFiniteError
-from minimd.faults import autopsy, broken_constraint, fault_at_start, fault_of, unstable_bond
+from minimd.faults import autopsy, broken_constraint, fault_at_start, fault_of, largest_acceleration, unstable_bond
 from minimd.forces import Potential
 from minimd.integrators.splitting import Splitting
 from minimd.motion import Motion
@@ -112,8 +112,8 @@ class Dynamics(Motion):
         self._warn_of_timestep()
         self._forces.fit_skin(observables.largest_speed(self.velocities) * abs(self.method.timestep))
         self._look()
-        accelerations = self.forces * self._rigidity.inverse_masses[:, None]
-        fault = fault_at_start(self.system, accelerations, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
+        acceleration = largest_acceleration(self.forces, self._rigidity.inverse_masses)
+        fault = fault_at_start(self.system, acceleration, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
         if fault:
             raise self._failure(fault, self.step)
 

@@ -3,13 +3,39 @@
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from minimd.compiling import kernel
 from minimd.curvature import StiffBond
 from minimd.integrators.splitting import Splitting
 from minimd.integrators.stability import stability_limit
 from minimd.neighbors.closest import closest_pair
 from minimd.system import System
+
+
+@kernel
+def longest(vectors):
+    """Index and length of the longest of (N, 3) vectors; the first that is not finite, if there is one, is infinitely long."""
+    where, longest2 = 0, -1.0
+    for i in range(vectors.shape[0]):
+        length2 = vectors[i, 0] ** 2 + vectors[i, 1] ** 2 + vectors[i, 2] ** 2
+        if not length2 < np.inf:
+            return i, np.inf
+        if length2 > longest2:
+            where, longest2 = i, length2
+    return where, sqrt(longest2)
+
+
+@kernel
+def largest_acceleration(forces, inverse_masses):
+    """Index and size of the largest F/m, as longest.  (N, 3) [energy/length], (N,) [1/mass]."""
+    where, largest = 0, -1.0
+    for i in range(forces.shape[0]):
+        size = inverse_masses[i] * sqrt(forces[i, 0] ** 2 + forces[i, 1] ** 2 + forces[i, 2] ** 2)
+        if not size < np.inf:
+            return i, np.inf
+        if size > largest:
+            where, largest = i, size
+    return where, largest
 
 
 def fault_of(system: System, timestep: float, longest_stride: float) -> str | None:
@@ -18,30 +44,33 @@ def fault_of(system: System, timestep: float, longest_stride: float) -> str | No
     longest_stride : the largest cutoff [length]; an atom that moves farther in one step has passed its neighbors unseen.
     """
     for name in ("positions", "velocities"):
-        bad = np.flatnonzero(~np.isfinite(getattr(system, name)).all(axis=1))
-        if bad.size:
-            return f"{name} of {bad.size} atoms are not finite (atom {bad[0]}{' ...' if bad.size > 1 else ''})"
-    strides = _lengths(system.velocities) * abs(timestep)
-    if strides.max() > longest_stride:
-        atom = int(np.argmax(strides))
-        return f"atom {atom} moves {strides[atom]:.3g} {system.units.length} in one step, past every neighbor (cutoff {longest_stride:g})"
+        if not np.isfinite(longest(getattr(system, name))[1]):
+            bad = np.flatnonzero(~np.isfinite(getattr(system, name)).all(axis=1))
+            if bad.size:
+                return f"{name} of {bad.size} atoms are not finite (atom {bad[0]}{' ...' if bad.size > 1 else ''})"
+    atom, speed = longest(system.velocities)
+    stride = speed * abs(timestep)
+    if stride > longest_stride:
+        return f"atom {atom} moves {stride:.3g} {system.units.length} in one step, past every neighbor (cutoff {longest_stride:g})"
     return None
 
 
 def fault_at_start(
     system: System,
-    accelerations: NDArray[np.float64],
+    acceleration: tuple[int, float],
     potential_energy: float,
     timestep: float,
     longest_stride: float,
 ) -> str | None:
-    """What would go wrong in the first step: accelerations, (N, 3) [length/time²], that are not finite or throw atoms across the scene."""
-    push = _lengths(accelerations) * timestep**2
-    if not (np.isfinite(push).all() and np.isfinite(potential_energy)):
+    """What would go wrong in the first step: accelerations that are not finite or throw atoms across the scene.
+
+    acceleration : the atom with the largest, and its size [length/time²].
+    """
+    atom, push = acceleration[0], acceleration[1] * timestep**2
+    if not (np.isfinite(push) and np.isfinite(potential_energy)):
         return "forces or energies are not finite"
-    if push.max() > longest_stride:
-        atom = int(np.argmax(push))
-        return f"the force on atom {atom} would move it by {push[atom]:.3g} {system.units.length} in one step"
+    if push > longest_stride:
+        return f"the force on atom {atom} would move it by {push:.3g} {system.units.length} in one step"
     return fault_of(system, timestep, longest_stride)
 
 
@@ -79,7 +108,3 @@ def unstable_bond(system: System, bond: StiffBond | None, method: Splitting) -> 
         f"timestep {abs(method.timestep) * shown:.4g} {units.small_time} is longer than the bond of atoms {bond.i} and {bond.j} allows: "
         f"{method.name} is stable up to {limit * shown:.4g} {units.small_time} on it; see advise_timestep"
     )
-
-
-def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))

@@ -10,7 +10,7 @@ from minimd.bench.scenes import CUTOFF, MELT_DENSITY, MELT_TEMPERATURE, SCENES, 
 
 FROM_ATOMS = 256_000  # fewer would drown in what Python and the kernels need
 SMALL = 20  # a first scene of 32 000 atoms loads the kernels
-STEPS = 20
+STEPS = 120  # so that the states are there that a failed run goes back to
 STATUS = Path("/proc/self/status")  # of Linux; getrusage's peak would be that of the parent process, if that was higher
 
 

@@ -26,3 +26,15 @@ class Buffers:
             first = (-raw.ctypes.data % CACHE_LINE) // item
             kept = self._all[name] = raw[first : first + size].reshape(rows, *more)
         return kept[:n]
+
+    def carve(self, name: str, *fields: tuple[type, tuple[int, ...]]) -> list[NDArray[Any]]:
+        """Arrays of these types and shapes, one after the other in one piece of memory; those carved next of the same name take their place."""
+        starts = [0]
+        for dtype, shape in fields:
+            n_bytes = prod(shape) * np.dtype(dtype).itemsize
+            starts.append(starts[-1] + -(-n_bytes // CACHE_LINE) * CACHE_LINE)
+        piece = self.array(name, np.uint8, starts[-1])
+        return [
+            piece[start : start + prod(shape) * np.dtype(dtype).itemsize].view(dtype).reshape(shape)
+            for start, (dtype, shape) in zip(starts, fields, strict=False)
+        ]

@@ -99,7 +99,7 @@ class ClusterList(ListWithSkin):
 
     def _make_memory(self, exact: NDArray[np.float64]) -> Memory:
         copies, number = self.copies, np.float32 if self._is_mixed else np.float64
-        forces = self._memory.array("forces", number, len(exact))
+        (forces,) = self._memory.carve("scratch", (number, (len(exact),)))  # sorting is over
         if not self._is_mixed:
             return Memory(exact, copies.shift, np.zeros(3), 1.0, forces)
         shift = self._memory.array("grid shift", np.int32, len(copies.owner), 3)

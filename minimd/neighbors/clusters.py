@@ -79,14 +79,9 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Co
 def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Columns, memory: Buffers, team: Team) -> Clusters:
     """The clusters of all columns, the second lattice direction running faster than the first."""
     n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
-    binned = Binned(
-        order=memory.array("order", np.int32, n),
-        bins=memory.array("bins", np.int32, n),
-        bin_start=memory.array("bin_start", np.int32, n_bins + 1),
-        place=memory.array("place", np.int32, n_bins + 1),
-        cells=memory.array("cells", np.float64, n, 3),
-        height=memory.array("height", np.float64, n),
-    )
+    many, bins, triples = (n,), (n_bins + 1,), (n, 3)
+    fields = ((np.int32, many), (np.int32, many), (np.int32, bins), (np.int32, bins), (np.float64, triples), (np.float64, many))
+    binned = Binned(*memory.carve("scratch", *fields))
     column_start = memory.array("column_start", np.int64, n_columns + 1)
     sort_into_columns(positions, cell.inverse, cell.pbc, columns, binned, column_start)
     n_clusters = int(column_start[-1])

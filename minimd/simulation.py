@@ -8,6 +8,7 @@ import numpy as np
 
 from minimd.dynamics import Dynamics
 from minimd.errors import NonFiniteError
+from minimd.faults import runaway
 from minimd.forces import Potential
 from minimd.frames import observe
 from minimd.integrators.splitting import Splitting
@@ -60,6 +61,8 @@ class Simulation(Dynamics):
     ) -> None:
         super().__init__(system, potentials, method, constraints, Options(threads, precision, skin))
         self.record: Record | None = None
+        self._first: Frame | None = None  # whose energies are those of the present run
+        self._looked_at = self._saved(), self.step, self.time, self.system.cell
 
     def equilibrate(self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None) -> None:
         """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again.
@@ -110,7 +113,7 @@ class Simulation(Dynamics):
         self._check_start()
         self._noise_shift = 0
         self.record = Record(self.system.units, len(self.system))
-        self._run_seconds, self._run_steps = 0.0, 0
+        self._run_seconds, self._run_steps, self._first = 0.0, 0, None
         self._forces.reset_counts()
         if self._state.constraints is not None:
             self._state.constraints.iterations = 0
@@ -124,10 +127,12 @@ class Simulation(Dynamics):
             while self.step < end:
                 next_look = self.step + every - (self.step - start) % every
                 n_steps_now = min(STEPS_BETWEEN_CHECKS, next_look - self.step, end - self.step)
-                self._advance(n_steps_now, look=self.step + n_steps_now == next_look)
+                self._advance(n_steps_now, look=self.step + n_steps_now in (next_look, end))
                 bar.advance_to(self.step - start)
                 if self.step == next_look:
                     self._observe(self.record, writers, observers)
+            if self._looked_at[1] != end:
+                self._check_energy(self._frame())
         return self.record
 
     def report(self) -> Report:
@@ -167,8 +172,7 @@ class Simulation(Dynamics):
 
     def _observe(self, record: Record, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
         frame = self._frame()
-        if not np.isfinite(frame.observables["total_energy"]):
-            raise NonFiniteError(self._autopsy("the potential energy is not finite", self.step))
+        self._check_energy(frame)
         record.append(frame)
         for writer in writers:
             writer.write(frame)
@@ -176,8 +180,26 @@ class Simulation(Dynamics):
             observer(self)
             self._state.forces_are_current = False  # it may have moved atoms
         if observers:
+            self._first = self._first if self._is_as_looked_at() else None
             self._rigidity.begin(self.system, self._state)
 
+    def _check_energy(self, frame: Frame) -> None:
+        """Raise NonFiniteError if the energy is not finite or runs away, back in the state of the last look."""
+        if not np.isfinite(frame.observables["total_energy"]):
+            raise NonFiniteError(self._autopsy("the potential energy is not finite", self.step))
+        if self._first is None:
+            self._first = frame
+        fault = runaway(self.system, self.method.timestep, self._first.observables, frame.observables)
+        if fault:
+            self._restore(self._looked_at[0])
+            self.step, self.time, _ = self._looked_at[1:]
+            raise NonFiniteError(self._autopsy(f"{fault} since step {self._first.step}", frame.step))
+        self._looked_at = self._saved(), self.step, self.time, self.system.cell
+
+    def _is_as_looked_at(self) -> bool:
+        """Whether observers have only looked: their heat, and their work on the cell, are no fault of the method."""
+        (positions, velocities, _), *_, cell = self._looked_at
+        return np.array_equal(self.positions, positions) and np.array_equal(self.velocities, velocities) and self.system.cell is cell
 
 def _check_counts(n_steps: int, every: int) -> None:
     for name, value, least in (("n_steps", n_steps, 0), ("every", every, 1)):

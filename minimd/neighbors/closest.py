@@ -7,6 +7,7 @@ import numpy as np
 from minimd.neighbors.listing import neighbor_list
 from minimd.system import System
 
+FARTHEST = 1e150  # [length]; the square of a larger number may be none
 GROWTH = 1.5  # the search radius grows by this factor until a pair is found
 
 
@@ -30,7 +31,9 @@ def closest_pair(system: System) -> ClosestPair | None:
     spread = np.ptp(part.positions, axis=0) if not system.cell.is_periodic else system.cell.heights[system.cell.pbc]
     if not np.any(spread):
         return ClosestPair(int(finite[0]), int(finite[1]), 0.0)
-    largest = 2.0 * float(np.linalg.norm(spread)) + np.finfo(float).tiny
+    largest = 2.0 * np.sqrt(3.0) * float(np.max(spread)) + np.finfo(float).tiny
+    if largest > FARTHEST:
+        return None
     cutoff = largest / max(2.0, 2.0 * len(part)) ** (1.0 / 3.0)
     while True:
         i, j, d = neighbor_list("ijd", part, cutoff)

@@ -13,6 +13,8 @@ from minimd.units import UnitSystem
 if TYPE_CHECKING:
     import ase
 
+LARGEST = 1e75  # of positions and velocities: their fourth powers are still numbers
+
 
 class System:
     """N atoms: where they are, how fast, how heavy, of which species, in which cell, bonded how.
@@ -114,6 +116,8 @@ class System:
 
 def _numbers(name: str, values: ArrayLike, expected: str) -> NDArray[np.float64]:
     try:
+        if np.ma.is_masked(values) or np.iscomplexobj(values):
+            raise ValueError("some are masked" if np.ma.is_masked(values) else "they are complex")
         return np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must be {expected}: {error}") from None
@@ -129,6 +133,8 @@ def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArra
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if bad.size:
         raise ValueError(f"{name} must be finite; {name}[{bad[0]}] = {array[bad[0]].tolist()}" + _and_others(bad))
+    if np.abs(array).max() > LARGEST:
+        raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {np.abs(array).max():g}: take other units")
     return array
 
 

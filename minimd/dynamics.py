@@ -36,7 +36,7 @@ class Dynamics:
     ) -> None:
         if not isinstance(method, Splitting):
             raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {method!r}")
-        self.system = system.copy() if isinstance(system, System) else System.from_ase(system)
+        self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
         self.method = method
         self.step = 0
         self.time = 0.0
@@ -51,6 +51,11 @@ class Dynamics:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.system!r}, {self.method!r}, step {self.step})"
+
+    @property
+    def system(self) -> System:
+        """The state; its arrays can be changed, not replaced by those of another system."""
+        return self._system
 
     @property
     def n_dof(self) -> int:

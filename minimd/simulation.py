@@ -1,6 +1,7 @@
 """Simulation: a system, its forces and a method; runs steps and lets observers look between them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -8,11 +9,12 @@ import numpy as np
 
 from minimd.dynamics import Dynamics
 from minimd.errors import NonFiniteError
-from minimd.faults import runaway
+from minimd.faults import RUNAWAY, runaway
 from minimd.forces import Potential
 from minimd.frames import observe
 from minimd.integrators.splitting import Splitting
 from minimd.interrupt import stop_on_interrupt
+from minimd.observables import kinetic_energy
 from minimd.options import Options
 from minimd.progress import Progress
 from minimd.record import Frame, Record
@@ -61,6 +63,7 @@ class Simulation(Dynamics):
     ) -> None:
         super().__init__(system, potentials, method, constraints, Options(threads, precision, skin))
         self.record: Record | None = None
+        self._is_running = False
         self._first: Frame | None = None  # whose energies are those of the present run
         self._looked_at = self._saved(), self.step, self.time, self.system.cell
 
@@ -72,11 +75,22 @@ class Simulation(Dynamics):
         NonFiniteError, KeyboardInterrupt : as run does.  ValueError : for counts or a temperature out of range.
         """
         _check_counts(n_steps, every)
+        with self._running():
+            self._equilibrate(n_steps, temperature, every, progress)
+
+    def _equilibrate(self, n_steps: int, temperature: float, every: int, progress: bool | None) -> None:
         self._noise_shift = -n_steps - self.step  # noise of its own, for a thermostat: that of steps before the start
         self._check_start()
+        most = RUNAWAY * (self._kinetic_energy() + abs(self._forces.potential_energy) + self.n_dof * self.system.units.k_B * temperature)
         with Progress(n_steps, "equilibrating", progress) as bar, stop_on_interrupt(self._state):
             for done in range(every, n_steps + every, every):
+                before, step, time = self._saved(), self.step, self.time
                 self._advance(min(every, n_steps - done + every), look=False)
+                if self._kinetic_energy() > most:
+                    fault, failed = f"the kinetic energy has gone to {self._kinetic_energy():.3g} {self.system.units.energy}", self.step
+                    self._restore(before)
+                    self.step, self.time = step, time
+                    raise NonFiniteError(self._autopsy(fault, failed))
                 self.rescale_temperature(temperature)
                 bar.advance_to(min(done, n_steps))
         self.step, self.time, self._state.heat, self._noise_shift = 0, 0.0, 0.0, 0
@@ -110,6 +124,19 @@ class Simulation(Dynamics):
         FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
         """
         _check_counts(n_steps, every)
+        with self._running():
+            return self._run(n_steps, every, trajectory, store_forces, overwrite, observers, progress)
+
+    def _run(
+        self,
+        n_steps: int,
+        every: int,
+        trajectory: str | Path | Sequence[str | Path],
+        store_forces: bool,
+        overwrite: bool,
+        observers: Sequence[Observer],
+        progress: bool | None,
+    ) -> Record:
         self._check_start()
         self._noise_shift = 0
         self.record = Record(self.system.units, len(self.system))
@@ -134,6 +161,20 @@ class Simulation(Dynamics):
             if self._looked_at[1] != end:
                 self._check_energy(self._frame())
         return self.record
+
+    @contextmanager
+    def _running(self) -> Iterator[None]:
+        """Refuse a run inside a run."""
+        if self._is_running:
+            raise RuntimeError("this simulation is running: an observer can look and change things, but not run or equilibrate")
+        self._is_running = True
+        try:
+            yield
+        finally:
+            self._is_running = False
+
+    def _kinetic_energy(self) -> float:
+        return kinetic_energy(self.velocities, self.system.masses)
 
     def report(self) -> Report:
         """How well the last run conserved what it should, and how fast it was.

@@ -13,6 +13,7 @@ from minimd.units import UnitSystem
 if TYPE_CHECKING:
     import ase
 
+READ_ONLY = ("masses", "species_names", "species_index", "bonds", "units")
 LARGEST = 1e75  # of positions and velocities: their fourth powers are still numbers
 
 
@@ -69,6 +70,17 @@ class System:
         self.bonds = _bonds(bonds, len(self))
         for fixed in (self.masses, self.species_index, self.bonds):
             fixed.setflags(write=False)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Positions and velocities are copied into the arrays that a running simulation works on; what is read-only stays."""
+        if name in ("positions", "velocities") and name in self.__dict__:
+            self.__dict__[name][:] = _vectors(name, value, len(self))
+        elif name in READ_ONLY and name in self.__dict__:
+            raise AttributeError(f"{name} of a System cannot be changed; make a new System")
+        elif name == "cell" and not isinstance(value, Cell):
+            raise TypeError(f"the cell of a System can be replaced by a Cell, such as Cell.of(10.0); got {value!r}")
+        else:
+            super().__setattr__(name, value)
 
     def __len__(self) -> int:
         return len(self.positions)

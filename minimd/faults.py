@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.neighbors.closest import closest_pair
-from minimd.system import System
+from minimd.system import LARGEST, System
 
 RUNAWAY = 1e4  # a growth of the energies that no time step below the limit of stability explains
 HALF = 0.5  # of the energies: where they are exchanged, and not made, their sum changes by much less
@@ -18,9 +18,9 @@ def fault_of(system: System, timestep: float, longest_stride: float) -> str | No
     longest_stride : the largest cutoff [length]; an atom that moves farther in one step has passed its neighbors unseen.
     """
     for name in ("positions", "velocities"):
-        bad = np.flatnonzero(~np.isfinite(getattr(system, name)).all(axis=1))
+        bad = np.flatnonzero(~(np.abs(getattr(system, name)) <= LARGEST).all(axis=1))
         if bad.size:
-            return f"{name} of {bad.size} atoms are not finite (atom {bad[0]}{' ...' if bad.size > 1 else ''})"
+            return f"{name} of {bad.size} atoms are not finite, or beyond {LARGEST:g} (atom {bad[0]}{' ...' if bad.size > 1 else ''})"
     strides = _lengths(system.velocities) * abs(timestep)
     if strides.max() > longest_stride:
         atom = int(np.argmax(strides))

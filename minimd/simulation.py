@@ -242,6 +242,7 @@ class Simulation(Dynamics):
         (positions, velocities, _), *_, cell = self._looked_at
         return np.array_equal(self.positions, positions) and np.array_equal(self.velocities, velocities) and self.system.cell is cell
 
+
 def _check_counts(n_steps: int, every: int) -> None:
     for name, value, least in (("n_steps", n_steps, 0), ("every", every, 1)):
         if not isinstance(value, (int, np.integer)) or value < least:

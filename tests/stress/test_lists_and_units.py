@@ -36,7 +36,9 @@ def test_units_of_si_in_mixed_precision_give_the_same_physics(scales):
         assert np.abs(found - expected).max() < 1e-5 * np.abs(expected).max()  # rounding of float32
 
 
-@pytest.mark.parametrize("scales", [(1e-30, 1.0, 1.0), (1e30, 1.0, 1.0), (1e-30, 1e30, 1e-30), (1e20, 1e-30, 1.0), (1.0, 1e-40, 1.0), (1.0, 1e40, 1.0)])
+@pytest.mark.parametrize(
+    "scales", [(1e-30, 1.0, 1.0), (1e30, 1.0, 1.0), (1e-30, 1e30, 1e-30), (1e20, 1e-30, 1.0), (1.0, 1e-40, 1.0), (1.0, 1e40, 1.0)]
+)
 def test_units_beyond_float32_are_refused_in_mixed_precision(scales):
     """They gave forces of zero."""
     assert_stops("precision='mixed' has room for", lambda: scaled(*scales, 4, precision="mixed"), ValueError)

@@ -1,11 +1,14 @@
 """Scenes that nobody asked for, and somebody will run."""
 
+from time import perf_counter
+
 import numpy as np
 import pytest
 from stress_scenes import BOTTOM, OPEN, SMOOTH, assert_stops, forces_of, is_finite, oscillation, ran, solid
 
 import minimd as md
 from minimd.lattice import crystal
+from minimd.neighbors.closest import closest_pair
 
 
 def test_a_planet_and_a_moon_a_million_times_lighter():
@@ -169,7 +172,29 @@ def test_everything_fixed_is_refused():
         ran(solid(2), SMOOTH, 0.004, 10, constraints=md.FixedAtoms(np.ones(32, dtype=bool)))
 
 
-@pytest.mark.parametrize("method", [md.PositionVerlet, md.Leapfrog, md.integrators.BlanesMoan4, md.integrators.McLachlan4])
+@pytest.mark.parametrize("method", [md.PositionVerlet, md.Leapfrog, md.integrators.BlanesMoan4, md.integrators.PEFRL, md.integrators.Ruth3])
 def test_other_methods_are_stopped_past_their_limits_too(method):
     system = md.System([[0, 0, 0], [1.1, 0, 0]], bonds=[[0, 1]])
     assert_stops("total energy has gone|not finite", lambda: ran(system, md.HarmonicBond(1.0, 1.0), 4.0, 3000, method=method(12.0 / np.sqrt(2.0))))
+
+
+@pytest.mark.parametrize("pbc", [False, True])
+def test_the_closest_pair_is_found_in_a_crowd_with_one_atom_far_away(pbc):
+    """The words of an error must not take longer than the run."""
+    positions, _ = crystal("fcc", [28, 28, 28], 1.68)
+    positions[5], positions[-1] = positions[4] + [0.01, 0, 0], [1e6, 1e6, 1e6]
+    started = perf_counter()
+    pair = closest_pair(md.System(positions, cell=2e6 if pbc else None))
+    assert str(pair) == "atoms 4 and 5, 0.01 apart"
+    assert perf_counter() - started < 30.0
+
+
+@pytest.mark.parametrize("pbc", [(True, True, True), (False, True, False)])
+def test_the_closest_pair_is_the_first_of_all_neighbors(pbc):
+    rng = np.random.default_rng(2)
+    for n_atoms in (1, 2, 3, 20):
+        system = md.System(rng.uniform(-20, 20, (n_atoms, 3)), cell=[[3.0, 0, 0], [40.0, 5.0, 0], [1, -20.0, 7.0]], pbc=pbc)
+        pair = closest_pair(system)
+        i, j, d = md.neighbor_list("ijd", system, 60.0)
+        assert pair.distance == pytest.approx(d.min(), rel=1e-9)
+        assert (pair.first, pair.second) in set(zip(i[d < d.min() * 1.000001].tolist(), j[d < d.min() * 1.000001].tolist(), strict=True))

@@ -128,7 +128,9 @@ def test_atoms_exactly_on_the_faces_of_cells_belong_to_one_of_them(precision):
     expected = forces_of(simple, SMOOTH, precision=precision)
     rng = np.random.default_rng(2)
     for _ in range(5):
-        moved = np.where(positions == 0.0, rng.choice([0.0, -0.0, edge, -edge, np.nextafter(0, -1), np.nextafter(edge, 9)], positions.shape), positions)
+        moved = np.where(
+            positions == 0.0, rng.choice([0.0, -0.0, edge, -edge, np.nextafter(0, -1), np.nextafter(edge, 9)], positions.shape), positions
+        )
         found = forces_of(md.System(moved, cell=edges), SMOOTH, precision=precision)
         assert np.abs(found.forces).max() < (1e-11 if precision == "double" else 1e-3)
         assert found.potential_energy == pytest.approx(expected.potential_energy, rel=1e-12 if precision == "double" else 1e-6)

@@ -86,7 +86,9 @@ def test_rescaling_with_any_relaxation_is_finite(relaxation_time, temperature):
     assert np.ptp(simulation.record.conserved_energy) < 0.2
 
 
-@pytest.mark.parametrize("method", [md.LangevinBAOAB(0.002, 1e10, 1e3, 1), md.StochasticVelocityRescaling(0.002, 1e10, 1e-3, 1)], ids=["Langevin", "rescaling"])
+@pytest.mark.parametrize(
+    "method", [md.LangevinBAOAB(0.002, 1e10, 1e3, 1), md.StochasticVelocityRescaling(0.002, 1e10, 1e-3, 1)], ids=["Langevin", "rescaling"]
+)
 def test_a_bath_too_hot_for_the_step_stops(method):
     assert_stops("moves .* in one step, past every neighbor", lambda: ran(solid(3), SMOOTH, 0.002, 300, temperature=1.0, method=method))
 
@@ -95,14 +97,19 @@ def test_a_bath_too_hot_for_the_step_stops(method):
 @pytest.mark.parametrize("bath", [lambda dt: md.LangevinBAOAB(dt, 1.0, 0.01, 1), lambda dt: md.StochasticVelocityRescaling(dt, 1.0, 1e4, 1)])
 def test_a_weak_bath_does_not_hide_an_instability(bath, x):
     system = md.System([[0, 0, 0], [1.1, 0, 0]], bonds=[[0, 1]])
-    assert_stops("conserved energy has gone|not finite", lambda: ran(system, md.HarmonicBond(1.0, 1.0), 1.0, 2000, temperature=1.0, method=bath(x / np.sqrt(2.0))))
+    assert_stops(
+        "conserved energy has gone|not finite",
+        lambda: ran(system, md.HarmonicBond(1.0, 1.0), 1.0, 2000, temperature=1.0, method=bath(x / np.sqrt(2.0))),
+    )
 
 
 @pytest.mark.parametrize(("k", "start"), [(400.0, 1.0), (1.0, 0.1)])
 def test_equilibration_does_not_hide_a_blow_up(k, start):
     """Velocities are rescaled every few steps: what flies apart would look like a scene at that temperature."""
     law = md.HarmonicBond(k, 1.0) if k > 1.0 else md.LennardJones(1.0, 1.0)
-    simulation = md.Simulation(md.System([[0, 0, 0], [start + 0.1 * (k > 1.0), 0, 0], [2, 2, 2]], bonds=[[0, 1]]), law, md.VelocityVerlet(3.0 / 800**0.5))
+    simulation = md.Simulation(
+        md.System([[0, 0, 0], [start + 0.1 * (k > 1.0), 0, 0], [2, 2, 2]], bonds=[[0, 1]]), law, md.VelocityVerlet(3.0 / 800**0.5)
+    )
     simulation.set_temperature(1.0, seed=1)
     assert_stops("kinetic energy has gone to", lambda: simulation.equilibrate(2000, 1.0))
     assert np.abs(simulation.positions).max() < 100.0

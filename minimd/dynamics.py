@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from time import perf_counter
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from minimd import observables
 from minimd.compiling import compile_clock
 from minimd.errors import ConstraintError, NonFiniteError
-from minimd.faults import autopsy, broken_constraint, fault_at_start, fault_of
+from minimd.faults import autopsy, broken_constraint, fault_at_start, fault_of, runaway
 from minimd.forces import Forces, Potential
 from minimd.integrators.splitting import Splitting, State
 from minimd.options import Options
@@ -47,6 +47,7 @@ class Dynamics:
         self._state.constraints = self._rigidity.bonds
         self._state.k_B, self._state.n_dof = self.system.units.k_B, self.n_dof
         self._noise_shift = 0
+        self._first: dict[str, Any] | None = None  # observables at the first look of a run
         self._reason: ArithmeticError | None = None  # why the last attempt failed
 
     def __repr__(self) -> str:
@@ -159,10 +160,11 @@ class Dynamics:
         self._restore(before)
         for _ in range(n_steps):
             good = self._saved()
-            if self._attempt(1, look=False) is None:
-                fault = self._fault() or "the forces are not finite"
+            made = self._attempt(1, look=True)
+            fault = self._runaway() if made else self._fault() or "the forces are not finite"
+            if fault:
                 self._restore(good)
-                if isinstance(self._reason, ConstraintError):
+                if not made and isinstance(self._reason, ConstraintError):
                     raise ConstraintError(broken_constraint(self.system, self._reason, self.step + 1, self.method.timestep, self.step))
                 raise NonFiniteError(self._autopsy(fault, self.step + 1))
             self._count(1)
@@ -193,6 +195,14 @@ class Dynamics:
 
     def _fault(self) -> str | None:
         return fault_of(self.system, self.method.timestep, self._forces.longest_stride)
+
+    def _runaway(self) -> str | None:
+        """Whether the energies of the present state, which were just evaluated, have run away from those of the first look."""
+        kinetic, potential = observables.kinetic_energy(self.velocities, self.system.masses), self._forces.potential_energy
+        now = {"kinetic_energy": kinetic, "potential_energy": potential, "total_energy": kinetic + potential}
+        if self.method.is_thermostat:
+            now["conserved_energy"] = kinetic + potential - self._state.heat
+        return runaway(self.system, self.method.timestep, self._first, now) if self._first else None
 
     def _autopsy(self, fault: str, step: int) -> str:
         return autopsy(self.system, fault, step, self.method.timestep, self.step)

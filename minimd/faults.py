@@ -51,7 +51,7 @@ def runaway(system: System, timestep: float, first: Mapping[str, float], now: Ma
     before, after = (frame["kinetic_energy"] + abs(frame["potential_energy"]) for frame in (first, now))
     rounding = float(system.masses.sum()) * (float(np.spacing(np.abs(system.positions).max())) / timestep) ** 2
     if after > RUNAWAY * (before + rounding) and abs(now[name] - first[name]) > HALF * after:
-        return f"the {name.replace('_', ' ')} has gone from {first[name]:.3g} to {now[name]:.3g} {system.units.energy}"
+        return f"the {name.replace('_', ' ')} has gone from {first[name]:.3g} to {now[name]:.3g} {system.units.energy} since the run began"
     return None
 
 

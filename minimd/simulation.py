@@ -9,7 +9,7 @@ import numpy as np
 
 from minimd.dynamics import Dynamics
 from minimd.errors import NonFiniteError
-from minimd.faults import RUNAWAY, runaway
+from minimd.faults import RUNAWAY
 from minimd.forces import Potential
 from minimd.frames import observe
 from minimd.integrators.splitting import Splitting
@@ -64,7 +64,6 @@ class Simulation(Dynamics):
         super().__init__(system, potentials, method, constraints, Options(threads, precision, skin))
         self.record: Record | None = None
         self._is_running = False
-        self._first: Frame | None = None  # whose energies are those of the present run
         self._looked_at = self._saved(), self.step, self.time, self.system.cell
 
     def equilibrate(self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None) -> None:
@@ -79,6 +78,7 @@ class Simulation(Dynamics):
             self._equilibrate(n_steps, temperature, every, progress)
 
     def _equilibrate(self, n_steps: int, temperature: float, every: int, progress: bool | None) -> None:
+        self._first = None
         self._noise_shift = -n_steps - self.step  # noise of its own, for a thermostat: that of steps before the start
         self._check_start()
         most = RUNAWAY * (self._kinetic_energy() + abs(self._forces.potential_energy) + self.n_dof * self.system.units.k_B * temperature)
@@ -158,8 +158,10 @@ class Simulation(Dynamics):
                 bar.advance_to(self.step - start)
                 if self.step == next_look:
                     self._observe(self.record, writers, observers)
-            if self._looked_at[1] != end:
-                self._check_energy(self._frame())
+                elif self.step == end or self._is_hot():
+                    self._check_energy(self._frame())
+                else:
+                    self._looked_at = self._saved(), self.step, self.time, self.system.cell
         return self.record
 
     @contextmanager
@@ -229,13 +231,18 @@ class Simulation(Dynamics):
         if not np.isfinite(frame.observables["total_energy"]):
             raise NonFiniteError(self._autopsy("the potential energy is not finite", self.step))
         if self._first is None:
-            self._first = frame
-        fault = runaway(self.system, self.method.timestep, self._first.observables, frame.observables)
+            self._first = frame.observables
+        fault = self._runaway()
         if fault:
             self._restore(self._looked_at[0])
             self.step, self.time, _ = self._looked_at[1:]
-            raise NonFiniteError(self._autopsy(f"{fault} since step {self._first.step}", frame.step))
+            raise NonFiniteError(self._autopsy(fault, frame.step))
         self._looked_at = self._saved(), self.step, self.time, self.system.cell
+
+    def _is_hot(self) -> bool:
+        """Whether the kinetic energy alone, which costs nothing, makes a look at the energies worthwhile."""
+        first = self._first
+        return first is not None and self._kinetic_energy() > RUNAWAY * (first["kinetic_energy"] + abs(first["potential_energy"]))
 
     def _is_as_looked_at(self) -> bool:
         """Whether observers have only looked: their heat, and their work on the cell, are no fault of the method."""

@@ -43,7 +43,7 @@ def test_an_oscillator_above_its_limit_is_stopped(x, n_steps):
         simulation = md.Simulation(dumbbell(), SPRING, md.VelocityVerlet(x / FREQUENCY))
         message = assert_stops("total energy has gone from 0.005 to|not finite", lambda sim=simulation, every=every: sim.run(n_steps, every=every))
         assert "too large" in message
-        assert np.isfinite(simulation.positions).all()
+        assert np.abs(simulation.positions).max() < 1e4  # the state it was left in is one from before
 
 
 @pytest.mark.parametrize("potential", [OPEN, SMOOTH])
@@ -60,11 +60,14 @@ def test_a_lennard_jones_dimer_below_its_limit_is_bounded(potential, x):
 def test_a_lennard_jones_dimer_above_its_limit_is_stopped_or_told(potential, x):
     """It is thrown apart once: with an energy that a scene might have, which the report tells, or with one that stops the run."""
     simulation = md.Simulation(dimer(), potential, md.VelocityVerlet(x / np.sqrt(2.0 * CURVATURE)))
+    words = ""
     try:
         simulation.run(5000)
     except md.NonFiniteError as error:
-        assert "atoms 0 and 1" in str(error)
-        assert "too large" in str(error)
+        words = str(error)
+    if words:
+        assert "atoms 0 and 1" in words
+        assert "too large" in words
     else:
         assert is_finite(simulation)
         assert np.ptp(simulation.record.total_energy) > 0.5

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.compiling import kernel, scalar
 
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
+SIZES = (1e-75, 1e75)  # of lattice vectors [length]: their fourth powers are still numbers
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 
 
@@ -157,6 +158,9 @@ def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> 
     rows = vectors[pbc]
     if rows.size == 0:
         return
+    largest = np.abs(rows).max(axis=1)
+    if largest.min() < SIZES[0] or largest.max() > SIZES[1]:
+        raise ValueError(f"lattice vectors must be between {SIZES[0]:g} and {SIZES[1]:g} long; take other units: they are {rows.tolist()}")
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
         raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}")

@@ -11,7 +11,7 @@ from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.chunks import ATOMS_IN_A_CHUNK
 from minimd.neighbors.cluster_list import ClusterList, gather, scatter
 from minimd.options import Options
-from minimd.pair_laws import PairLaws, skin_for
+from minimd.pair_laws import PairLaws, check_single_precision, skin_for
 from minimd.potentials.cluster_loop import BLOCK, LANES, SHARES, ByLane, ForceSums, Sums, add_cluster_forces
 from minimd.potentials.law import is_user_law
 from minimd.potentials.pair_loop import FORCES, PER_ATOM, TOTALS
@@ -66,6 +66,8 @@ class ClusteredPairs:
     def __init__(self, system: System, laws: PairLaws, options: Options, stride: float = 0.0) -> None:
         self._team = team_of(max(1, min(options.most_threads, len(system) // ATOMS_IN_A_CHUNK)))
         self._is_mixed = options.precision == "mixed"
+        if self._is_mixed:
+            check_single_precision(laws)
         skin = skin_for(system, laws, options, stride)
         self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, self._is_mixed, self._team)
         self._laws = laws

@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from time import perf_counter
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from minimd.causes import Moment
 from minimd.compiling import compile_clock
 from minimd.curvature import stiffest_bond
 from minimd.errors import ConstraintError, NonFiniteError
-from minimd.faults import autopsy, broken_constraint, fault_at_start, fault_of, largest_acceleration, unstable_bond
+from minimd.faults import RUNAWAY, autopsy, broken_constraint, fault_at_start, fault_of, largest_acceleration, runaway, unstable_bond
 from minimd.forces import Potential
 from minimd.integrators.splitting import Splitting
 from minimd.motion import Motion
@@ -44,7 +44,9 @@ class Dynamics(Motion):
         super().__init__(system, potentials, method, constraints, options)
         self._run_seconds, self._run_steps = 0.0, 0
         self._checked_timestep = 0.0  # none yet
+        self._first: dict[str, Any] | None = None  # observables at the first look of a run
         self._reason: ArithmeticError | None = None  # why the last attempt failed
+        self._before: Moment | None = None  # the last steps that were made together
         self._moments: list[Moment] = []  # two to go back to, of which one is new
         self._first_step = 0  # of the present run
         self.failed_from: Moment | None = None  # where a replay of the last failure begins
@@ -56,7 +58,8 @@ class Dynamics(Motion):
     def _advance(self, n_steps: int, look: bool) -> None:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why."""
         before = self._saved()
-        self._keep(before)
+        self._before = Moment(self.step, self.time, *before)
+        self._keep(self._before)
         started, compiled = perf_counter(), compile_clock.seconds
         try:
             done = self._attempt(n_steps, look)
@@ -81,18 +84,20 @@ class Dynamics(Motion):
         self._reason = None
         return done if self._fault() is None else None
 
-    def _keep(self, state: tuple[NDArray, NDArray, float]) -> None:
+    def _keep(self, moment: Moment) -> None:
         """Remember the present moment, if the last one is some steps old."""
-        if not self._moments or self.step - self._moments[-1].step >= MOMENTS_APART:
-            self._moments = [*self._moments[-1:], Moment(self.step, self.time, *state)]
+        if not self._moments or moment.step - self._moments[-1].step >= MOMENTS_APART:
+            self._moments = [*self._moments[-1:], moment]
 
     def _replay(self, before: tuple[NDArray, NDArray, float], n_steps: int) -> NoReturn:
         """Repeat a failed run of steps one by one, up to the last good state; raise the error of the next."""
         self._restore(before)
         for _ in range(n_steps):
             good = self._saved()
-            if self._attempt(1, look=False) is None:
-                fault, at = self._fault() or "the forces are not finite", self.positions.copy()
+            made = self._attempt(1, look=True)
+            fault = self._runaway() if made else self._fault() or "the forces are not finite"
+            if fault:
+                at = self.positions.copy()
                 self._restore(good)
                 raise self._failure(fault, self.step + 1, at)
             self._count(1)
@@ -105,7 +110,7 @@ class Dynamics(Motion):
 
     def _check_start(self) -> None:
         """Look at the state anew, and raise NonFiniteError if the first step would throw atoms across the scene."""
-        self._moments, self._first_step, self._reason = [], self.step, None
+        self._moments, self._first_step, self._reason, self._before = [], self.step, None, None
         self._state.forces_are_current = False
         self._share_energy()
         self._rigidity.begin(self.system, self._state)
@@ -128,6 +133,49 @@ class Dynamics(Motion):
 
     def _fault(self) -> str | None:
         return fault_of(self.system, self.method.timestep, self._forces.longest_stride)
+
+    def _check_energy(self, seen: dict[str, Any]) -> None:
+        """Raise NonFiniteError if the energy seen is not finite or has run away, back in the state before the last steps."""
+        if not np.isfinite(seen["total_energy"]):
+            raise self._failure("the potential energy is not finite", self.step)
+        if self._first is None:
+            self._first = seen
+        self._fail_if(self._runaway())
+
+    def _check_heat(self, most: float) -> None:
+        """Raise NonFiniteError, likewise, if the kinetic energy is larger than this."""
+        kinetic = observables.kinetic_energy(self.velocities, self.system.masses)
+        self._fail_if(f"the kinetic energy has gone to {kinetic:.3g} {self.system.units.energy}" if kinetic > most else None)
+
+    def _fail_if(self, fault: str | None) -> None:
+        if fault:
+            step, at = self.step, self.positions.copy()
+            if self._before is not None:
+                self.go_to(self._before)
+            raise self._failure(fault, step, at)
+
+    def _energy_in_motion(self) -> float:
+        """K + |U| [energy]."""
+        return observables.kinetic_energy(self.velocities, self.system.masses) + abs(self._forces.potential_energy)
+
+    def _is_hot(self) -> bool:
+        """Whether the kinetic energy alone, which costs nothing, makes a look at the energies worthwhile."""
+        kinetic, first = observables.kinetic_energy(self.velocities, self.system.masses), self._first
+        return first is not None and kinetic > RUNAWAY * (first["kinetic_energy"] + abs(first["potential_energy"]))
+
+    def _fingerprint(self) -> tuple[Any, ...]:
+        """Numbers that change when somebody moves atoms, changes velocities or the cell."""
+        masses = self.system.masses
+        sums = observables.momentum(self.positions, masses), observables.momentum(self.velocities, masses)
+        return observables.kinetic_energy(self.velocities, masses), *np.concatenate(sums).tolist(), id(self.system.cell)
+
+    def _runaway(self) -> str | None:
+        """Whether the energies of the present state, which were just evaluated, have run away from those of the first look."""
+        kinetic, potential = observables.kinetic_energy(self.velocities, self.system.masses), self._forces.potential_energy
+        now = {"kinetic_energy": kinetic, "potential_energy": potential, "total_energy": kinetic + potential}
+        if self.method.is_thermostat:
+            now["conserved_energy"] = kinetic + potential - self._state.heat
+        return runaway(self.system, self.method.timestep, self._first, now) if self._first else None
 
     def _failure(self, fault: str, step: int, at: NDArray[np.float64] | None = None) -> NonFiniteError | ConstraintError:
         """The error for a run that failed in a step, with its autopsy; the system is in the last good state.  at : (N, 3), that of the failure."""

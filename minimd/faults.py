@@ -1,5 +1,6 @@
 """What can be wrong with a state, said in words: which atoms, how far, which pair is the first suspect."""
 
+from collections.abc import Mapping
 from math import sqrt
 
 import numpy as np
@@ -9,7 +10,10 @@ from minimd.curvature import StiffBond
 from minimd.integrators.splitting import Splitting
 from minimd.integrators.stability import stability_limit
 from minimd.neighbors.closest import closest_pair
-from minimd.system import System
+from minimd.system import LARGEST, System
+
+RUNAWAY = 1e4  # a growth of the energies that no time step below the limit of stability explains
+HALF = 0.5  # of the energies: where they are exchanged, and not made, their sum changes by much less
 
 
 @kernel
@@ -44,10 +48,10 @@ def fault_of(system: System, timestep: float, longest_stride: float) -> str | No
     longest_stride : the largest cutoff [length]; an atom that moves farther in one step has passed its neighbors unseen.
     """
     for name in ("positions", "velocities"):
-        if not np.isfinite(longest(getattr(system, name))[1]):
-            bad = np.flatnonzero(~np.isfinite(getattr(system, name)).all(axis=1))
+        if not longest(getattr(system, name))[1] <= LARGEST:
+            bad = np.flatnonzero(~(np.abs(getattr(system, name)) <= LARGEST).all(axis=1))
             if bad.size:
-                return f"{name} of {bad.size} atoms are not finite (atom {bad[0]}{' ...' if bad.size > 1 else ''})"
+                return f"{name} of {bad.size} atoms are not finite, or beyond {LARGEST:g} (atom {bad[0]}{' ...' if bad.size > 1 else ''})"
     atom, speed = longest(system.velocities)
     stride = speed * abs(timestep)
     if stride > longest_stride:
@@ -74,11 +78,27 @@ def fault_at_start(
     return fault_of(system, timestep, longest_stride)
 
 
+def runaway(system: System, timestep: float, first: Mapping[str, float], now: Mapping[str, float]) -> str | None:
+    """What a method does beyond its limit of stability: energies grow without bound. None if they do not.
+
+        K + |U| > RUNAWAY (K₀ + |U₀| + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²
+
+    first, now : observables of two frames.  E is the total energy, minus what a thermostat has put in; R is the energy [energy] that the
+    rounding of positions can make in a step.
+    """
+    name = "conserved_energy" if "conserved_energy" in now else "total_energy"
+    before, after = (frame["kinetic_energy"] + abs(frame["potential_energy"]) for frame in (first, now))
+    rounding = float(system.masses.sum()) * (float(np.spacing(np.abs(system.positions).max())) / timestep) ** 2
+    if after > RUNAWAY * (before + rounding) and abs(now[name] - first[name]) > HALF * after:
+        return f"the {name.replace('_', ' ')} has gone from {first[name]:.3g} to {now[name]:.3g} {system.units.energy} since the run began"
+    return None
+
+
 def autopsy(system: System, fault: str, step: int, timestep: float, last_good_step: int) -> str:
     """The fault with its circumstances, one sentence for an error; system is in the last good state."""
-    units = system.units
+    units, pair = system.units, closest_pair(system)
     return (
-        f"{fault}, at step {step}; the closest pair before it is {closest_pair(system)}: overlapping atoms, or timestep "
+        f"{fault}, at step {step}; {f'the closest pair before it is {pair}: overlapping atoms, or ' if pair else ''}timestep "
         f"{timestep * units.to_picosecond * units.shown_small_time:g} {units.small_time} too large; "
         f"minimize moves atoms apart, advise_timestep tells how large it may be. "
         f"The system holds the last good state, that of step {last_good_step}"
@@ -87,10 +107,10 @@ def autopsy(system: System, fault: str, step: int, timestep: float, last_good_st
 
 def broken_constraint(system: System, reason: ArithmeticError, step: int, timestep: float, last_good_step: int) -> str:
     """A constraint that could not be kept, with its circumstances; system is in the last good state."""
-    units = system.units
+    units, pair = system.units, closest_pair(system)
     return (
-        f"{reason}, at step {step}; reduce the timestep ({timestep * units.to_picosecond * units.shown_small_time:g} {units.small_time}), "
-        f"or look for overlapping atoms: the closest pair is {closest_pair(system)}. "
+        f"{reason}, at step {step}; reduce the timestep ({timestep * units.to_picosecond * units.shown_small_time:g} {units.small_time})"
+        f"{f', or look for overlapping atoms: the closest pair is {pair}' if pair else ''}. "
         f"The system holds the last good state, that of step {last_good_step}"
     )
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from minimd.clustered import ClusteredPairs
@@ -96,9 +97,7 @@ class Forces:
         if detail in self._compiled:
             self._sum(detail)
         else:
-            with announce_compilation():
-                self._sum(detail)
-            self._compiled.add(detail)
+            self._compile(detail)
         self.n_evaluations += 1
         self._detail = detail
         return self.forces
@@ -110,6 +109,17 @@ class Forces:
         if len(self._energies) != n:
             self._energies, self._virials = np.empty(n), np.empty((n, 6))
         self._energies[:], self._virials[:] = 0.0, 0.0
+
+    def _compile(self, detail: int) -> None:
+        """The first sum; a law of the user's may not compile."""
+        try:
+            with announce_compilation():
+                self._sum(detail)
+        except NumbaError as error:
+            laws = ", ".join(repr(potential) for potential in self.potentials)
+            reason = str(error).strip().splitlines()[0]
+            raise TypeError(f"a law among {laws} does not compile; laws are arithmetic on numbers, as numba.njit takes it: {reason}") from error
+        self._compiled.add(detail)
 
     def _sum(self, detail: int) -> None:
         for term in self.terms:

@@ -32,7 +32,7 @@ class Motion:
         options: Options,
     ) -> None:
         self._method = _checked(method)
-        self.system = system.copy() if isinstance(system, System) else System.from_ase(system)
+        self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
         self.step = 0
         self.time = 0.0
         self._forces = Forces(self.system, potentials, options)
@@ -46,6 +46,11 @@ class Motion:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.system!r}, {self.method!r}, step {self.step})"
+
+    @property
+    def system(self) -> System:
+        """The state; its arrays can be changed, not replaced by those of another system."""
+        return self._system
 
     @property
     def method(self) -> Splitting:

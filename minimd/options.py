@@ -6,6 +6,7 @@ from typing import Literal
 
 from minimd.team import available_cores
 
+HUGE = 1e75  # [length]: no scene is so large
 PRECISIONS = ("double", "mixed")
 
 
@@ -32,8 +33,8 @@ class Options:
             raise ValueError(f"threads must be a whole number, at least 1, or None for all cores; threads = {self.threads!r}")
         if self.precision not in PRECISIONS:
             raise ValueError(f"precision must be one of {', '.join(PRECISIONS)}; precision = {self.precision!r}")
-        if self.skin is not None and not (isinstance(self.skin, Real) and 0.0 <= self.skin < float("inf")):
-            raise ValueError(f"skin must be finite and not negative; skin = {self.skin!r}")
+        if self.skin is not None and not (isinstance(self.skin, Real) and 0.0 <= self.skin < HUGE):
+            raise ValueError(f"skin must be a number from 0 to {HUGE:g}; skin = {self.skin!r}")
 
     @property
     def most_threads(self) -> int:

@@ -1,18 +1,22 @@
 """What the pair potentials of a scene say about it: laws, parameters, reach, excluded pairs; and the rule which list it gets."""
 
 from collections.abc import Iterable, Sequence
+from math import isfinite
 
 import numpy as np
 
 from minimd.neighbors.skin import LEAST_SKIN, best_skin
 from minimd.options import Options
 from minimd.potentials.cluster_loop import runs_on_vectors
+from minimd.potentials.law import evaluate_law
 from minimd.potentials.pair import PairPotential
 from minimd.system import System, number_density
 from minimd.topology import pairs_by_bonds_apart
 
 CLUSTERS_FROM = 64  # atoms: below, the pair list is as fast
 ROUNDED_DOWN = 1.0 - 1e-9
+SINGLE = (1e-34, 1e30)  # float32 ends at 1e-38 and 3e38; the products in a law need room beside their results
+TRIED_AT = (0.3, 0.5, 0.7, 0.9)  # of the cutoff
 
 
 class PairLaws:
@@ -56,6 +60,27 @@ def _check_cutoffs(system: System, potentials: Sequence[PairPotential]) -> None:
             raise ValueError(f"cutoff must be given in a periodic cell; that of {type(potential).__name__} is None")
         if potential.tail_correction and system.volume is None:
             raise ValueError("tail_correction needs a density: a cell that is periodic in all three directions")
+
+
+def check_single_precision(laws: PairLaws) -> None:
+    """Raise ValueError if squared distances, energies or forces of a law have no room in float32, as they may in units far from those of atoms."""
+    for potential, table in zip(laws.potentials, laws.tables, strict=True):
+        for cutoff2, *numbers in table.reshape(-1, table.shape[-1]).tolist():
+            u, f = np.abs([_tried(potential.law, x * x * cutoff2, tuple(numbers)) for x in TRIED_AT]).max(axis=0)
+            sizes = [size for size in (TRIED_AT[0] ** 2 * cutoff2, cutoff2, float(u), float(f)) if size > 0.0 and isfinite(size)]
+            if min(sizes) < SINGLE[0] or max(sizes) > SINGLE[1]:
+                raise ValueError(
+                    f"precision='mixed' has room for squared distances, energies and forces from {SINGLE[0]:g} to {SINGLE[1]:g}; those of "
+                    f"{type(potential).__name__} go from {min(sizes):.1e} to {max(sizes):.1e}: take other units, or precision='double'"
+                )
+
+
+def _tried(law: tuple, r2: float, numbers: tuple[float, ...]) -> tuple[float, float]:
+    try:
+        u, f = evaluate_law(law, r2, numbers)
+        return float(u), float(f)
+    except (ArithmeticError, ValueError, TypeError):  # of a law of the user's, which may end before the cutoff
+        return 0.0, 0.0
 
 
 def skin_for(system: System, laws: PairLaws, options: Options, stride: float) -> float:

@@ -11,6 +11,8 @@ from minimd.safety import Line
 
 BLOCKS = 20  # averages of the total energy between which the drift is fitted
 SIGNIFICANT = 3.0  # standard errors
+LARGEST_RANGE = 0.5  # of the kinetic energy
+RANGE_OF_ROUNDING = 1e-11  # of the potential energy
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
 FEW = 4  # frames below which nothing can be judged
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
@@ -100,7 +102,7 @@ class Report:
     constraint_violation : largest |r² − d²|/d², or None without constraints.
     mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
     duration : [ps or τ].  n_frames, n_steps : observed, and between the first and the last.  cost : of the run, if known.
-    kinetic_energy : mean per atom [energy].
+    kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : as those of the energy, of the shadow energy; None and 0 where it was not recorded.
     lines : what can be said without a run: see minimd.safety.
     """
@@ -122,10 +124,16 @@ class Report:
     shadow_drift: Drift | None = None
     shadow_oscillation: float = 0.0
     lines: tuple[Line, ...] = ()
+    energy_range: float = 0.0
 
     @property
     def energy_is_conserved(self) -> bool | None:
-        """True if the drift is zero within three standard errors, or below 1e-6 of the kinetic energy in each ps or τ; None if unknown."""
+        """True if the drift is zero within three standard errors, or below 1e-6 of the kinetic energy in each ps or τ; None if unknown.
+
+        Energies that differ by half the kinetic energy are not conserved, whatever the line through them: one bad step is no drift.
+        """
+        if not self.has_bath and self.energy_range > LARGEST_RANGE * self.kinetic_energy:
+            return False
         if self.n_frames < FEW:
             return None
         return not self.energy_drift.is_significant or abs(self.energy_drift.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
@@ -220,6 +228,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         shadow_oscillation=0.0 if shadow is None or shadow_slope is None else _oscillation(time, shadow, shadow_slope),
         lines=tuple(lines),
         units=(units.energy, units.shown_time, units.temperature),
+        energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())),
     )
 
 

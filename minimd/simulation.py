@@ -1,6 +1,7 @@
 """Simulation: a system, its forces and a method; runs steps and lets observers look between them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from minimd.autopsy import left_at, place_of
 from minimd.dynamics import Dynamics
+from minimd.faults import RUNAWAY
 from minimd.forces import Potential
 from minimd.frames import observe
 from minimd.integrators.splitting import Splitting
@@ -68,6 +70,7 @@ class Simulation(Dynamics):
         self.record: Record | None = None
         self.extra_observables: Sequence[str] = ()
         self.reversibility: Reversibility | None = None
+        self._is_running = False
 
     def equilibrate(self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None, autopsy: str | Path | None = None) -> None:
         """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again.
@@ -80,23 +83,26 @@ class Simulation(Dynamics):
         NonFiniteError, KeyboardInterrupt : as run does.  ValueError : for counts or a temperature out of range.
         """
         _check_counts(n_steps, every)
-        self._equilibrated += n_steps
-        self.noise_shift = -self._equilibrated - self.step
-        try:
-            with (
-                left_at(place_of(autopsy or False, ()), self, False),
-                Progress(n_steps, "equilibrating", progress) as bar,
-                stop_on_interrupt(self._state),
-            ):
-                self._check_start()
-                for done in range(every, n_steps + every, every):
-                    self._advance(min(every, n_steps - done + every), look=False)
-                    self.rescale_temperature(temperature)
-                    self._moments = []  # a replay does not rescale
-                    bar.advance_to(min(done, n_steps))
-        finally:
-            self.noise_shift = 0
+        with self._running(), left_at(place_of(autopsy or False, ()), self, False):
+            self._equilibrated += n_steps
+            self.noise_shift = -self._equilibrated - self.step
+            try:
+                self._equilibrate(n_steps, temperature, every, progress)
+            finally:
+                self.noise_shift = 0
         self.step, self.time, self._state.heat = 0, 0.0, 0.0
+
+    def _equilibrate(self, n_steps: int, temperature: float, every: int, progress: bool | None) -> None:
+        self._first = None
+        with Progress(n_steps, "equilibrating", progress) as bar, stop_on_interrupt(self._state):
+            self._check_start()
+            most = RUNAWAY * (self._energy_in_motion() + self.n_dof * self.system.units.k_B * temperature)
+            for done in range(every, n_steps + every, every):
+                self._advance(min(every, n_steps - done + every), look=False)
+                self._check_heat(most)
+                self.rescale_temperature(temperature)
+                self._moments = []  # a replay does not rescale
+                bar.advance_to(min(done, n_steps))
 
     def minimize(
         self,
@@ -149,10 +155,23 @@ class Simulation(Dynamics):
         """
         _check_counts(n_steps, every)
         self._check_extras()
+        with self._running():
+            return self._run(n_steps, every, (trajectory, store_forces, overwrite), observers, progress, autopsy)
+
+    def _run(
+        self,
+        n_steps: int,
+        every: int,
+        files: tuple[str | Path | Sequence[str | Path], bool, bool],
+        observers: Sequence[Observer],
+        progress: bool | None,
+        autopsy: str | Path | bool,
+    ) -> Record:
+        trajectory, store_forces, overwrite = files
         with left_at(place_of(autopsy, trajectory), self, overwrite):
             self._check_start()
         self.record = Record(self.system.units, len(self.system))
-        self._run_seconds, self._run_steps = 0.0, 0
+        self._run_seconds, self._run_steps, self._first = 0.0, 0, None
         self._forces.reset_counts()
         if self._state.constraints is not None:
             self._state.constraints.iterations = 0
@@ -167,10 +186,12 @@ class Simulation(Dynamics):
             while self.step < end:
                 next_look = self.step + every - (self.step - start) % every
                 n_steps_now = min(STEPS_BETWEEN_CHECKS, next_look - self.step, end - self.step)
-                self._advance(n_steps_now, look=self.step + n_steps_now == next_look)
+                self._advance(n_steps_now, look=self.step + n_steps_now in (next_look, end))
                 bar.advance_to(self.step - start)
                 if self.step == next_look:
                     self._observe(self.record, writers, observers)
+                elif self.step == end or self._is_hot():
+                    self._check_energy(self._frame().observables)
         return self.record
 
     def probe_reversibility(self, n_steps: int) -> Reversibility:
@@ -195,6 +216,17 @@ class Simulation(Dynamics):
             self.go_to(before)
             self._run_seconds, self._run_steps, self._forces.counts = counted
         return self.reversibility
+
+    @contextmanager
+    def _running(self) -> Iterator[None]:
+        """Refuse a run inside a run."""
+        if self._is_running:
+            raise RuntimeError("this simulation is running: an observer can look and change things, but not run or equilibrate")
+        self._is_running = True
+        try:
+            yield
+        finally:
+            self._is_running = False
 
     def report(self) -> Report:
         """How well the last run conserved what it should, and how fast it was.
@@ -244,15 +276,16 @@ class Simulation(Dynamics):
 
     def _observe(self, record: Record, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
         frame = self._frame()
-        if not np.isfinite(frame.observables["total_energy"]):
-            raise self._failure("the potential energy is not finite", self.step)
+        self._check_energy(frame.observables)
         record.append(frame)
         for writer in writers:
             writer.write(frame)
-        for observer in observers:
-            observer(self)
-            self._state.forces_are_current = False  # it may have moved atoms
         if observers:
+            before = self._fingerprint()
+            for observer in observers:
+                observer(self)
+                self._state.forces_are_current = False  # it may have moved atoms
+            self._first = self._first if self._fingerprint() == before else None  # its heat, its work on the cell: no fault of the method
             self._rigidity.begin(self.system, self._state)
 
 

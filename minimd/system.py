@@ -13,6 +13,9 @@ from minimd.units import UnitSystem
 if TYPE_CHECKING:
     import ase
 
+READ_ONLY = ("masses", "species_names", "species_index", "bonds", "units")
+LARGEST = 1e75  # of positions and velocities: their fourth powers are still numbers
+
 
 class System:
     """N atoms: where they are, how fast, how heavy, of which species, in which cell, bonded how.
@@ -68,6 +71,17 @@ class System:
         for fixed in (self.masses, self.species_index, self.bonds):
             fixed.setflags(write=False)
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Positions and velocities are copied into the arrays that a running simulation works on; what is read-only stays."""
+        if name in ("positions", "velocities") and name in self.__dict__:
+            self.__dict__[name][:] = _vectors(name, value, len(self))
+        elif name in READ_ONLY and name in self.__dict__:
+            raise AttributeError(f"{name} of a System cannot be changed; make a new System")
+        elif name == "cell" and not isinstance(value, Cell):
+            raise TypeError(f"the cell of a System can be replaced by a Cell, such as Cell.of(10.0); got {value!r}")
+        else:
+            super().__setattr__(name, value)
+
     def __len__(self) -> int:
         return len(self.positions)
 
@@ -114,6 +128,8 @@ class System:
 
 def _numbers(name: str, values: ArrayLike, expected: str) -> NDArray[np.float64]:
     try:
+        if np.ma.is_masked(values) or np.iscomplexobj(values):
+            raise ValueError("some are masked" if np.ma.is_masked(values) else "they are complex")
         return np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must be {expected}: {error}") from None
@@ -129,6 +145,8 @@ def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArra
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if bad.size:
         raise ValueError(f"{name} must be finite; {name}[{bad[0]}] = {array[bad[0]].tolist()}" + _and_others(bad))
+    if np.abs(array).max() > LARGEST:
+        raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {np.abs(array).max():g}: take other units")
     return array
 
 

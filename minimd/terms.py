@@ -17,9 +17,11 @@ from minimd.potentials.laws import Scaled
 from minimd.potentials.pair import PairPotential
 from minimd.potentials.pair_loop import FORCES, fixed_pairs, pair_loop_for
 from minimd.potentials.parameters import ByPair, BySpecies, SameForAll, from_table
-from minimd.system import System, checked_pairs
+from minimd.system import System, checked_pairs, number_density
 
 ALL_PAIRS_UP_TO = 100  # atoms: below, an open scene is faster without a list that has to be rebuilt
+MOST_PAIRS = 2**30  # 8 bytes each
+MOST_IMAGES = 2**22  # 72 bytes each
 
 Potential = Any  # PairPotential, BondPotential, HarmonicAngle, or an object with bind(system) that returns a Term
 
@@ -80,7 +82,9 @@ class ListedPairs:
         cutoff = laws.cutoff
         if not system.cell.is_periodic and len(system) <= ALL_PAIRS_UP_TO:
             cutoff = np.inf
-        self.list = PairList(len(system), cutoff, skin_for(system, laws, options, stride) if cutoff < np.inf else 0.0, laws.excluded)
+        skin = skin_for(system, laws, options, stride) if cutoff < np.inf else 0.0
+        _check_size(system, cutoff, skin)
+        self.list = PairList(len(system), cutoff, skin, laws.excluded)
         self._laws, self._loops = laws, [pair_loop_for(law) for law in laws.laws]
         self._parameters: list[tuple] = []
         self._parameters_of = 0  # which build of the list
@@ -215,6 +219,20 @@ def _scaled_pairs(system: System, potential: PairPotential, table: NDArray, pair
     rows = table[species[:, 0], species[:, 1]]
     rows = np.column_stack([rows[:, 0], np.full(len(rows), factor), rows[:, 1:]])
     return FixedPairs(system, pairs, Scaled(potential.law), rows)
+
+
+def _check_size(system: System, cutoff: float, skin: float) -> None:
+    """Raise ValueError for more pairs or images than a list can hold: those of a huge reach in a small cell, or of a huge scene without cutoff."""
+    n_atoms, reach, cell = len(system), cutoff + skin, system.cell
+    n_pairs = 0.5 * n_atoms**2
+    if reach < np.inf:
+        among_all = 0.5 * n_atoms * number_density(system, reach) * 4.0 / 3.0 * np.pi * reach**3
+        n_pairs = among_all if cell.is_periodic else min(n_pairs, among_all)
+    n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
+    for name, number, most in (("pairs", n_pairs, MOST_PAIRS), ("images of the cell", n_images, MOST_IMAGES)):
+        if number > most:
+            hint = f"reduce the cutoff ({cutoff:g})" if skin < cutoff else f"reduce the skin ({skin:g})"
+            raise ValueError(f"pair lists hold up to {most:.1e} {name}, this scene needs about {number:.1e}: {hint}")
 
 
 def _check_atoms(name: str, groups: NDArray[np.int64], pair: NDArray[np.int64], n_atoms: int) -> None:

@@ -3,13 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from minimd.neighbors.listing import neighbor_list
-from minimd.system import System
+from minimd.system import LARGEST, System
 
-FAR = 1e150  # coordinates beyond have no finite square
-GROWTH = 1.5  # the search radius grows by this factor until a pair is found
-FIRST = 0.15  # of the spacing at which the diagonal of the scene is shared out among the atoms: half of what it is in a liquid
+BEYOND = 1.0 + 1e-9  # of a distance, to find the pair that has it
 
 
 class ClosestPair(NamedTuple):
@@ -24,22 +23,36 @@ class ClosestPair(NamedTuple):
 
 
 def closest_pair(system: System) -> ClosestPair | None:
-    """The two atoms that are closest to each other; None for a single atom in an open cell or where no distance is finite."""
-    finite = np.flatnonzero((np.abs(system.positions) < FAR).all(axis=1))
-    if finite.size == 0 or (finite.size == 1 and not system.cell.is_periodic):
+    """The two atoms that are closest to each other; None for a single atom in an open cell or where no distance is finite.
+
+    Atoms in one cell first, in N log N however unevenly they lie; what is closer through an image is then
+    searched within that distance of the faces.
+    """
+    known, cell = np.flatnonzero((np.abs(system.positions) <= LARGEST).all(axis=1)), system.cell
+    if known.size == 0 or (known.size == 1 and not cell.is_periodic):
         return None
-    part = System(system.positions[finite], cell=system.cell)
-    spread = np.ptp(part.positions, axis=0) if not system.cell.is_periodic else system.cell.heights[system.cell.pbc]
-    if not np.any(spread):
-        return ClosestPair(int(finite[0]), int(finite[1]), 0.0)
-    largest = 2.0 * float(np.linalg.norm(spread)) + np.finfo(float).tiny
-    cutoff = FIRST * largest / max(2.0, 2.0 * len(part)) ** (1.0 / 3.0)
-    while True:
-        i, j, d = neighbor_list("ijd", part, cutoff)
-        if d.size or cutoff > largest * GROWTH:
-            break
-        cutoff *= GROWTH
-    if d.size == 0:
-        return None
-    p = int(np.argmin(d))
-    return ClosestPair(int(finite[i[p]]), int(finite[j[p]]), float(d[p]))
+    fractional = np.einsum("ij,jk->ik", system.positions[known], cell.inverse)
+    fractional = np.where(cell.pbc, fractional - np.floor(fractional), fractional)
+    here = fractional @ cell.lattice
+    best = _closest_of(here)
+    reach = BEYOND * min(best.distance, float(np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf)))  # an atom and its own image
+    from_faces = (np.minimum(fractional, 1.0 - fractional) * cell.heights)[:, cell.pbc]
+    near = np.flatnonzero((from_faces <= reach).any(axis=1))
+    if near.size and reach > 0.0:
+        i, j, d = neighbor_list("ijd", System(here[near], cell=cell), reach)
+        if d.min(initial=np.inf) < best.distance:
+            p = int(np.argmin(d))
+            best = ClosestPair(int(near[i[p]]), int(near[j[p]]), float(d[p]))
+    return ClosestPair(int(known[best.first]), int(known[best.second]), best.distance)
+
+
+def _closest_of(positions: NDArray[np.float64]) -> ClosestPair:
+    """Without images; a distance of infinity for one atom."""
+    if len(positions) == 1:
+        return ClosestPair(0, 0, np.inf)
+    from scipy.spatial import KDTree
+
+    distances, partners = KDTree(positions).query(positions, k=2)
+    i = int(np.argmin(distances[:, 1]))
+    j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
+    return ClosestPair(min(i, j), max(i, j), float(distances[i, 1]))

@@ -13,6 +13,7 @@ from minimd.potentials.mixing import MIXING, Parameters
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
+HUGE = 1e75  # [length]: no scene is so large
 NODES = (64, 32)  # of two Gauss-Legendre rules; where they differ by more than this, relatively, an integral does not exist
 CONVERGED = 1e-8
 TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where laws of the user's are tried
@@ -218,8 +219,8 @@ def _checked_cutoff(cutoff: float | Mapping[tuple[Label, Label], float] | None) 
         return inf
     values = list(cutoff.values()) if isinstance(cutoff, Mapping) else [cutoff]
     for value in values:
-        if not (isinstance(value, Real) and isfinite(value) and value > 0.0):
-            raise ValueError(f"cutoff must be positive and finite; cutoff = {value!r}; leave it out for none")
+        if not (isinstance(value, Real) and 0.0 < value < HUGE):
+            raise ValueError(f"cutoff must be positive and finite, below {HUGE:g}; cutoff = {value!r}; leave it out for none")
     return float(max(values))
 
 

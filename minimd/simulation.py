@@ -83,11 +83,12 @@ class Simulation(Dynamics):
         NonFiniteError, KeyboardInterrupt : as run does.  ValueError : for counts or a temperature out of range.
         """
         _check_counts(n_steps, every)
-        with self._running(), left_at(place_of(autopsy or False, ()), self, False):
+        with self._running():
             self._equilibrated += n_steps
             self.noise_shift = -self._equilibrated - self.step
             try:
-                self._equilibrate(n_steps, temperature, every, progress)
+                with left_at(place_of(autopsy or False, ()), self, False):
+                    self._equilibrate(n_steps, temperature, every, progress)
             finally:
                 self.noise_shift = 0
         self.step, self.time, self._state.heat = 0, 0.0, 0.0

@@ -63,7 +63,7 @@ class StepAdvice:
         lines = [
             f"stiffest mode  ω = {self.frequency:.4g} / {self.units.time}, period {self._time(self.period)}",
             f"               {self._motion()}",
-            f"limit          {self._time(self.limit)} for {self.method}: longer steps blow up",
+            f"limit          {self._time(self.limit)} for {self.method}: longer steps blow up, and at a temperature shorter ones may",
             f"recommended    {self._time(self.recommended)}: {self.period / self.recommended:.3g} steps a period",
         ]
         if self.timestep is not None:

@@ -165,7 +165,7 @@ def _left(error: NonFiniteError | ConstraintError, path: Path, simulation: "Simu
     except (OSError, ValueError, TypeError, ArithmeticError) as reason:  # the failure itself must be heard
         return f"No autopsy was written: {reason}"
     error.file = file
-    return f"Autopsy in {file}; look again with: minimd replay {file}"
+    return f"Autopsy in {file}; look again with: minimd replay {file}, or, in a script, minimd.replay(file, potentials)"
 
 
 def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.contacts import Contact, contacts
+from minimd.integrators.constraints import DistanceConstraints
 from minimd.integrators.rows import Row
 from minimd.integrators.stability import stability_limit
 from minimd.neighbors.closest import closest_pair
@@ -90,7 +91,7 @@ def overlap_at_start(evidence: Evidence) -> Verdict | None:
     now = evidence.system
     system = System(evidence.start.positions, masses=now.masses, cell=now.cell, species=now.species, bonds=now.bonds, units=now.units)
     closest = closest_pair(system)
-    if closest is None:
+    if closest is None or _are_joined(now, int(closest.first), int(closest.second)):
         return None
     found = contacts(system, evidence.potentials, evidence.inverse_masses, {int(closest.first), int(closest.second)})
     over = [one for one in found if not one.is_bond and (is_overlap(one) or _is_thrown(one, evidence))]
@@ -166,6 +167,12 @@ RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (
     too_hot,
     long_step,
 )
+
+
+def _are_joined(system: System, i: int, j: int) -> bool:
+    """Whether a bond or a rigid length holds two atoms together, so that they are close by right."""
+    known = [system.bonds, *(one.pairs for one in system.constraints if isinstance(one, DistanceConstraints))]
+    return any(bool(((pairs == (i, j)) | (pairs == (j, i))).all(axis=1).any()) for pairs in known if len(pairs))
 
 
 def is_overlap(contact: Contact) -> bool:

@@ -146,6 +146,8 @@ def _as_matrix(vectors: ArrayLike | None) -> NDArray[np.float64]:
         return np.zeros((3, 3))
     array = np.array(vectors, dtype=np.float64)
     if array.ndim == 0 or array.shape == (3,):
+        if (array < 0.0).any():
+            raise ValueError(f"lengths of a cell must not be negative; cell = {array.tolist()}")
         array = np.diag(np.broadcast_to(array, 3)).copy()
     if array.shape != (3, 3):
         raise ValueError(f"cell must be one length, three lengths or a (3, 3) array of rows; its shape is {array.shape}")

@@ -1,5 +1,6 @@
 """Forces: the sum of all terms of a scene, each step; energies and virial when somebody looks."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -13,8 +14,10 @@ from minimd.compiling import announce_compilation
 from minimd.errors import NonFiniteError
 from minimd.neighbors.closest import closest_pair
 from minimd.options import Options
+from minimd.potentials.bonded import BondPotential
 from minimd.potentials.pair import PairPotential
 from minimd.potentials.pair_loop import FORCES, PER_ATOM, TOTALS
+from minimd.stacklevel import outside_minimd
 from minimd.system import System
 from minimd.terms import FixedPairs, ListedPairs, Potential, Term, plan
 
@@ -47,6 +50,7 @@ class Forces:
     def __init__(self, system: System, potentials: Potential | Sequence[Potential], options: Options | None = None) -> None:
         self.system, self.options = system, options or Options()
         self.potentials = tuple(potentials) if isinstance(potentials, Sequence) and not isinstance(potentials, str) else (potentials,)
+        _warn_of_missing_bonds(system, self.potentials)
         self._stride = 0.0
         self.terms: list[Term] = []
         self.n_evaluations, self._builds_before = 0, 0
@@ -193,6 +197,18 @@ class Forces:
             tails = [potential.tail(counts, self.system.species_names, volume) for potential in corrected]
             self._tail = (volume, sum(u for u, _ in tails), sum(w for _, w in tails))
         return self._tail[1], self._tail[2]
+
+
+def _warn_of_missing_bonds(system: System, potentials: Sequence[Potential]) -> None:
+    """Say that something is meant for bonds where there are none."""
+    if len(system.bonds):
+        return
+    for potential in potentials:
+        scaled = isinstance(potential, PairPotential) and potential.bonded_scale != (1.0, 1.0, 1.0)
+        if scaled or (isinstance(potential, BondPotential) and potential.pairs is None):
+            what = f"bonded_scale of {potential!r}" if scaled else repr(potential)
+            hint = "give them as System(bonds=...) or System.from_ase(atoms, bonds=...)"
+            warnings.warn(f"{what} has no effect: the system has no bonds; {hint}", stacklevel=outside_minimd())
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Motion: a system, its forces, its constraints and a method; the state, and what can be asked of it."""
 
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from minimd.integrators.splitting import Splitting, State
 from minimd.options import Options
 from minimd.potentials.pair_loop import FORCES, TOTALS
 from minimd.rigidity import Constraint, Rigidity
+from minimd.stacklevel import outside_minimd
 from minimd.system import System
 from minimd.velocities import maxwell_boltzmann, rescaled
 
@@ -36,6 +38,7 @@ class Motion:
         self.step = 0
         self.time = 0.0
         self._forces = Forces(self.system, potentials, options)
+        _warn_of_dropped(self._system.constraints, constraints)
         self._rigidity = Rigidity(self.system, self.system.constraints if constraints is None else constraints, options.most_threads)
         self.system.constraints = self._rigidity.kept
         self._state = State(self.system.positions, self.system.velocities, self._forces.forces, self._rigidity.inverse_masses)
@@ -200,3 +203,13 @@ def _checked(method: Splitting) -> Splitting:
     if not isinstance(method, Splitting):
         raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {method!r}")
     return method
+
+
+def _warn_of_dropped(those_of_system: Sequence[Constraint], given: Constraint | Sequence[Constraint] | None) -> None:
+    """Say that constraints of a kind were not given again, where others are given instead of those of the system."""
+    if given is None:
+        return
+    kinds = {type(one) for one in (given if isinstance(given, Sequence) else [given])}
+    dropped = [repr(one) for one in those_of_system if type(one) not in kinds]
+    if kinds and dropped:
+        warnings.warn(f"{', '.join(dropped)} of the system are not kept: other constraints are given in their place", stacklevel=outside_minimd())

@@ -17,6 +17,7 @@ NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
 FEW = 4  # frames below which nothing can be judged
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 ROUNDING_OF_TURNS = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
+SETTLING = 0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
 KEPT = 1e-8  # of d², violation of a rigid length that no one will see
 
 
@@ -104,6 +105,7 @@ class Report:
     duration : [ps or τ].  n_frames, n_steps : observed, and between the first and the last.  cost : of the run, if known.
     kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : as those of the energy, of the shadow energy; None and 0 where it was not recorded.
+    temperatures : means of the first and of the last fifth of the run.
     lines : what can be said without a run: see minimd.safety.
     """
 
@@ -125,6 +127,7 @@ class Report:
     shadow_oscillation: float = 0.0
     lines: tuple[Line, ...] = ()
     energy_range: float = 0.0
+    temperatures: tuple[float, float] = (0.0, 0.0)
 
     @property
     def energy_is_conserved(self) -> bool | None:
@@ -137,6 +140,19 @@ class Report:
         if self.n_frames < FEW:
             return None
         return not self.energy_drift.is_significant or abs(self.energy_drift.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
+
+    @property
+    def is_settling(self) -> bool:
+        """Whether the temperature of the first and of the last fifth of the run differ much, as after a start that is not in equilibrium."""
+        first, last = self.temperatures
+        return abs(last - first) > SETTLING * max(first, last)
+
+    @property
+    def _settling(self) -> str:
+        first, last = self.temperatures
+        return (
+            f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; " if self.is_settling else ""
+        )
 
     @property
     def momentum_is_conserved(self) -> bool:
@@ -191,7 +207,8 @@ class Report:
         if self.energy_is_conserved is None:
             return f"{self.n_frames} frames are too few to judge; observe more often"
         name = "total energy minus heat" if self.has_bath else "total energy"
-        energy = f"the {name} is conserved" if self.energy_is_conserved else f"THE {name.upper()} DRIFTS: reduce the time step or smooth the cutoff"
+        remedy = "equilibrate first" if self.is_settling else "reduce the time step or smooth the cutoff"
+        energy = f"the {name} is conserved" if self.energy_is_conserved else f"THE {name.upper()} DRIFTS: {self._settling}{remedy}"
         if self.momentum_change is None:
             return f"{energy}; momentum is not a constant here."
         momentum = "momentum is conserved to rounding" if self.momentum_is_conserved else "THE TOTAL MOMENTUM CHANGES: a force is not pairwise"
@@ -210,6 +227,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
     slope = (drift_of_walk if has_bath else drift)(time, energy)
     shadow = record.shadow_energy / record.n_atoms if "shadow_energy" in record else None
     shadow_slope = None if shadow is None else drift(time, shadow)
+    fifth = max(1, len(time) // 5)
     return Report(
         energy_drift=slope,
         energy_oscillation=_oscillation(time, energy, slope),
@@ -228,6 +246,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         shadow_oscillation=0.0 if shadow is None or shadow_slope is None else _oscillation(time, shadow, shadow_slope),
         lines=tuple(lines),
         units=(units.energy, units.shown_time, units.temperature),
+        temperatures=(float(record.temperature[:fifth].mean()), float(record.temperature[-fifth:].mean())),
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())),
     )
 

@@ -41,7 +41,7 @@ class Simulation(Dynamics):
     system : System, or ase.Atoms. The simulation works on a copy; sim.system is always the current state.
     potentials : one potential or several.
     method : a splitting with its time step, such as VelocityVerlet(0.005).
-    constraints : DistanceConstraints, FixedAtoms, or both; those of the system if not given.
+    constraints : DistanceConstraints, FixedAtoms, or both, instead of those of the system; () for none.
     threads, precision, skin : see Options.
 
     Attributes

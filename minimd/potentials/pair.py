@@ -225,7 +225,7 @@ def _checked_cutoff(cutoff: float | Mapping[tuple[Label, Label], float] | None) 
 
 
 def _checked_scale(bonded_scale: Sequence[float]) -> tuple[float, ...]:
-    factors = tuple(float(factor) for factor in bonded_scale)
+    factors = tuple(float(factor) for factor in bonded_scale) if isinstance(bonded_scale, Iterable) else ()
     if len(factors) != 3 or not all(isfinite(factor) for factor in factors):
         raise ValueError(f"bonded_scale must be three finite factors, for pairs one, two and three bonds apart; it is {bonded_scale!r}")
     return factors

@@ -109,6 +109,8 @@ def resume_run(
         raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; name the scene file with --scene")
     scene = scene or parse_scene(contents.scene, Path(file))
     steps = _steps_left(contents, scene, file) if steps is None else steps
+    if contents.scene and (other := differences(parse_scene(contents.scene, Path(file)), scene)):
+        tell(f"NOTE           {', '.join(other)} differ from those of the run so far: its energies before and after are not comparable")
     simulation = scene.simulation(contents.system)
     simulation.step, simulation.time, simulation.heat = contents.step, contents.time, contents.heat
     for line in description(scene, simulation, steps):
@@ -121,6 +123,12 @@ def resume_run(
     tell(str(simulation.report()))
     tell(f"written        {file}")
     return simulation
+
+
+def differences(one: Scene, other: Scene) -> list[str]:
+    """Keys of two scenes that decide over forces and steps, and differ."""
+    keys = [f"dynamics.{key}" for key in ("method", "timestep") if getattr(one.sections.dynamics, key) != getattr(other.sections.dynamics, key)]
+    return keys + ["potential"] * (one.sections.potential != other.sections.potential)
 
 
 def _append(file: Path, simulation: Simulation, steps: int, every: int, progress: bool | None) -> None:
@@ -188,6 +196,8 @@ def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: 
         found = simulation.minimize(
             force_tolerance=plan.force_tolerance, max_steps=plan.max_steps, max_step_length=plan.max_step_length, progress=progress
         )
+    if scene.sections.dynamics.temperature is not None:
+        simulation.set_temperature(scene.sections.dynamics.temperature, scene.sections.dynamics.seed)  # rigid bonds have turned
     tell(str(found))
 
 

@@ -1,0 +1,112 @@
+"""Sentences for what a user is likely to have forgotten."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import minimd as md
+from minimd.lattice import crystal
+from minimd.scene import parse_scene
+from minimd.scene.running import differences
+
+LJ = md.LennardJones(1.0, 1.0, 2.0)
+
+
+def triple(**more):
+    return md.System([[0.0, 0, 0], [1.0, 0, 0], [2.2, 0, 0]], **more)
+
+
+@pytest.mark.parametrize("potential", [md.LennardJones(1.0, 1.0, 2.0, bonded_scale=(0, 1, 1)), md.HarmonicBond(1.0, 1.0)])
+def test_bonds_that_are_missing_are_told(potential):
+    with pytest.warns(UserWarning, match=r"has no effect: the system has no bonds; give them as System\(bonds=") as told:
+        md.Simulation(triple(), [LJ, potential], md.VelocityVerlet(0.001))
+    assert told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        md.Simulation(triple(bonds=[[0, 1]]), [LJ, potential], md.VelocityVerlet(0.001))
+
+
+def test_constraints_of_a_kind_that_is_not_given_again_are_told():
+    system = triple(constraints=[md.FixedAtoms([2])])
+    with pytest.warns(UserWarning, match=r"FixedAtoms\(1 atoms\) of the system are not kept"):
+        md.Simulation(system, LJ, md.VelocityVerlet(0.001), md.DistanceConstraints([[0, 1]]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        md.Simulation(system, LJ, md.VelocityVerlet(0.001), [md.DistanceConstraints([[0, 1]]), md.FixedAtoms([1])])
+        md.Simulation(system, LJ, md.VelocityVerlet(0.001), ())
+
+
+@pytest.mark.parametrize(
+    ("make", "words"), [(lambda: triple(cell=-3.0), "lengths of a cell must not be negative"), (lambda: triple(cell=[3, 3, -1]), "negative")]
+)
+def test_negative_lengths_of_a_cell_are_refused(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
+
+
+def test_a_single_bonded_scale_is_refused():
+    with pytest.raises(ValueError, match="bonded_scale must be three finite factors"):
+        md.LennardJones(1.0, 1.0, 2.0, bonded_scale=0)
+
+
+def test_rigid_pairs_are_no_overlap_at_the_start():
+    """Two dumbbells thrown at each other: the cause is not the length of a dumbbell."""
+    positions = [[0.0, 0, 0], [0.3, 0, 0], [1.0, 0, 0], [1.3, 0, 0]]
+    pairs = [[0, 1], [2, 3]]
+    system = md.System(positions, bonds=pairs, velocities=[[0, 0, 0], [0, 0, 0], [-900.0, 0, 0], [-900.0, 0, 0]])
+    law = md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 1, 1))
+    with pytest.raises((md.NonFiniteError, md.ConstraintError)) as caught:
+        md.Simulation(system, law, md.VelocityVerlet(0.01), md.DistanceConstraints(pairs)).run(100)
+    assert "atoms 0 and 1 overlap" not in str(caught.value)
+    assert "atoms 2 and 3 overlap" not in str(caught.value)
+
+
+def test_a_start_out_of_equilibrium_is_told_beside_a_drift():
+    positions, edges = crystal("fcc", [4, 4, 4], 1.68)
+    run = md.Simulation(md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5, "truncated"), md.VelocityVerlet(0.02))
+    run.set_temperature(2.0, seed=1)
+    run.run(100, every=1)
+    report = run.report()
+    assert report.is_settling
+    assert report.temperatures[0] > 1.1 * report.temperatures[1]
+    assert not report.energy_is_conserved
+    assert "the temperature went from" in report.verdict
+    assert "equilibrate first" in report.verdict
+
+
+SCENE = """
+units = "LJ"
+[structure]
+lattice = "fcc"
+lattice_constant = 1.7
+repeat = [3, 3, 3]
+[[potential]]
+type = "lennard-jones"
+epsilon = 1.0
+sigma = 1.0
+cutoff = 2.0
+[dynamics]
+method = "velocity-verlet"
+timestep = 0.004
+steps = 10
+temperature = 1.0
+"""
+
+
+def test_scenes_that_differ_in_what_matters_are_told_apart():
+    one = parse_scene(SCENE, "a.toml")
+    assert differences(one, parse_scene(SCENE.replace("steps = 10", "steps = 20"), "b.toml")) == []
+    other = parse_scene(SCENE.replace("sigma = 1.0", "sigma = 0.9").replace("0.004", "0.002"), "b.toml")
+    assert differences(one, other) == ["dynamics.timestep", "potential"]
+
+
+def test_velocities_of_a_scene_are_drawn_behind_its_minimization(tmp_path, monkeypatch):
+    from minimd.scene import run_scene
+
+    monkeypatch.chdir(tmp_path)
+    bonds = "bonds = [[0, 1], [2, 3]]\n"
+    text = SCENE.replace('lattice = "fcc"', bonds + 'lattice = "fcc"') + '[constraints]\npairs = "bonds"\n[minimization]\nmax_steps = 50\n'
+    run = run_scene(parse_scene(text, tmp_path / "a.toml"), tell=lambda line: None, progress=False)
+    assert run.record.temperature[0] == pytest.approx(1.0, rel=1e-9)
+    assert np.isfinite(run.record.total_energy).all()

@@ -205,6 +205,7 @@ class Simulation(Dynamics):
         """
         if self.record is None:
             raise ValueError("there is nothing to report yet; call run first")
+        self._fit_images()
         forces, bonds = self._forces, self._state.constraints
         cost = Cost(
             n_steps=self._run_steps,
@@ -222,6 +223,7 @@ class Simulation(Dynamics):
     def frame(self) -> Frame:
         """The state as it is now, with its observables; the forces are evaluated."""
         self._state.forces_are_current = False
+        self._fit_images()
         return self._frame()
 
     def _frame(self) -> Frame:

@@ -113,7 +113,11 @@ class Simulation(Dynamics):
         NonFiniteError, ConstraintError, ValueError, KeyboardInterrupt : as minimize; sim.system then holds the state reached.
         """
         self._state.forces_are_current = False
-        return minimized(self._forces, self._rigidity, force_tolerance, max_steps, max_step_length, progress)
+        counted = self._forces.counts  # those of the last run
+        try:
+            return minimized(self._forces, self._rigidity, force_tolerance, max_steps, max_step_length, progress)
+        finally:
+            self._forces.counts = counted
 
     def run(
         self,
@@ -183,7 +187,7 @@ class Simulation(Dynamics):
         ValueError : with a thermostat, whose noise cannot be undone, or for a number of steps below 1.
         NonFiniteError, ConstraintError : as run.
         """
-        _check_counts(n_steps - 1, 1)
+        _check_count("n_steps", n_steps, 1)
         if self.method.is_thermostat:
             raise ValueError(f"{self.method.name} is a thermostat: its noise cannot be undone, so that no run of it is reversible")
         before, counted = self.moment, (self._run_seconds, self._run_steps, self._forces.counts)
@@ -259,6 +263,10 @@ class Simulation(Dynamics):
 
 
 def _check_counts(n_steps: int, every: int) -> None:
-    for name, value, least in (("n_steps", n_steps, 0), ("every", every, 1)):
-        if not isinstance(value, (int, np.integer)) or value < least:
-            raise ValueError(f"{name} must be a whole number, at least {least}; {name} = {value!r}")
+    _check_count("n_steps", n_steps, 0)
+    _check_count("every", every, 1)
+
+
+def _check_count(name: str, value: int, least: int) -> None:
+    if not isinstance(value, (int, np.integer)) or value < least:
+        raise ValueError(f"{name} must be a whole number, at least {least}; {name} = {value!r}")

@@ -167,7 +167,7 @@ def _left(error: NonFiniteError | ConstraintError, path: Path, simulation: "Simu
     file = free_name(path, overwrite)
     try:
         write_autopsy(file, simulation, error.autopsy)
-    except (OSError, ValueError, TypeError, ArithmeticError) as reason:  # the failure itself must be heard
+    except Exception as reason:  # whatever it is: the failure itself must be heard
         return f"No autopsy was written: {reason}"
     error.file = file
     return f"Autopsy in {file}; look again with: minimd replay {file}"

@@ -140,7 +140,7 @@ class Dynamics(Motion):
         start = next((moment for moment in reversed(moments) if self.step - moment.step >= LEAST_REPLAY), moments[0])
         self.failed_from = start
         failure = Failure(fault, step, self.step, getattr(reason, "atoms", None), at, start, is_first=start.step == self._first_step)
-        with suppress(ArithmeticError, ValueError, LookupError, TypeError):  # what is broken must not hide that it is
+        with suppress(Exception):  # whatever terms of the user's own raise: what is broken must not hide that it is
             self._forces.compute(PER_ATOM)
             acting = Acting(self._forces.potentials, self.forces, self._forces.energies, self._rigidity.inverse_masses)
             error.autopsy = examine(self.system, acting, self.method, failure)

@@ -15,6 +15,7 @@ from minimd.autopsy import examine
 from minimd.autopsy_file import read_autopsy
 from minimd.contacts import contacts
 from minimd.h5md import read_file
+from minimd.potentials.pair_loop import PER_ATOM
 
 LJ = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
 BIG_STEP = 0.024  # at which a liquid lives for some hundred steps
@@ -148,6 +149,24 @@ def test_an_autopsy_that_cannot_be_written_does_not_hide_the_failure(tmp_path):
     assert "Likely cause" in str(error)
     assert "No autopsy was written" in str(error)
     assert error.file is None
+
+
+def test_a_term_that_cannot_be_examined_does_not_hide_the_failure(tmp_path):
+    class Reluctant:
+        def bind(self, _system):
+            return self
+
+        def add(self, _system, detail, _forces, _energies, _virials):
+            if detail == PER_ATOM:
+                raise NotImplementedError("totals only")
+
+        def skipped(self):
+            return ()
+
+    simulation = md.Simulation(liquid(3), [md.LennardJones(1.0, 1.0, 1.85, "switched"), Reluctant()], md.VelocityVerlet(0.04))
+    error = failing(simulation, autopsy=tmp_path / "a.h5md")
+    assert "The system holds the last good state" in str(error)
+    assert error.autopsy is None
 
 
 def test_an_autopsy_does_not_replace_the_trajectory(tmp_path):

@@ -1,6 +1,7 @@
 """Simulation: a system, its forces and a method; runs steps and lets observers look between them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -84,6 +85,7 @@ class Simulation(Dynamics):
         self.noise_shift = -self._equilibrated - self.step
         try:
             with (
+                self._uncounted(),
                 left_at(place_of(autopsy or False, ()), self, False),
                 Progress(n_steps, "equilibrating", progress) as bar,
                 stop_on_interrupt(self._state),
@@ -113,11 +115,8 @@ class Simulation(Dynamics):
         NonFiniteError, ConstraintError, ValueError, KeyboardInterrupt : as minimize; sim.system then holds the state reached.
         """
         self._state.forces_are_current = False
-        counted = self._forces.counts  # those of the last run
-        try:
+        with self._uncounted():
             return minimized(self._forces, self._rigidity, force_tolerance, max_steps, max_step_length, progress)
-        finally:
-            self._forces.counts = counted
 
     def run(
         self,
@@ -190,14 +189,14 @@ class Simulation(Dynamics):
         _check_count("n_steps", n_steps, 1)
         if self.method.is_thermostat:
             raise ValueError(f"{self.method.name} is a thermostat: its noise cannot be undone, so that no run of it is reversible")
-        before, counted = self.moment, (self._run_seconds, self._run_steps, self._forces.counts)
-        self._check_start()
-        try:
-            with stop_on_interrupt(self._state):
-                self.reversibility = probe(self, int(n_steps))
-        finally:
-            self.go_to(before)
-            self._run_seconds, self._run_steps, self._forces.counts = counted
+        before = self.moment
+        with self._uncounted():
+            self._check_start()
+            try:
+                with stop_on_interrupt(self._state):
+                    self.reversibility = probe(self, int(n_steps))
+            finally:
+                self.go_to(before)
         return self.reversibility
 
     def report(self) -> Report:
@@ -241,6 +240,15 @@ class Simulation(Dynamics):
         if bend is not None:
             frame.observables["shadow_energy"] = frame.observables["total_energy"] + correction(self, bend)
         return frame
+
+    @contextmanager
+    def _uncounted(self) -> Iterator[None]:
+        """What is computed inside is no part of the last run, of which the report tells."""
+        counted = self._run_seconds, self._run_steps, self._forces.counts
+        try:
+            yield
+        finally:
+            self._run_seconds, self._run_steps, self._forces.counts = counted
 
     def _check_extras(self) -> None:
         if isinstance(self.extra_observables, str) or not set(self.extra_observables) <= {"shadow_energy"}:

@@ -191,12 +191,14 @@ def test_probe_of_an_atom_on_which_nothing_acts(speed):
     assert md.Simulation(alone, md.LennardJones(1.0, 1.0), md.VelocityVerlet(0.01)).probe_reversibility(10).is_reversible
 
 
-def test_minimization_is_not_counted_among_the_steps_of_a_run():
+def test_minimization_and_equilibration_are_not_counted_among_the_steps_of_a_run():
     simulation = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(0.003))
     simulation.run(50, every=10)
     cost = simulation.report().cost
     simulation.minimize(max_steps=5)
     assert simulation.report().cost == cost
+    simulation.equilibrate(30, 1.0)
+    assert (simulation.report().cost.n_steps, simulation.report().cost.n_evaluations) == (cost.n_steps, cost.n_evaluations)
 
 
 def test_probe_of_rigid_bonds_and_refusals():

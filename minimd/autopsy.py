@@ -137,10 +137,15 @@ def _limitless(positions: NDArray[np.float64] | None, system: System, acting: Ac
 
 
 def place_of(autopsy: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
-    """Where the findings about a run go: where they were asked to, beside its first trajectory if True, nowhere if there is none."""
+    """Where the findings about a run go: where they were asked to, beside its first trajectory if True, nowhere if there is none.
+
+    Raises ValueError for one of the trajectories, which it would replace.
+    """
     several = [trajectories] if isinstance(trajectories, (str, Path)) else list(trajectories)
     if isinstance(autopsy, bool):
         return Path(several[0]).with_suffix(SUFFIX) if autopsy and several else None
+    if Path(autopsy).resolve() in [Path(file).resolve() for file in several]:
+        raise ValueError(f"autopsy must be a file of its own; {str(autopsy)!r} is a trajectory of the run: choose another name")
     return Path(autopsy)
 
 
@@ -162,7 +167,7 @@ def _left(error: NonFiniteError | ConstraintError, path: Path, simulation: "Simu
     file = free_name(path, overwrite)
     try:
         write_autopsy(file, simulation, error.autopsy)
-    except (OSError, ValueError, TypeError, ArithmeticError) as reason:  # the failure itself must be heard
+    except Exception as reason:  # whatever it is: the failure itself must be heard
         return f"No autopsy was written: {reason}"
     error.file = file
     return f"Autopsy in {file}; look again with: minimd replay {file}, or, in a script, minimd.replay(file, potentials)"

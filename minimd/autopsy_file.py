@@ -105,13 +105,18 @@ def read_autopsy(path: str | Path) -> AutopsyFile:
         told, findings = (json.loads(group[name].asstr()[()]) for name in ("simulation", "findings"))
         at = group.attrs
         start = Moment(int(at["step"]), float(at["time"]), group["positions"][:], group["velocities"][:], float(at["heat"]))
+    methods = {**SPLITTINGS, **THERMOSTATS}
+    if told["method"] not in methods:
+        raise ValueError(
+            f"the run in {str(path)!r} was made with the method {told['method']!r}, which is not one of minimd; run it again from its script"
+        )
     system = contents.system
     system.positions[:], system.velocities[:] = start.positions, start.velocities
     return AutopsyFile(
         findings=Autopsy.of(findings),
         system=system,
         start=start,
-        method={**SPLITTINGS, **THERMOSTATS}[told["method"]](**told["parameters"]),
+        method=methods[told["method"]](**told["parameters"]),
         precision=told["precision"],
         skin=told["skin"],
         noise_shift=told["noise_shift"],

@@ -13,7 +13,7 @@ from minimd.integrators import DistanceConstraints
 from minimd.mdanalysis import VERSION, diffusion_coefficient, radial_distribution, universe
 from minimd.record import SERIES, Record
 from minimd.report import Report, conservation_report
-from minimd.rigidity import lengths_of, nearest_images
+from minimd.rigidity import images_of_length, lengths_of
 from minimd.system import System
 
 SINGLE = 6e-8  # 2⁻²⁴, rounding of a velocity to float32, and so at most this part of Σ|mv|
@@ -131,8 +131,9 @@ def length_error(system: System) -> float:
     scale = float(np.abs(system.positions).max())
     for one in system.constraints:
         if isinstance(one, DistanceConstraints):
-            bonds = system.positions[one.pairs[:, 1]] - system.positions[one.pairs[:, 0]] + nearest_images(system, one.pairs)
-            return float(np.abs(np.linalg.norm(bonds, axis=1) - lengths_of(system, one)).max()) / scale
+            lengths = lengths_of(system, one)
+            bonds = system.positions[one.pairs[:, 1]] - system.positions[one.pairs[:, 0]] + images_of_length(system, one.pairs, lengths)
+            return float(np.abs(np.linalg.norm(bonds, axis=1) - lengths).max()) / scale
     return 0.0
 
 

@@ -111,6 +111,8 @@ class Curvature:
             matrix = np.stack([self.times(unit) for unit in np.eye(guess.size)])
             squares, modes = np.linalg.eigh(0.5 * (matrix + matrix.T))
             return float(squares[-1]), modes[:, -1].reshape(-1, 3)
+        if not self.times(guess.ravel()).any():  # no curvature at all, which iterations do not accept
+            return 0.0, np.zeros_like(guess)
         from scipy.sparse.linalg import LinearOperator, eigsh
 
         operator = LinearOperator((guess.size, guess.size), matvec=self.times, dtype=np.float64)

@@ -20,6 +20,7 @@ from minimd.forces import Potential
 from minimd.integrators.splitting import Splitting
 from minimd.motion import Motion
 from minimd.options import Options
+from minimd.potentials.pair_loop import PER_ATOM
 from minimd.rigidity import Constraint
 from minimd.stacklevel import outside_minimd
 from minimd.system import System
@@ -187,8 +188,8 @@ class Dynamics(Motion):
         start = next((moment for moment in reversed(moments) if self.step - moment.step >= LEAST_REPLAY), moments[0])
         self.failed_from = start
         failure = Failure(fault, step, self.step, getattr(reason, "atoms", None), at, start, is_first=start.step == self._first_step)
-        with suppress(ArithmeticError, ValueError, LookupError, TypeError):  # what is broken must not hide that it is
-            self._look()
+        with suppress(Exception):  # whatever terms of the user's own raise: what is broken must not hide that it is
+            self._forces.compute(PER_ATOM)
             acting = Acting(self._forces.potentials, self.forces, self._forces.energies, self._rigidity.inverse_masses)
             error.autopsy = examine(self.system, acting, self.method, failure)
             error.args = (f"{error}. Likely cause: {error.autopsy.cause}",)

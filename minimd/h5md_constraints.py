@@ -12,7 +12,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.integrators.constraints import EPS, ROUNDINGS, DistanceConstraints
+from minimd.integrators.constraints import ROUNDINGS, DistanceConstraints
+from minimd.integrators.rounding import EPS
 from minimd.rigidity import Constraint, FixedAtoms
 
 NAME = "constraints"

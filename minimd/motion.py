@@ -163,7 +163,7 @@ class Motion:
         ValueError : if the temperature is negative or not finite.
         """
         self.velocities[:] = maxwell_boltzmann(self.system.masses, temperature, self.system.units.k_B, seed)
-        self._rigidity.fit(self.system)
+        self._fit_images()
         self._rigidity.project(self.velocities, self.positions)
         if temperature > 0.0:
             self.rescale_temperature(temperature)
@@ -176,6 +176,11 @@ class Motion:
         ValueError : if the temperature is negative or not finite, or nothing moves.
         """
         self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B, self.n_dof)
+
+    def _fit_images(self) -> None:
+        """Take rigid bonds at their present images: between two runs atoms may have been moved by lattice vectors."""
+        self._rigidity.fit(self.system)
+        self._state.constraints = self._rigidity.bonds
 
     def _share_energy(self) -> None:
         """Tell the state which motions share the kinetic energy; a single atom keeps its three."""

@@ -40,6 +40,8 @@ class Reversibility:
     @property
     def is_reversible(self) -> bool | None:
         """True if the distance is that of rounding; None if rounding has grown too large to tell."""
+        if self.distance == 0.0:
+            return True
         return None if self.rounding > CHAOS * self.way else self.distance <= ENOUGH * self.rounding
 
     def __str__(self) -> str:
@@ -62,7 +64,8 @@ def probe(dynamics: "Dynamics", n_steps: int) -> Reversibility:
     _disturb(dynamics, forces)
     _go(dynamics, n_steps)
     growth = _largest(dynamics.positions - returned)
-    rounding = growth / AMPLIFIED * (2.0 * n_steps) ** 0.5 if growth <= CHAOS * way else np.inf
+    one = max(growth / AMPLIFIED, ROUNDING["double"] * way)  # two roundings may undo each other, as where nothing acts
+    rounding = one * (2.0 * n_steps) ** 0.5 if growth <= CHAOS * way else np.inf
     return Reversibility(n_steps, _largest(returned - start.positions), way, rounding, dynamics.system.units.length)
 
 

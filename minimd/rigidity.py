@@ -66,7 +66,7 @@ class Rigidity:
         distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
         if len(distances) > 1:
             raise ValueError("all pairs must be given in one DistanceConstraints: those that share atoms are solved together")
-        self._threads = threads
+        self._threads, self._images_in = threads, system.cell
         self.inverse_masses = self._masses(system, [constraint for constraint in given if isinstance(constraint, FixedAtoms)])
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self._distances = distances[0] if distances else None
@@ -103,17 +103,21 @@ class Rigidity:
         return degrees_of_freedom(n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed)
 
     def fit(self, system: System) -> None:
-        """Take each bond at the image that has its length, should somebody have moved atoms by lattice vectors."""
-        if self.bonds is None or self._distances is None or not system.cell.is_periodic:
+        """Take each bond at the image that has its length, should somebody have moved atoms by lattice vectors, or changed the cell."""
+        if self.bonds is None or self._distances is None:
             return
         off = self.bonds.violation(system.positions) > self.bonds.tolerance
+        if not system.cell.same_as(self._images_in):
+            off[:], self._images_in = True, system.cell
         if not off.any():
             return
         offsets = self.bonds.offsets.copy()
         offsets[off] = images_of_length(system, self.bonds.pairs[off], self.bonds.lengths[off])
         if not np.array_equal(offsets, self.bonds.offsets):
             known = DistanceConstraints(self.bonds.pairs, self.bonds.lengths, self._distances.tolerance, self._distances.solver)
+            iterations = self.bonds.iterations
             self.bonds = known.on(system.positions, self.inverse_masses, offsets, self._threads)
+            self.bonds.iterations = iterations
 
     def with_equal_masses(self, system: System) -> "Rigidity":
         """The same constraints, with their present lengths, on atoms of mass 1: projections are then the shortest ones, whoever is heavy."""

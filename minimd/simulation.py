@@ -87,7 +87,7 @@ class Simulation(Dynamics):
             self._equilibrated += n_steps
             self.noise_shift = -self._equilibrated - self.step
             try:
-                with left_at(place_of(autopsy or False, ()), self, False):
+                with self._uncounted(), left_at(place_of(autopsy or False, ()), self, False):
                     self._equilibrate(n_steps, temperature, every, progress)
             finally:
                 self.noise_shift = 0
@@ -120,7 +120,8 @@ class Simulation(Dynamics):
         NonFiniteError, ConstraintError, ValueError, KeyboardInterrupt : as minimize; sim.system then holds the state reached.
         """
         self._state.forces_are_current = False
-        return minimized(self._forces, self._rigidity, force_tolerance, max_steps, max_step_length, progress)
+        with self._uncounted():
+            return minimized(self._forces, self._rigidity, force_tolerance, max_steps, max_step_length, progress)
 
     def run(
         self,
@@ -205,17 +206,17 @@ class Simulation(Dynamics):
         ValueError : with a thermostat, whose noise cannot be undone, or for a number of steps below 1.
         NonFiniteError, ConstraintError : as run.
         """
-        _check_counts(n_steps - 1, 1)
+        _check_count("n_steps", n_steps, 1)
         if self.method.is_thermostat:
             raise ValueError(f"{self.method.name} is a thermostat: its noise cannot be undone, so that no run of it is reversible")
-        before, counted = self.moment, (self._run_seconds, self._run_steps, self._forces.counts)
-        self._check_start()
-        try:
-            with stop_on_interrupt(self._state):
-                self.reversibility = probe(self, int(n_steps))
-        finally:
-            self.go_to(before)
-            self._run_seconds, self._run_steps, self._forces.counts = counted
+        before = self.moment
+        with self._uncounted():
+            self._check_start()
+            try:
+                with stop_on_interrupt(self._state):
+                    self.reversibility = probe(self, int(n_steps))
+            finally:
+                self.go_to(before)
         return self.reversibility
 
     @contextmanager
@@ -238,6 +239,7 @@ class Simulation(Dynamics):
         """
         if self.record is None:
             raise ValueError("there is nothing to report yet; call run first")
+        self._fit_images()
         forces, bonds = self._forces, self._state.constraints
         cost = Cost(
             n_steps=self._run_steps,
@@ -255,6 +257,7 @@ class Simulation(Dynamics):
     def frame(self) -> Frame:
         """The state as it is now, with its observables; the forces are evaluated."""
         self._state.forces_are_current = False
+        self._fit_images()
         return self._frame()
 
     def _frame(self) -> Frame:
@@ -268,6 +271,15 @@ class Simulation(Dynamics):
         if bend is not None:
             frame.observables["shadow_energy"] = frame.observables["total_energy"] + correction(self, bend)
         return frame
+
+    @contextmanager
+    def _uncounted(self) -> Iterator[None]:
+        """What is computed inside is no part of the last run, of which the report tells."""
+        counted = self._run_seconds, self._run_steps, self._forces.counts
+        try:
+            yield
+        finally:
+            self._run_seconds, self._run_steps, self._forces.counts = counted
 
     def _check_extras(self) -> None:
         if isinstance(self.extra_observables, str) or not set(self.extra_observables) <= {"shadow_energy"}:
@@ -291,6 +303,10 @@ class Simulation(Dynamics):
 
 
 def _check_counts(n_steps: int, every: int) -> None:
-    for name, value, least in (("n_steps", n_steps, 0), ("every", every, 1)):
-        if not isinstance(value, (int, np.integer)) or value < least:
-            raise ValueError(f"{name} must be a whole number, at least {least}; {name} = {value!r}")
+    _check_count("n_steps", n_steps, 0)
+    _check_count("every", every, 1)
+
+
+def _check_count(name: str, value: int, least: int) -> None:
+    if not isinstance(value, (int, np.integer)) or value < least:
+        raise ValueError(f"{name} must be a whole number, at least {least}; {name} = {value!r}")

@@ -11,9 +11,11 @@ from test_rigid_runs import simulation as rigid_liquid
 
 import minimd as md
 from minimd import cli
+from minimd.autopsy import examine
 from minimd.autopsy_file import read_autopsy
 from minimd.contacts import contacts
 from minimd.h5md import read_file
+from minimd.potentials.pair_loop import PER_ATOM
 
 LJ = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
 BIG_STEP = 0.024  # at which a liquid lives for some hundred steps
@@ -74,6 +76,16 @@ def test_the_cause_is_told(kind):
     if atoms:
         assert {found.pair.first, found.pair.second} == set(atoms)
     assert error.file is None
+
+
+def test_an_examination_sees_the_energy_of_each_atom(monkeypatch):
+    """Of clusters too, whose totals are booked on one atom."""
+    seen = []
+    monkeypatch.setattr("minimd.dynamics.examine", lambda system, acting, *rest: seen.append(acting) or examine(system, acting, *rest))
+    simulation = md.Simulation(liquid(6), LJ, md.VelocityVerlet(0.1))
+    assert simulation._forces.pair_search.startswith("cluster list")
+    failing(simulation)
+    assert seen[0].energies == pytest.approx(md.evaluate(simulation.system, LJ).energies, rel=1e-9)  # rounding
 
 
 def test_figures_of_the_bond_are_those_of_the_oscillator():
@@ -137,6 +149,38 @@ def test_an_autopsy_that_cannot_be_written_does_not_hide_the_failure(tmp_path):
     assert "Likely cause" in str(error)
     assert "No autopsy was written" in str(error)
     assert error.file is None
+
+
+def test_a_term_that_cannot_be_examined_does_not_hide_the_failure(tmp_path):
+    class Reluctant:
+        def bind(self, _system):
+            return self
+
+        def add(self, _system, detail, _forces, _energies, _virials):
+            if detail == PER_ATOM:
+                raise NotImplementedError("totals only")
+
+        def skipped(self):
+            return ()
+
+    simulation = md.Simulation(liquid(3), [md.LennardJones(1.0, 1.0, 1.85, "switched"), Reluctant()], md.VelocityVerlet(0.04))
+    error = failing(simulation, autopsy=tmp_path / "a.h5md")
+    assert "The system holds the last good state" in str(error)
+    assert error.autopsy is None
+
+
+def test_an_autopsy_does_not_replace_the_trajectory(tmp_path):
+    with pytest.raises(ValueError, match="is a trajectory of the run"):
+        chain(0.05).run(10, trajectory=tmp_path / "a.h5md", autopsy=tmp_path / "a.h5md", overwrite=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_replay_says_which_method_it_does_not_know(tmp_path):
+    simulation = chain(0.05)
+    simulation.method = type("Mine", (md.VelocityVerlet,), {"name": "mine"})(0.05)
+    error = failing(simulation, autopsy=tmp_path / "a.h5md")
+    with pytest.raises(ValueError, match="the method 'mine', which is not one of minimd"):
+        md.replay(error.file, simulation.potentials)
 
 
 def test_findings_come_back_from_the_file(tmp_path):

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+import minimd as md
 from minimd.bench import work_precision
+from minimd.bench.scenes import SCENES
 
 
 def test_the_front_of_work_precision_is_what_nothing_beats():
@@ -18,6 +20,17 @@ def test_the_front_of_work_precision_is_what_nothing_beats():
         "for oscillation 1e-03 use verlet, Δt = 0.01 τ, minimd: 2 s",
     ]
     assert case.beside() == ["peer: 3.00 times the time of minimd at equal oscillation (3.00 to 3.00)"]
+
+
+def test_a_run_that_fails_has_no_finite_error():
+    """Not even the distance, which was measured in a run that was shorter."""
+
+    def failing():
+        raise ArithmeticError
+
+    engine = type("Engine", (), {"run": lambda *_: failing()})
+    point = work_precision._point("minimd", SCENES["melt"](3), md.VelocityVerlet, 20, engine, 2, 1e-3)
+    assert (point.seconds, point.oscillation, point.drift, point.distance) == (np.inf,) * 4
 
 
 def test_errors_are_about_the_line_of_regression():

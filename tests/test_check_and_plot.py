@@ -151,3 +151,12 @@ def test_picture_of_few_frames_and_of_atoms_at_rest(tmp_path, n_frames):
     found = check_file(tmp_path / "a.h5md")
     assert found.passed is False
     assert f"NOT PASSED: too few frames to judge the energy ({n_frames})" in str(found)
+
+
+def test_check_knows_a_bond_longer_than_half_the_cell(tmp_path):
+    turning = md.System([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0]], velocities=[[0.3, -0.8, 0.0], [-0.3, 0.8, 0.0]], cell=2.0)
+    nothing = md.LennardJones(1e-30, 0.01, cutoff=0.5)
+    simulation = md.Simulation(turning, nothing, md.VelocityVerlet(0.01), md.DistanceConstraints([[0, 1]], 1.2))
+    with pytest.warns(UserWarning, match="velocities along bonds"):
+        simulation.run(20, every=5, trajectory=tmp_path / "a.h5md")
+    assert [one.passed for one in check_file(tmp_path / "a.h5md").comparisons if one.name == "lengths"] == [True]

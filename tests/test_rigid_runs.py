@@ -5,6 +5,7 @@ import pytest
 from rigid_scenes import SCENES
 
 import minimd as md
+from minimd.cell import Cell
 from minimd.integrators import SPLITTINGS
 from minimd.lattice import crystal
 
@@ -142,6 +143,27 @@ def test_velocities_are_drawn_for_wrapped_atoms_too():
 def test_a_frame_before_the_first_run_knows_the_constraints():
     sim = simulation(md.VelocityVerlet(0.002))
     assert sim.frame().observables["pressure"] == pytest.approx(sim.run(0).pressure[0], rel=1e-9)
+
+
+def test_a_frame_and_a_report_of_wrapped_atoms_know_where_the_bonds_are():
+    sim = simulation(md.VelocityVerlet(0.002))
+    sim.run(10, every=5)
+    pressure, report = sim.frame().observables["pressure"], str(sim.report())
+    sim.positions[::2, 0] += sim.system.cell.vectors[0, 0]
+    assert sim.frame().observables["pressure"] == pytest.approx(pressure, rel=1e-9)  # rounding
+    assert "NOT OBEYED" not in report
+    sim.positions[::2, 0] += sim.system.cell.vectors[0, 0]
+    assert "NOT OBEYED" not in str(sim.report())
+
+
+def test_a_bond_across_the_boundary_of_a_new_cell_is_put_right():
+    system = md.System([[0.2, 5.0, 5.0], [9.2, 5.0, 5.0]], cell=10.0)
+    sim = md.Simulation(system, md.LennardJones(1.0, 0.5, 1.2), md.VelocityVerlet(0.001), md.DistanceConstraints([[0, 1]]))
+    sim.run(1)
+    sim.system.cell = Cell.of(10.5)
+    with pytest.warns(UserWarning, match="lengths were off by"):
+        sim.run(1)
+    assert sim.positions[0, 0] - sim.positions[1, 0] + 10.5 == pytest.approx(1.0, rel=1e-12)
 
 
 def test_a_violated_start_is_projected_with_a_warning():

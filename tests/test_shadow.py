@@ -185,13 +185,30 @@ def test_probe_of_a_long_way_says_that_it_cannot_tell():
     assert simulation.probe_reversibility(3000).is_reversible is None
 
 
+@pytest.mark.parametrize("speed", [0.0, 1.0])
+def test_probe_of_an_atom_on_which_nothing_acts(speed):
+    alone = md.System([[0.0, 0.0, 0.0]], velocities=[[speed, 0.0, 0.0]])
+    assert md.Simulation(alone, md.LennardJones(1.0, 1.0), md.VelocityVerlet(0.01)).probe_reversibility(10).is_reversible
+
+
+def test_minimization_and_equilibration_are_not_counted_among_the_steps_of_a_run():
+    simulation = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(0.003))
+    simulation.run(50, every=10)
+    cost = simulation.report().cost
+    simulation.minimize(max_steps=5)
+    assert simulation.report().cost == cost
+    simulation.equilibrate(30, 1.0)
+    assert (simulation.report().cost.n_steps, simulation.report().cost.n_evaluations) == (cost.n_steps, cost.n_evaluations)
+
+
 def test_probe_of_rigid_bonds_and_refusals():
     assert rigid_liquid(md.VelocityVerlet(0.002)).probe_reversibility(60).is_reversible
     bath = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85), md.LangevinBAOAB(0.003, 1.0, 1.0, seed=1))
     with pytest.raises(ValueError, match="its noise cannot be undone"):
         bath.probe_reversibility(10)
-    with pytest.raises(ValueError, match="n_steps must"):
-        md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85), md.VelocityVerlet(0.003)).probe_reversibility(0)
+    for count in (0, 1.5, "ten"):
+        with pytest.raises(ValueError, match=f"n_steps must be a whole number, at least 1; n_steps = {count!r}"):
+            md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85), md.VelocityVerlet(0.003)).probe_reversibility(count)
 
 
 @pytest.mark.parametrize(

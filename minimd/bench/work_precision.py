@@ -236,6 +236,8 @@ def _point(who: str, scene: Scene, method: type[Splitting], steps: int, make: Ca
         seconds = min(seconds, taken)
     n_dof = 3 * len(scene.system) - 3 - sum(len(rigid.pairs) for rigid in scene.constraints)
     oscillation, drift = _errors(energies / (scene.temperature * np.sqrt(n_dof)))
+    if not np.isfinite(seconds):
+        distance = np.inf
     return Point(who, method.name, method.order, DURATION / steps, steps * method.stages / DURATION, seconds, oscillation, drift, distance)
 
 

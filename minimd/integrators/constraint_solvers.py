@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from minimd.compiling import inlined, kernel, marks
+from minimd.integrators.rounding import EPS
 
-EPS = float(np.finfo(float).eps)
 ROUNDING = 4.0 * EPS  # of |r|² against d²: there is nothing left to gain
 LAST = 1e-9  # residuals below: one more iteration of Newton's squares them to rounding, even where their equations are stiff
 NOTHING = -1

@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.errors import ConstraintError
 from minimd.integrators.constraint_groups import groups_of
 from minimd.integrators.constraint_solvers import drift_some
+from minimd.integrators.rounding import EPS
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 SolverName = Literal["auto", "newton", "shake"]
 SOLVERS = ("auto", "newton", "shake")
 ROUNDINGS = 20.0  # of the coordinates: no length can be kept better
-EPS = float(np.finfo(float).eps)
 TOLERANCE = 1e-12  # of |r² − d²|/d², if none is given
 
 

@@ -1,8 +1,8 @@
 """Dynamics: makes steps, and finds out what went wrong when one fails."""
 
 import warnings
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -73,6 +73,15 @@ class Dynamics(Motion):
         self._count(done)
         if self._state.stop_requested:
             raise KeyboardInterrupt(f"stopped after step {self.step}")
+
+    @contextmanager
+    def _uncounted(self) -> Iterator[None]:
+        """What is computed inside is no part of the last run, of which the report tells."""
+        counted = self._run_seconds, self._run_steps, self._forces.counts
+        try:
+            yield
+        finally:
+            self._run_seconds, self._run_steps, self._forces.counts = counted
 
     def _attempt(self, n_steps: int, look: bool) -> int | None:
         """Steps made, or None if the state after them is no longer a possible one."""

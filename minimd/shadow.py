@@ -13,6 +13,7 @@ H itself oscillates by Δt² along the path, H̃ by Δt⁴: what is left of a dr
 E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IX.3; R. D. Engle, R. D. Skeel, M. Drees, J. Comput. Phys. 206, 432 (2005).
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -60,6 +61,14 @@ def correction(simulation: "Dynamics", bend: float) -> float:
     of_motion, of_forces = COEFFICIENTS[simulation.method.row()]
     squares = float(np.einsum("ij,ij,i->", simulation.forces, simulation.forces, simulation.inverse_masses))
     return simulation.method.timestep**2 * (of_motion * bend + of_forces * squares)
+
+
+def check_extras(simulation: "Dynamics", names: Sequence[str]) -> None:
+    """Raise ValueError unless these are names of observables that the simulation has beside the usual ones."""
+    if isinstance(names, str) or not set(names) <= {"shadow_energy"}:
+        raise ValueError(f"extra_observables must be ('shadow_energy',) or empty; they are {names!r}")
+    if names:
+        check_has_shadow(simulation)
 
 
 def check_has_shadow(simulation: "Dynamics") -> None:

@@ -22,7 +22,7 @@ from minimd.report import Cost, Report, conservation_report
 from minimd.reversibility import Reversibility, probe
 from minimd.rigidity import Constraint
 from minimd.safety import safety_lines
-from minimd.shadow import check_has_shadow, correction, motion_curvature
+from minimd.shadow import check_extras, correction, motion_curvature
 from minimd.system import System
 from minimd.trajectory import Writer, open_trajectories
 
@@ -156,7 +156,7 @@ class Simulation(Dynamics):
         FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
         """
         _check_counts(n_steps, every)
-        self._check_extras()
+        check_extras(self, self.extra_observables)
         with self._running():
             return self._run(n_steps, every, (trajectory, store_forces, overwrite), observers, progress, autopsy)
 
@@ -271,21 +271,6 @@ class Simulation(Dynamics):
         if bend is not None:
             frame.observables["shadow_energy"] = frame.observables["total_energy"] + correction(self, bend)
         return frame
-
-    @contextmanager
-    def _uncounted(self) -> Iterator[None]:
-        """What is computed inside is no part of the last run, of which the report tells."""
-        counted = self._run_seconds, self._run_steps, self._forces.counts
-        try:
-            yield
-        finally:
-            self._run_seconds, self._run_steps, self._forces.counts = counted
-
-    def _check_extras(self) -> None:
-        if isinstance(self.extra_observables, str) or not set(self.extra_observables) <= {"shadow_energy"}:
-            raise ValueError(f"extra_observables must be ('shadow_energy',) or empty; they are {self.extra_observables!r}")
-        if self.extra_observables:
-            check_has_shadow(self)
 
     def _observe(self, record: Record, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
         frame = self._frame()

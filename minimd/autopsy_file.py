@@ -6,6 +6,7 @@ minimd/autopsy       findings, method, options and potentials in words, as JSON
 """
 
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,6 +61,15 @@ def write_autopsy(path: Path, simulation: "Simulation", findings: Autopsy) -> No
     ------
     OSError : if it cannot be written.
     """
+    part = path.with_name(f"{path.name}.part")  # so that nothing half written stands where somebody looks for an autopsy
+    try:
+        _write(part, simulation, findings)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _write(path: Path, simulation: "Simulation", findings: Autopsy) -> None:
     last, start = simulation.moment, simulation.failed_from or simulation.moment
     writer = H5MDWriter(path, simulation, store_forces=True)
     try:

@@ -77,7 +77,7 @@ def check_file(path: str | Path) -> FileCheck:
     ------
     FileNotFoundError, OSError, ValueError : as minimd.h5md.read_file.
     """
-    contents, moved = read_file(path), motion(path)
+    contents, moved = read_file(path), recompute(path)
     record, is_free = _record(contents, moved), contents.conserves_momentum
     return FileCheck(
         heading=_heading(Path(path), contents),
@@ -87,7 +87,7 @@ def check_file(path: str | Path) -> FileCheck:
     )
 
 
-class Motion(NamedTuple):
+class Recomputed(NamedTuple):
     """All frames as MDAnalysis gives them, in the units of the simulation.
 
     step : (T,).  time : (T,).  stored : observables of the file, float64 and uncast, named as in OBSERVED.
@@ -104,7 +104,7 @@ class Motion(NamedTuple):
     length_error: NDArray[np.float64]
 
 
-def motion(path: str | Path) -> Motion:
+def recompute(path: str | Path) -> Recomputed:
     """Stored observables, and energies and momenta recomputed from velocities and masses, of all frames.
 
     Raises
@@ -123,7 +123,7 @@ def motion(path: str | Path) -> Motion:
     names = [name for name in OBSERVED if name in ts.data]
     made.trajectory.close()
     step, time, *series = (np.array(column) for column in zip(*rows, strict=True))
-    return Motion(step, time, dict(zip(names, series, strict=False)), *series[len(names) :])
+    return Recomputed(step, time, dict(zip(names, series, strict=False)), *series[len(names) :])
 
 
 def length_error(system: System) -> float:
@@ -137,7 +137,7 @@ def length_error(system: System) -> float:
     return 0.0
 
 
-def comparisons(moved: Motion) -> list[Comparison]:
+def comparisons(moved: Recomputed) -> list[Comparison]:
     """Recomputed against stored."""
     stored, absolute = moved.stored, moved.absolute_momentum
     parts = stored["potential_energy"] + stored["kinetic_energy"]
@@ -161,7 +161,7 @@ def _largest(differences: NDArray[np.float64], scales: NDArray[np.float64]) -> f
         return float(np.where(sizes == 0.0, 0.0, sizes / scales).max())
 
 
-def _record(contents: H5MDContents, moved: Motion) -> Record:
+def _record(contents: H5MDContents, moved: Recomputed) -> Record:
     return Record.of(contents.system.units, len(contents.system), {"step": moved.step, "time": moved.time, **moved.stored})
 
 

@@ -122,7 +122,7 @@ class Rigidity:
     def with_equal_masses(self, system: System) -> "Rigidity":
         """The same constraints, with their present lengths, on atoms of mass 1: projections are then the shortest ones, whoever is heavy."""
         light = System(system.positions, masses=1.0, cell=system.cell, units=system.units)
-        return Rigidity(light, self.kept)
+        return Rigidity(light, self.kept, self._threads)
 
     def project(self, velocities: NDArray[np.float64], positions: NDArray[np.float64]) -> None:
         """Velocities that constraints allow, (N, 3) both."""

@@ -77,7 +77,7 @@ def list_lines(simulation: "Simulation") -> Iterator[Line]:
         steps = 0.5 * skin / stride if stride > 0.0 else np.inf
         words = f"skin/2 {0.5 * skin:.3g} {length}, fastest atom {stride:.2g} {length} a step: lasts {steps:.3g} steps"
         often = steps < FEW_STEPS
-        verdict = "no pair is missed" + (", but it is rebuilt at nearly every step; a wider skin or a shorter time step is cheaper" if often else "")
+        verdict = "rebuilt in time" + (", but at nearly every step; a wider skin or a shorter time step is cheaper" if often else "")
         yield Line("list margin", words, verdict, not often)
 
 

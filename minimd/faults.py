@@ -10,23 +10,11 @@ from minimd.curvature import StiffBond
 from minimd.integrators.splitting import Splitting
 from minimd.integrators.stability import stability_limit
 from minimd.neighbors.closest import closest_pair
+from minimd.observables import longest
 from minimd.system import LARGEST, System
 
 RUNAWAY = 1e4  # a growth of the energies that no time step below the limit of stability explains
 HALF = 0.5  # of the energies: where they are exchanged, and not made, their sum changes by much less
-
-
-@kernel
-def longest(vectors):
-    """Index and length of the longest of (N, 3) vectors; the first that is not finite, if there is one, is infinitely long."""
-    where, longest2 = 0, -1.0
-    for i in range(vectors.shape[0]):
-        length2 = vectors[i, 0] ** 2 + vectors[i, 1] ** 2 + vectors[i, 2] ** 2
-        if not length2 < np.inf:
-            return i, np.inf
-        if length2 > longest2:
-            where, longest2 = i, length2
-    return where, sqrt(longest2)
 
 
 @kernel

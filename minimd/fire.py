@@ -19,6 +19,7 @@ from minimd.compiling import kernel
 from minimd.errors import ConstraintError, NonFiniteError
 from minimd.forces import Forces
 from minimd.neighbors.closest import closest_pair
+from minimd.observables import longest
 from minimd.rigidity import Rigidity, nearest_images
 
 Array = NDArray[np.float64]
@@ -57,17 +58,8 @@ def overlap(first, second):
 
 
 @kernel
-def longest_vector(vectors):
-    """max √(x² + y² + z²), of (N, 3)."""
-    longest2 = 0.0
-    for i in range(vectors.shape[0]):
-        longest2 = max(longest2, vectors[i, 0] ** 2 + vectors[i, 1] ** 2 + vectors[i, 2] ** 2)
-    return np.sqrt(longest2)
-
-
-@kernel
-def steer(velocities, forces, timestep, mixing, longest):
-    """v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|; then all v are shortened alike so that Δt |v_i| ≤ longest. (N, 3) both."""
+def steer(velocities, forces, timestep, mixing, most):
+    """v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|; then all v are shortened alike so that Δt |v_i| ≤ most. (N, 3) both."""
     v2, f2 = 0.0, 0.0
     for i in range(velocities.shape[0]):
         for c in range(3):
@@ -78,11 +70,11 @@ def steer(velocities, forces, timestep, mixing, longest):
     for i in range(velocities.shape[0]):
         for c in range(3):
             velocities[i, c] = (1.0 - mixing) * velocities[i, c] + along * forces[i, c]
-    stride = timestep * longest_vector(velocities)
-    if stride > longest:
+    stride = timestep * longest(velocities)[1]
+    if stride > most:
         for i in range(velocities.shape[0]):
             for c in range(3):
-                velocities[i, c] *= longest / stride
+                velocities[i, c] *= most / stride
 
 
 class Descent:
@@ -185,7 +177,7 @@ class Descent:
             if not self._probe.any():  # no curvature at all
                 self._probe = _random_like(before)
                 break
-            steps = self._probe * (PROBE * self._longest / longest_vector(self._probe))
+            steps = self._probe * (PROBE * self._longest / longest(self._probe)[1])
             self._positions[:] = before + steps
             self._evaluate()
             self._probe = forces - self._forces
@@ -220,7 +212,7 @@ class Descent:
             self._push_apart(n_pushes)
         self._forces[:] = self._engine.forces * min(1.0, LARGEST / max(largest, 1.0))
         self._rigidity.project(self._forces, self._positions)
-        self.largest_force = longest_vector(self._forces)
+        self.largest_force = longest(self._forces)[1]
         return n_pushes
 
     def _push_apart(self, n_pushes: int) -> None:

@@ -71,11 +71,16 @@ def _absolute_momentum(velocities, masses):
 
 
 @kernel
-def _largest_speed(velocities):
-    largest2 = 0.0
-    for i in range(velocities.shape[0]):
-        largest2 = max(largest2, velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
-    return sqrt(largest2)
+def longest(vectors):
+    """Index and length of the longest of (N, 3) vectors; the first that is not finite, if there is one, is infinitely long."""
+    where, longest2 = 0, -1.0
+    for i in range(vectors.shape[0]):
+        length2 = vectors[i, 0] ** 2 + vectors[i, 1] ** 2 + vectors[i, 2] ** 2
+        if not length2 < np.inf:
+            return i, np.inf
+        if length2 > longest2:
+            where, longest2 = i, length2
+    return where, sqrt(longest2)
 
 
 @kernel
@@ -112,7 +117,7 @@ def absolute_momentum(velocities: Array, masses: Array) -> float:
 
 def largest_speed(velocities: Array) -> float:
     """max |v| [length/time]."""
-    return _largest_speed(velocities)
+    return longest(velocities)[1]
 
 
 def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.observables import longest
+
 if TYPE_CHECKING:
     from minimd.dynamics import Dynamics
 
@@ -54,7 +56,7 @@ def probe(dynamics: "Dynamics", n_steps: int) -> Reversibility:
     """See Simulation.probe_reversibility; the state of the dynamics is restored by its caller."""
     start = dynamics.moment
     _go(dynamics, n_steps)
-    way = _largest(dynamics.positions - start.positions)
+    way = longest(dynamics.positions - start.positions)[1]
     dynamics.velocities[:] *= -1.0
     turning = dynamics.moment
     forces = dynamics.forces.copy()
@@ -63,10 +65,10 @@ def probe(dynamics: "Dynamics", n_steps: int) -> Reversibility:
     dynamics.go_to(turning)
     _disturb(dynamics, forces)
     _go(dynamics, n_steps)
-    growth = _largest(dynamics.positions - returned)
+    growth = longest(dynamics.positions - returned)[1]
     one = max(growth / AMPLIFIED, ROUNDING["double"] * way)  # two roundings may undo each other, as where nothing acts
     rounding = one * (2.0 * n_steps) ** 0.5 if growth <= CHAOS * way else np.inf
-    return Reversibility(n_steps, _largest(returned - start.positions), way, rounding, dynamics.system.units.length)
+    return Reversibility(n_steps, longest(returned - start.positions)[1], way, rounding, dynamics.system.units.length)
 
 
 def _go(dynamics: "Dynamics", n_steps: int) -> None:
@@ -83,7 +85,3 @@ def _disturb(dynamics: "Dynamics", forces: NDArray[np.float64]) -> None:
     step = AMPLIFIED * swept + exact * np.abs(dynamics.positions)
     dynamics.positions[:] += random.choice([-1.0, 1.0], shape) * step * (dynamics.inverse_masses[:, None] > 0.0)
     dynamics.velocities[:] += random.choice([-1.0, 1.0], shape) * (precision * kicks + exact * np.abs(dynamics.velocities))
-
-
-def _largest(vectors: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.einsum("ij,ij->i", vectors, vectors).max()))

@@ -270,6 +270,7 @@ def test_threads_change_no_bit(name, solver):
             bonds.project_velocities(v, x)
             bonds.drift(x, v, 0.01)
         assert bonds.violation(x).max() < 1e-11
+        assert (np.abs(x - start).max(axis=1) > 0.0).all()  # no component was left out
         results.append((x, v, begin))
     assert np.array_equal(results[0][0], results[1][0])
     assert np.array_equal(results[0][1], results[1][1])

@@ -42,6 +42,9 @@ def test_rattle_of_three_waters():
     simulation = constrained_fourmol(pairs, np.tile([1.0, 1.0, 2.0 * np.sin(WATER_ANGLE / 2.0)], 3), oxygens)
     reference = load("lammps_fourmol/fix-timestep-rattle_angle.json")
     assert [group.shape for group in simulation._rigidity.bonds.groups] == ["triangles"]
+    print(
+        f"{np.abs(simulation.positions - reference['run_pos']).max():.1e} Å, {np.abs(simulation.velocities - reference['run_vel']).max():.1e} Å/fs off"
+    )
     assert np.abs(simulation.positions - reference["run_pos"]).max() < 2e-10
     assert np.abs(simulation.velocities - reference["run_vel"]).max() < 2e-10
 
@@ -55,6 +58,9 @@ def test_shake_of_the_hydrogens_of_the_solute():
     pairs = [(bond[1] - 1, bond[2] - 1) for bond in bonds]
     simulation = constrained_fourmol(pairs, [BOND_LENGTHS[bond[0]] for bond in bonds], [])
     reference = load("lammps_fourmol/fix-timestep-shake_bond.json")
+    print(
+        f"{np.abs(simulation.positions - reference['run_pos']).max():.1e} Å, {np.abs(simulation.velocities - reference['run_vel']).max():.1e} Å/fs off"
+    )
     assert np.abs(simulation.positions - reference["run_pos"]).max() < 2e-10
 
 
@@ -84,6 +90,7 @@ def test_500_steps_of_27_rigid_molecules_beside_ase():
     atoms.calc = Calculator(nitrogen_law(), bonds=bonds)
     VelocityVerlet(atoms, units.fs).run(500)
     assert np.abs(simulation.positions - nitrogen().positions).max() > 1.0
+    print(f"{np.abs(simulation.positions - atoms.positions).max():.1e} Å off")
     assert np.abs(simulation.positions - atoms.positions).max() < 1e-9
     assert np.abs(simulation.velocities - atoms.get_velocities()).max() < 1e-9
 

@@ -10,8 +10,8 @@ from matplotlib.patches import Circle, Rectangle
 import minimd as md
 from minimd.neighbors import chunks
 from minimd.neighbors.cluster_list import ClusterList
-from minimd.potentials.cluster_loop import COPY_BITS, LANES, LANES_FROM
-from minimd.team import team_of
+from minimd.forces.cluster_loop import COPY_BITS, LANES, LANES_FROM
+from minimd.compiled.threads import team_of
 
 CUTOFF, SKIN = 2.5, 0.3
 THICKNESS = 8.0**0.5  # at one atom per square, columns are as wide as eight atoms are high

@@ -11,8 +11,8 @@ from physical_validation.data import EnsembleData, ObservableData, SimulationDat
 from scipy.stats import gamma
 
 import minimd as md
-from minimd.lattice import crystal
-from minimd.units import ASE, fs
+from minimd.structure.lattice import crystal
+from minimd.structure.units import ASE, fs
 
 temperatures = np.array([94.4, 100.0])  # K
 n_melting, n_production, every = 5000, 50_000, 25

@@ -7,7 +7,7 @@ import numpy as np
 from ase.build import bulk
 
 import minimd as md
-from minimd.units import ASE, fs, ps
+from minimd.structure.units import ASE, fs, ps
 
 temperature = 94.4  # K
 epsilon, sigma = 120.0 * ASE.k_B, 3.4  # eV, Å

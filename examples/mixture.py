@@ -8,7 +8,7 @@ import numpy as np
 from ase.build import bulk
 
 import minimd as md
-from minimd.units import ASE, fs
+from minimd.structure.units import ASE, fs
 
 temperature = 130.0  # K
 parameters = {"Ar": (120.0 * ASE.k_B, 3.40), "Kr": (164.0 * ASE.k_B, 3.65)}  # ε [eV], σ [Å]

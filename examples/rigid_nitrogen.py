@@ -10,7 +10,7 @@ from ase import Atoms
 from ase.constraints import FixBondLengths
 
 import minimd as md
-from minimd.lattice import constant_from_density, crystal
+from minimd.structure.lattice import constant_from_density, crystal
 
 density, temperature, bond = 0.808 * md.units.GRAM_PER_CM3, 77.0, 1.0897  # u/Å³, K, Å
 n_equilibration, duration = 2000, 800  # steps, fs

@@ -9,7 +9,7 @@ import numpy as np
 
 import minimd as md
 from minimd.integrators import BlanesMoan4, KahanLi6, KahanLi8
-from minimd.lattice import crystal
+from minimd.structure.lattice import crystal
 
 n_cells, density, temperature = 3, 0.8442, 0.3  # 108 atoms of solid argon in reduced Lennard-Jones units, in free space
 cutoff, duration, n_looks = 2.5, 1.0, 20

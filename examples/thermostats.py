@@ -10,7 +10,7 @@ from scipy import stats
 
 import minimd as md
 from minimd.integrators import State
-from minimd.lattice import crystal
+from minimd.structure.lattice import crystal
 
 n_cells, lattice_constant, temperature, seed = 3, 5.78, 94.4, 1  # 108 atoms at Rahman's density [Å, K]
 n_equilibration, n_steps, every = 5_000, 40_000, 20

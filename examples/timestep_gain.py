@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import minimd as md
-from minimd.lattice import crystal
-from minimd.units import ASE, fs
+from minimd.structure.lattice import crystal
+from minimd.structure.units import ASE, fs
 
 warnings.filterwarnings("ignore", message="timestep")  # too long a step is what this is about
 temperature, length, mass = 77.0, 1.098, 14.007  # K, Å, u

@@ -1,24 +1,25 @@
 """minimd: a molecular-dynamics mini-engine. Fast, exact, and small enough to read in an afternoon."""
 
-from minimd import integrators, units
-from minimd.advice import StepAdvice, advise_timestep
-from minimd.cell import Cell
-from minimd.errors import ConstraintError, ConvergenceError, NonFiniteError
-from minimd.forces import Evaluation, Forces, evaluate
+from minimd import integrators
+from minimd.constraints.constraint_set import FixedAtoms
+from minimd.diagnosis.report import Report
+from minimd.diagnosis.reversibility import Reversibility
+from minimd.diagnosis.shadow_energy import shadow_energy
+from minimd.diagnosis.timestep import StepAdvice, advise_timestep
+from minimd.engine.record import Record
+from minimd.forces.forces import Evaluation, Forces, evaluate
 from minimd.integrators import DistanceConstraints, LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
-from minimd.minimization import Minimization, minimize
+from minimd.minimization.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
-from minimd.record import Record
-from minimd.replaying import replay
-from minimd.report import Report
-from minimd.reversibility import Reversibility
-from minimd.rigidity import FixedAtoms
-from minimd.shadow import shadow_energy
-from minimd.simulation import Simulation
-from minimd.system import System
+from minimd.replay import replay
+from minimd.simulation.simulation import Simulation
+from minimd.structure import units
+from minimd.structure.cell import Cell
+from minimd.structure.errors import ConstraintError, ConvergenceError, NonFiniteError
+from minimd.structure.system import System
 
-__version__ = "0.1.0"
+__version__ = version("minimd")
 __all__ = [
     "BondPotential",
     "Cell",

@@ -7,7 +7,7 @@ from ase.build import bulk
 from ase.calculators.lj import LennardJones
 
 import minimd as md
-from minimd.velocities import maxwell_boltzmann
+from minimd.structure.velocities import maxwell_boltzmann
 
 SIGMA, EPSILON, CUTOFF = 3.405, 0.0103, 8.0
 TIMESTEP = 4.0 * ase.units.fs

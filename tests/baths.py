@@ -5,7 +5,7 @@ from references import liquid
 
 import minimd as md
 from minimd.integrators import Drift, Kick, State
-from minimd.integrators.rows import Thermalize
+from minimd.integrators.splitting.substeps import Thermalize
 
 LANGEVIN = md.LangevinBAOAB(0.01, temperature=1.3, friction=2.0, seed=5)
 BUSSI = md.StochasticVelocityRescaling(0.01, temperature=1.3, relaxation_time=0.5, seed=5)

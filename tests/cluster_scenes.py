@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from references import liquid
 
 import minimd as md
-from minimd.cell import Cell
 from minimd.potentials.pair_loop import FORCES, PER_ATOM, TOTALS
+from minimd.structure.cell import Cell
 
 CUTOFF, SKIN = 2.0, 0.3
 JUST_HIGH_ENOUGH = (CUTOFF + SKIN) * (1.0 + 1e-9)
@@ -78,8 +78,8 @@ def rod(n_cells=16, width=3, seed=1):
 def atoms_in_a_chunk(n):
     """Chunks and teams for scenes much smaller than those that need them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("minimd.neighbors.chunks.ATOMS_IN_A_CHUNK", n)
-        patch.setattr("minimd.clustered.ATOMS_IN_A_CHUNK", n)
+        patch.setattr("minimd.neighbors.domains.ATOMS_IN_A_CHUNK", n)
+        patch.setattr("minimd.forces.cluster_term.ATOMS_IN_A_CHUNK", n)
         yield
 
 

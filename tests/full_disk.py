@@ -14,4 +14,4 @@ def fill_the_disk(monkeypatch, after):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
-    monkeypatch.setattr("minimd.h5md.SECONDS_BETWEEN_FLUSHES", 0.0)
+    monkeypatch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)

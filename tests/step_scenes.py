@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 
 import minimd as md
-from minimd.lattice import crystal
+from minimd.structure.lattice import crystal
 
 AMPLITUDE, GROWTH = 1e-7, 1e4  # of the first displacement [length]; how much larger it must become to be called unstable
 N_STEPS, LOOK = 3000, 100

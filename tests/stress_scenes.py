@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import minimd as md
-from minimd.lattice import crystal
-from minimd.options import Options
+from minimd.forces.options import Options
 from minimd.potentials.pair_loop import TOTALS
+from minimd.structure.lattice import crystal
 
 SMOOTH = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
 OPEN = md.LennardJones(1.0, 1.0)

@@ -10,7 +10,7 @@ from step_scenes import SCENES, at_minimum, diatomic, fcc, longest_stable_step, 
 
 import minimd as md
 from minimd.integrators import SPLITTINGS, THERMOSTATS, SecondOrder, energy_oscillation, run_steps, stability_limit
-from minimd.integrators.rows import repeated
+from minimd.integrators.splitting.substeps import repeated
 
 EXPLICIT = [*SPLITTINGS.values()]
 

@@ -10,11 +10,11 @@ from references import liquid, melt_scene
 from test_rigid_runs import simulation as rigid_liquid
 
 import minimd as md
-from minimd import cli
-from minimd.autopsy import examine
-from minimd.autopsy_file import read_autopsy
-from minimd.contacts import contacts
-from minimd.h5md import read_file
+from minimd.commands import main as cli
+from minimd.diagnosis.contacts import contacts
+from minimd.diagnosis.crash_report import examine
+from minimd.files.crash_file import read_autopsy
+from minimd.files.h5md_writer import read_file
 from minimd.potentials.pair_loop import PER_ATOM
 
 LJ = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
@@ -81,7 +81,7 @@ def test_the_cause_is_told(kind):
 def test_an_examination_sees_the_energy_of_each_atom(monkeypatch):
     """Of clusters too, whose totals are booked on one atom."""
     seen = []
-    monkeypatch.setattr("minimd.dynamics.examine", lambda system, acting, *rest: seen.append(acting) or examine(system, acting, *rest))
+    monkeypatch.setattr("minimd.diagnosis.run_guard.examine", lambda system, acting, *rest: seen.append(acting) or examine(system, acting, *rest))
     simulation = md.Simulation(liquid(6), LJ, md.VelocityVerlet(0.1))
     assert simulation._forces.pair_search.startswith("cluster list")
     failing(simulation)

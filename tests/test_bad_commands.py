@@ -10,8 +10,8 @@ from full_disk import fill_the_disk
 from references import melt_scene
 
 import minimd as md
-from minimd import cli
-from minimd.h5md import read_file
+from minimd.commands import main as cli
+from minimd.files.h5md_writer import read_file
 
 SCENE = melt_scene(3, 20, "[output]\nevery = 5\n")
 SCENE_OF_A_FILE = SCENE.replace('lattice = "fcc"\nrepeat = [3, 3, 3]\ndensity = 0.8442', 'file = "atoms.xyz"\npbc = true\ncell = [9, 9, 9]')

@@ -7,10 +7,10 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from minimd import cli
 from minimd.bench import command, engines, ingredients, memory, peers, rows, scaling, scenes, turns
 from minimd.bench.outcome import as_json, markdown
 from minimd.bench.peers import Options, run_peers
+from minimd.commands import main as cli
 
 N_ATOMS = 256  # four cells along each edge
 PEER_SECONDS, ASE_SECONDS = 0.015, 0.35  # a step of a fake peer on one thread; more than 5 s in all the steps of a turn

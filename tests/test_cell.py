@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from minimd.cell import Cell, minimum_image_translations
+from minimd.structure.cell import Cell, minimum_image_translations
 
 
 @st.composite

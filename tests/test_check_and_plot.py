@@ -6,9 +6,9 @@ import pytest
 from matplotlib.figure import Figure
 
 import minimd as md
-from minimd import plot
-from minimd.check import check_file
-from minimd.plot import plot_file
+from minimd.analysis import plot
+from minimd.analysis.check import check_file
+from minimd.analysis.plot import plot_file
 
 
 def simulation(units=md.units.LJ, pbc=(True, True, True)):

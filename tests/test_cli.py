@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import minimd as md
-from minimd import cli
-from minimd.h5md import read_file
+from minimd.commands import main as cli
+from minimd.files.h5md_writer import read_file
 from minimd.scene import load_scene
 
 SCENE = """
@@ -53,7 +53,7 @@ def folder(tmp_path, monkeypatch):
 def command(*arguments, **keywords):
     """The command in a process of its own."""
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
-    return subprocess.Popen([sys.executable, "-m", "minimd.cli", *arguments], env=environment, text=True, **keywords)
+    return subprocess.Popen([sys.executable, "-m", "minimd.commands.main", *arguments], env=environment, text=True, **keywords)
 
 
 def answer(*arguments, **keywords):
@@ -189,7 +189,7 @@ def test_resume_without_steps_goes_on_to_the_end_of_the_scene(folder, capsys):
 
 
 def test_interrupted_run_says_how_to_go_on(folder, capsys, monkeypatch):
-    from minimd.h5md import H5MDWriter
+    from minimd.files.h5md_writer import H5MDWriter
 
     write = H5MDWriter.write
 

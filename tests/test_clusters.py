@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from references import brute_force_pairs, liquid, melt
 
 import minimd as md
-from minimd.clustered import ClusteredPairs
-from minimd.options import Options
-from minimd.pair_laws import PairLaws
-from minimd.potentials.cluster_loop import BLOCK
+from minimd.forces.cluster_loop import BLOCK
+from minimd.forces.cluster_term import ClusteredPairs
+from minimd.forces.options import Options
+from minimd.forces.pair_laws import PairLaws
+from minimd.forces.terms import ListedPairs
 from minimd.potentials.pair_loop import PER_ATOM, TOTALS
-from minimd.terms import ListedPairs
 
 SKINNED, BARE = Options(skin=SKIN, threads=2), Options(skin=0.0)
 EQUAL = 1e-13  # rounding: sums in another order

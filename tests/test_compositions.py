@@ -12,9 +12,16 @@ from references import liquid
 
 import minimd as md
 from minimd.integrators import PEFRL, SE1, SE2, SPLITTINGS, Drift, Kick, Leapfrog, PositionVerlet, Splitting, State, VelocityVerlet, compose
-from minimd.integrators.compositions import BlanesMoan4, CandyRozmus4, KahanLi8, McLachlanAtela4, Suzuki4, Yoshida6
-from minimd.integrators.orders import lyndon_words, nystrom_order, nystrom_residuals, separable_order, separable_residuals, word_coefficient
-from minimd.integrators.rows import is_palindrome, merged, scaled
+from minimd.integrators.splitting.compositions import BlanesMoan4, CandyRozmus4, KahanLi8, McLachlanAtela4, Suzuki4, Yoshida6
+from minimd.integrators.splitting.order_conditions import (
+    lyndon_words,
+    nystrom_order,
+    nystrom_residuals,
+    separable_order,
+    separable_residuals,
+    word_coefficient,
+)
+from minimd.integrators.splitting.substeps import is_palindrome, merged, scaled
 
 REFERENCE = json.loads((Path(__file__).parent / "data/geometric/henon_heiles.json").read_text())
 ORDERS = {

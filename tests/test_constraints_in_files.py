@@ -12,10 +12,10 @@ from ase.constraints import FixAtoms, FixBondLengths
 from rigid_scenes import chain
 
 import minimd as md
-from minimd.check import check_file
-from minimd.h5md import H5MDWriter, read_file
-from minimd.lattice import crystal
+from minimd.analysis.check import check_file
+from minimd.files.h5md_writer import H5MDWriter, read_file
 from minimd.scene import load_scene, parse_scene, resume_run, run_scene
+from minimd.structure.lattice import crystal
 
 LENGTH = 0.5
 CUTOFF = 2.2

@@ -26,8 +26,8 @@ from minimd.integrators import (
     run_steps,
     run_until,
 )
-from minimd.integrators.bdf import slope_weights
-from minimd.integrators.runge_kutta import StageStep
+from minimd.integrators.ode.bdf import slope_weights
+from minimd.integrators.ode.runge_kutta import StageStep
 
 BDFS = [BDF1, BDF2, BDF3, BDF4, BDF5]
 RADAU = {  # index: orders of y and z; of q, v and the multiplier

@@ -5,7 +5,6 @@ import pytest
 from dae_problems import GRAVITY, HORIZONTAL, INDEX1, INDEX2, INDEX3, pendulum
 from numpy import cos, sin
 
-from minimd.errors import ConvergenceError
 from minimd.integrators import (
     FixedPoint,
     Hessenberg1,
@@ -19,6 +18,7 @@ from minimd.integrators import (
     run_adaptive,
     run_steps,
 )
+from minimd.structure.errors import ConvergenceError
 
 
 def implicit_pendulum():

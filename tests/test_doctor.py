@@ -4,7 +4,8 @@ import numba
 import pytest
 
 import minimd as md
-from minimd import cli, doctor
+from minimd.commands import doctor
+from minimd.commands import main as cli
 
 
 def test_doctor_finds_this_machine_in_order(capsys):

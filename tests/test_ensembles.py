@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import minimd as md
-from minimd.lattice import constant_from_density, crystal
+from minimd.structure.lattice import constant_from_density, crystal
 
 pytestmark = pytest.mark.slow
 K_B, FS = md.units.ASE.k_B, md.units.fs

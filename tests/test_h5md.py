@@ -6,8 +6,8 @@ import pytest
 from h5md_runs import CELLS, opened, resumed, simulation
 
 import minimd as md
-from minimd.h5md import H5MDWriter, annotate, read_file
-from minimd.record import SERIES
+from minimd.engine.record import SERIES
+from minimd.files.h5md_writer import H5MDWriter, annotate, read_file
 
 PER_PICOSECOND, KJ_PER_MOL = 98.22694788464064, 96.48533288249877  # of ASE's units, as their documentation has them
 

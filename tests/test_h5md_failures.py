@@ -10,8 +10,8 @@ import pytest
 from h5md_runs import limited, opened, resumed, simulation
 
 import minimd as md
-from minimd import h5md
-from minimd.h5md import H5MDWriter, read_file
+from minimd.files import h5md_writer as h5md
+from minimd.files.h5md_writer import H5MDWriter, read_file
 
 
 @pytest.mark.parametrize(
@@ -205,8 +205,8 @@ def test_refused_or_failed_output_leaves_nothing_of_the_others(tmp_path, monkeyp
     assert [path.name for path in tmp_path.iterdir()] == ["b.xyz"]
 
     closed = []
-    monkeypatch.setattr("minimd.h5md.H5MDWriter.close", lambda _self, completed: closed.append(completed))
-    monkeypatch.setattr("minimd.mdanalysis.MDAnalysisWriter.__init__", lambda *_: (_ for _ in ()).throw(OSError("no more files")))
+    monkeypatch.setattr("minimd.files.h5md_writer.H5MDWriter.close", lambda _self, completed: closed.append(completed))
+    monkeypatch.setattr("minimd.mdanalysis.universe.MDAnalysisWriter.__init__", lambda *_: (_ for _ in ()).throw(OSError("no more files")))
     with pytest.raises(OSError, match="no more files"):
         simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "c.xtc"])
     assert closed == [False]

@@ -5,7 +5,7 @@ import pytest
 from scipy import optimize
 
 from minimd.integrators import SE1, SE2, SPLITTINGS, Drift, Kick, Leapfrog, PositionVerlet, Splitting, State, VelocityVerlet, adjoint, compose
-from minimd.integrators.two_step import stormer_summed, stormer_two_step
+from minimd.integrators.ode.stormer import stormer_summed, stormer_two_step
 
 REVERSIBLE = [method for method in SPLITTINGS.values() if method.is_symmetric]
 OTHERS = [method for method in SPLITTINGS.values() if not method.is_symmetric]

@@ -10,12 +10,21 @@ import pytest
 import minimd
 
 PACKAGE = Path(minimd.__file__).parent
-FOUNDATION = {"minimd.compiling", "minimd.simd", "minimd.errors", "minimd.team"}  # what both rooms stand on
+FOUNDATION = {"minimd.compiled.kernels", "minimd.compiled.simd", "minimd.structure.errors", "minimd.compiled.threads"}  # what both rooms stand on
 ROOMS = {
     "potentials": {"numpy", "numba", "minimd.potentials", *FOUNDATION},
     "integrators": {"numpy", "numba", "scipy", "minimd.integrators", *FOUNDATION},
 }
-ENDS = {"minimd.ase", "minimd.mdanalysis", "minimd.scene", "minimd.cli", "minimd.bench", "minimd.check", "minimd.plot", "minimd.doctor"}
+ENDS = {
+    "minimd.ase",
+    "minimd.mdanalysis.universe",
+    "minimd.scene",
+    "minimd.commands.main",
+    "minimd.bench",
+    "minimd.analysis.check",
+    "minimd.analysis.plot",
+    "minimd.commands.doctor",
+}
 STANDARD = set(sys.stdlib_module_names)
 
 

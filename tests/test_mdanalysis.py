@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import minimd as md
-from minimd import mdanalysis
-from minimd.check import liquid, recompute
-from minimd.h5md import H5MDWriter
-from minimd.mdanalysis import diffusion_coefficient, radial_distribution, universe
+from minimd.analysis.check import liquid, recompute
+from minimd.files.h5md_writer import H5MDWriter
+from minimd.mdanalysis import universe as mdanalysis
+from minimd.mdanalysis.universe import diffusion_coefficient, radial_distribution, universe
 
 PER_PICOSECOND = 98.22694788464064  # of ASE's time unit
 FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]

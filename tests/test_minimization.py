@@ -10,12 +10,12 @@ from references import melt_scene
 from rigid_scenes import SCENES
 
 import minimd as md
-from minimd.errors import Interrupted
-from minimd.fire import steer
-from minimd.forces import Forces
-from minimd.lattice import crystal
+from minimd.forces.forces import Forces
+from minimd.minimization.fire import steer
 from minimd.potentials.pair_loop import TOTALS
 from minimd.scene import parse_scene, run_scene
+from minimd.structure.errors import Interrupted
+from minimd.structure.lattice import crystal
 
 LJ = md.LennardJones(1.0, 1.0)
 CUT = md.LennardJones(1.0, 1.0, cutoff=2.5, truncation="force-shifted")

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from references import liquid, melt
 
 import minimd as md
-from minimd.clustered import ClusteredPairs
-from minimd.options import Options
-from minimd.pair_laws import PairLaws
-from minimd.report import conservation_report
-from minimd.terms import ListedPairs
+from minimd.diagnosis.report import conservation_report
+from minimd.forces.cluster_term import ClusteredPairs
+from minimd.forces.options import Options
+from minimd.forces.pair_laws import PairLaws
+from minimd.forces.terms import ListedPairs
 
 SINGLE = 1e-5  # of the largest force: rounding of r and of r⁻¹⁴ in float32
 WIDE = 300.0  # the grid of the coordinates is then 1.4e-7 fine, as float32 near 1

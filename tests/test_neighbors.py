@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from references import brute_force_pairs
 
 import minimd as md
-from minimd.cell import Cell
-from minimd.neighbors.closest import closest_pair
 from minimd.neighbors.pair_list import PairList
+from minimd.neighbors.queries import closest_pair
+from minimd.structure.cell import Cell
 
 NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
 FLAT = 0.02  # determinant of the unit vectors below which a brute force would need too many images

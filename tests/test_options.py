@@ -11,11 +11,11 @@ from references import liquid, melt, melt_scene
 
 import minimd as md
 from minimd.ase import Calculator, VelocityVerlet
-from minimd.neighbors.skin import BUILD_COST, DEFAULT_SKIN, SKINS, STEP_COST, best_skin
-from minimd.options import Options
-from minimd.pair_laws import PairLaws, skin_for
+from minimd.forces.options import Options
+from minimd.forces.pair_laws import PairLaws, skin_for
+from minimd.neighbors.verlet_list import BUILD_COST, DEFAULT_SKIN, SKINS, STEP_COST, best_skin
 from minimd.scene import parse_scene
-from minimd.system import number_density
+from minimd.structure.system import number_density
 
 LJ = md.LennardJones(1.0, 1.0, 2.5)
 POSITIVE = st.floats(1e-3, 1e3)

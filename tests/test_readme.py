@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from minimd.clustered import ATOMS_IN_A_CHUNK
+from minimd.forces.cluster_term import ATOMS_IN_A_CHUNK
+from minimd.forces.pair_laws import CLUSTERS_FROM
 from minimd.neighbors import chunks
-from minimd.pair_laws import CLUSTERS_FROM
 
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"

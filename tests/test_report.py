@@ -36,7 +36,7 @@ def test_report_sees_momentum_change():
 
 def test_drift_has_an_honest_error():
     """The error of the slope covers the truth for correlated noise, and finds a slope that is there."""
-    from minimd.report import drift
+    from minimd.diagnosis.report import drift
 
     rng, t, misses = np.random.default_rng(0), np.linspace(0, 100, 4000), 0
     for _ in range(200):

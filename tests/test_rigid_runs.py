@@ -5,9 +5,9 @@ import pytest
 from rigid_scenes import SCENES
 
 import minimd as md
-from minimd.cell import Cell
 from minimd.integrators import SPLITTINGS
-from minimd.lattice import crystal
+from minimd.structure.cell import Cell
+from minimd.structure.lattice import crystal
 
 
 def dumbbells(n_cells=3, density=0.9, length=0.5):

@@ -7,9 +7,9 @@ import pytest
 from scene_texts import ARGON, REDUCED, scene_of
 
 import minimd as md
-from minimd.lattice import BASES, constant_from_density, crystal
 from minimd.scene import load_scene, run_scene
 from minimd.scene.key_units import KEY_UNITS
+from minimd.structure.lattice import BASES, constant_from_density, crystal
 
 # SI values, independent of minimd.units (CODATA 2018; minimd has ASE's of 2014, equal to 1e-6)
 ATOMIC_MASS, ELECTRON_VOLT, BOLTZMANN, ANGSTROM = 1.66053906660e-27, 1.602176634e-19, 1.380649e-23, 1e-10

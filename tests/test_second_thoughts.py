@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import minimd as md
-from minimd.lattice import crystal
 from minimd.scene import parse_scene
 from minimd.scene.running import differences
+from minimd.structure.lattice import crystal
 
 LJ = md.LennardJones(1.0, 1.0, 2.0)
 

@@ -8,10 +8,11 @@ from references import liquid, melt_scene
 from test_rigid_runs import simulation as rigid_liquid
 
 import minimd as md
-from minimd import check, cli
-from minimd.h5md import H5MDWriter, read_file
+from minimd.analysis import check
+from minimd.commands import main as cli
+from minimd.diagnosis.static_checks import cutoff_lines
+from minimd.files.h5md_writer import H5MDWriter, read_file
 from minimd.integrators import SPLITTINGS
-from minimd.safety import cutoff_lines
 
 VERLETS = ["velocity-verlet", "position-verlet", "leapfrog"]
 

@@ -7,10 +7,23 @@ import numba
 import numpy as np
 import pytest
 
-from minimd.compiling import scalar
+from minimd.compiled.kernels import scalar
+from minimd.compiled.simd import (
+    bits_from_mask,
+    broadcast,
+    convert,
+    fma,
+    lane,
+    load,
+    mask_from_bits,
+    select,
+    store,
+    store_compressed,
+    total,
+    with_lane,
+)
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.truncation import TRUNCATIONS
-from minimd.simd import bits_from_mask, broadcast, convert, fma, lane, load, mask_from_bits, select, store, store_compressed, total, with_lane
 
 import minimd as md  # isort: skip
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import minimd as md
-from minimd.lattice import constant_from_density, crystal
+from minimd.structure.lattice import constant_from_density, crystal
 
 DATA = json.loads((Path(__file__).parent / "data" / "nist_lj" / "state_points.json").read_text())
 TIMESTEP, EVERY = 0.004, 10

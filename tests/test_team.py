@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from cluster_scenes import atoms_in_a_chunk
 
-from minimd.cell import Cell
-from minimd.compiling import shared_kernel
+from minimd.compiled.kernels import shared_kernel
+from minimd.compiled.threads import MOST_SHARES, PHASES, Member, Team, begin, finish_and_take, take, team_of, wait
 from minimd.neighbors.buffers import Buffers
-from minimd.neighbors.chunks import cut_into_chunks
 from minimd.neighbors.clusters import make_columns, sort_into_clusters
-from minimd.team import MOST_SHARES, PHASES, Member, Team, begin, finish_and_take, take, team_of, wait
+from minimd.neighbors.domains import cut_into_chunks
+from minimd.structure.cell import Cell
 
 N_PHASES = 4
 PATIENT = 30.0  # seconds after which a test gives up

@@ -5,10 +5,10 @@ import pytest
 from baths import BUSSI, LANGEVIN, OBABO, SCENE, simulation
 
 import minimd as md
-from minimd.check import check_file
-from minimd.h5md import H5MDWriter, read_file
+from minimd.analysis.check import check_file
+from minimd.diagnosis.report import drift, drift_of_walk
+from minimd.files.h5md_writer import H5MDWriter, read_file
 from minimd.integrators import THERMOSTATS
-from minimd.report import drift, drift_of_walk
 from minimd.scene import parse_scene
 from minimd.scene.running import resume_run, run_scene
 

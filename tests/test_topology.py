@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from minimd.topology import pairs_by_bonds_apart
+from minimd.structure.bond_graph import pairs_by_bonds_apart
 
 
 def distances_by_matrix_powers(bonds, n):

@@ -4,11 +4,11 @@ ASE's units are Å, eV, u and Å √(u/eV); minimd.units.ASE are the same, so no
 units crosses with its numbers unchanged. Only this package imports ase.
 """
 
-from minimd.ase.atoms import atomic_mass, atoms_from_system, system_from_atoms, system_from_file
 from minimd.ase.calculator import Calculator
 from minimd.ase.dynamics import VelocityVerlet
 from minimd.ase.foreign import ForcesFromCalculator
-from minimd.ase.writer import ASEWriter
+from minimd.files.ase_writer import ASEWriter
+from minimd.structure.ase_atoms import atomic_mass, atoms_from_system, system_from_atoms, system_from_file
 
 __all__ = [
     "ASEWriter",

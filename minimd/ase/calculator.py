@@ -10,13 +10,13 @@ from ase.calculators.calculator import all_changes
 from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.ase.atoms import cell_of, same_labels, same_scene, unchecked_system, volume_of
-from minimd.errors import NonFiniteError
-from minimd.forces import Forces
-from minimd.neighbors.closest import closest_pair
-from minimd.options import Options
+from minimd.forces.forces import Forces
+from minimd.forces.options import Options
+from minimd.forces.terms import Potential
+from minimd.neighbors.queries import closest_pair
 from minimd.potentials.pair_loop import PER_ATOM, TOTALS
-from minimd.terms import Potential
+from minimd.structure.ase_atoms import cell_of, same_labels, same_scene, unchecked_system, volume_of
+from minimd.structure.errors import NonFiniteError
 
 
 class Calculator(ASECalculator):

@@ -8,10 +8,10 @@ from ase.md.md import MolecularDynamics
 from numpy.typing import NDArray
 
 from minimd import integrators
-from minimd.ase.atoms import cell_of, same_scene, system_from_atoms
 from minimd.ase.calculator import Calculator
-from minimd.simulation import Simulation
-from minimd.terms import Potential
+from minimd.forces.terms import Potential
+from minimd.simulation.simulation import Simulation
+from minimd.structure.ase_atoms import cell_of, same_scene, system_from_atoms
 
 
 class VelocityVerlet(MolecularDynamics):

@@ -9,10 +9,10 @@ from ase.calculators.calculator import BaseCalculator
 from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import NDArray
 
-from minimd.ase.atoms import atoms_from_system, volume_of
 from minimd.potentials.pair_loop import FORCES, PER_ATOM
-from minimd.stacklevel import outside_minimd
-from minimd.system import System
+from minimd.structure.ase_atoms import atoms_from_system, volume_of
+from minimd.structure.console import outside_minimd
+from minimd.structure.system import System
 
 
 class ForcesFromCalculator:

@@ -223,13 +223,13 @@ class Peer(NamedTuple):
 
 
 def _ase(scene: Scene, _threads: int, timestep: float) -> Engine:
-    from minimd.ase.peers import ASE
+    from minimd.bench.ase_peers import ASE
 
     return ASE(scene, timestep)
 
 
 def _asap(scene: Scene, _threads: int, timestep: float) -> Engine:
-    from minimd.ase.peers import Asap
+    from minimd.bench.ase_peers import Asap
 
     return Asap(scene, timestep)
 

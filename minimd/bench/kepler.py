@@ -6,8 +6,8 @@ from time import perf_counter
 import numpy as np
 
 import minimd as md
-from minimd.errors import ConvergenceError
 from minimd.integrators.methods import IMPLICIT, SPLITTINGS
+from minimd.structure.errors import ConvergenceError
 
 ECCENTRICITY, PERIODS = 0.6, 20
 TEXT = f"Kepler's ellipse, eccentricity {ECCENTRICITY}, {PERIODS} periods; units a (half axis) and v (velocity in a circle)"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import minimd as md
-from minimd.doctor import available_cores, processor_name, version
+from minimd.compiled.machine import available_cores, processor_name, version
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

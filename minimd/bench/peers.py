@@ -14,7 +14,7 @@ from minimd.bench.outcome import new_figure, spread, summary, table
 from minimd.bench.rows import Row, beside_one_thread, faster_than_peer
 from minimd.bench.scenes import CUTOFF, MELT, SCENES, TIMESTEP, Scene, equilibrated
 from minimd.bench.turns import check_agreement, take_turns, warm_up
-from minimd.doctor import available_cores
+from minimd.compiled.machine import available_cores
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

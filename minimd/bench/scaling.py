@@ -13,7 +13,7 @@ from minimd.bench.memory import bytes_per_atom, bytes_per_atom_lammps
 from minimd.bench.outcome import new_figure, spread, summary, table
 from minimd.bench.scenes import MELT, melt
 from minimd.bench.turns import take_turns, warm_up
-from minimd.doctor import available_cores
+from minimd.compiled.machine import available_cores
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import minimd as md
-from minimd.forces import Potential
-from minimd.lattice import constant_from_density, crystal
+from minimd.forces.forces import Potential
 from minimd.potentials.pair import Label, PairPotential
-from minimd.velocities import maxwell_boltzmann
+from minimd.structure.lattice import constant_from_density, crystal
+from minimd.structure.velocities import maxwell_boltzmann
 
 MELT = "melt"
 SEED = 87287

@@ -22,7 +22,7 @@ from minimd.bench import engines, kepler
 from minimd.bench.outcome import new_figure, table
 from minimd.bench.scenes import CUTOFF, SCENES, Scene, equilibrated
 from minimd.integrators.methods import SPLITTINGS
-from minimd.integrators.splitting import Splitting
+from minimd.integrators.splitting.splitting import Splitting
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from minimd.integrators.problems import Problem
+    from minimd.integrators.ode.problems import Problem
 
 Value = TypeVar("Value")
 

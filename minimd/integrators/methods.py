@@ -1,7 +1,7 @@
 """The tables of methods, by name."""
 
-from minimd.integrators.bdf import BDF1, BDF2, BDF3, BDF4, BDF5
-from minimd.integrators.compositions import (
+from minimd.integrators.ode.bdf import BDF1, BDF2, BDF3, BDF4, BDF5
+from minimd.integrators.splitting.compositions import (
     PEFRL,
     BlanesMoan4,
     CandyRozmus4,
@@ -13,7 +13,7 @@ from minimd.integrators.compositions import (
     Yoshida6,
 )
 from minimd.integrators.method import Method
-from minimd.integrators.runge_kutta import (
+from minimd.integrators.ode.runge_kutta import (
     GaussLegendre1,
     GaussLegendre2,
     GaussLegendre3,
@@ -22,9 +22,9 @@ from minimd.integrators.runge_kutta import (
     RadauIIA2,
     RadauIIA3,
 )
-from minimd.integrators.splitting import Splitting
-from minimd.integrators.thermostats import THERMOSTATS
-from minimd.integrators.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
+from minimd.integrators.splitting.splitting import Splitting
+from minimd.integrators.splitting.thermostats import THERMOSTATS
+from minimd.integrators.splitting.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
 
 SPLITTINGS: dict[str, type[Splitting]] = {
     method.name: method

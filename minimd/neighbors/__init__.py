@@ -1,5 +1,5 @@
 """Which atoms are near each other: binning, search, lists with a skin."""
 
-from minimd.neighbors.listing import neighbor_list
+from minimd.neighbors.queries import neighbor_list
 
 __all__ = ["neighbor_list"]

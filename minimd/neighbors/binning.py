@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.cell import Cell
-from minimd.compiling import kernel, scalar
+from minimd.compiled.kernels import kernel, scalar
+from minimd.structure.cell import Cell
 
 ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
 FLATTEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick

@@ -7,16 +7,16 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.cell import Cell
-from minimd.compiling import kernel, scalar, shared_kernel
+from minimd.compiled.kernels import kernel, scalar, shared_kernel
+from minimd.compiled.simd import broadcast, convert, load, store
+from minimd.compiled.threads import Team, begin, finish_and_take, take, wait
+from minimd.forces.cluster_loop import BLOCK, COPY_BITS, LANES, Rows
 from minimd.neighbors.buffers import SPARE, Buffers
-from minimd.neighbors.chunks import Chunks, Copies, cut_into_chunks, fill_copies, sort_copies
 from minimd.neighbors.cluster_search import exclude_pairs, find_rows, make_work
 from minimd.neighbors.clusters import Clusters, make_columns, sort_into_clusters
-from minimd.neighbors.skin import ListWithSkin
-from minimd.potentials.cluster_loop import BLOCK, COPY_BITS, LANES, Rows
-from minimd.simd import broadcast, convert, load, store
-from minimd.team import Team, begin, finish_and_take, take, wait
+from minimd.neighbors.domains import Chunks, Copies, cut_into_chunks, fill_copies, sort_copies
+from minimd.neighbors.verlet_list import ListWithSkin
+from minimd.structure.cell import Cell
 
 ENTRIES_GUESSED = 12  # for each atom, at first
 GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of the scene to the other

@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from minimd.cell import minimum_image
-from minimd.compiling import inlined, scalar, shared_kernel
-from minimd.neighbors.chunks import ALL_LANES, HOME, image_key
-from minimd.potentials.cluster_loop import BLOCK, COPY_BITS, LANES, LANES_FROM
-from minimd.simd import bits_from_mask, broadcast, fma, load
-from minimd.team import begin, finish_and_take, take, wait
+from minimd.compiled.kernels import inlined, scalar, shared_kernel
+from minimd.compiled.simd import bits_from_mask, broadcast, fma, load
+from minimd.compiled.threads import begin, finish_and_take, take, wait
+from minimd.forces.cluster_loop import BLOCK, COPY_BITS, LANES, LANES_FROM
+from minimd.neighbors.domains import ALL_LANES, HOME, image_key
+from minimd.structure.cell import minimum_image
 
 
 class Work(NamedTuple):

@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.cell import Cell
-from minimd.compiling import kernel, scalar, shared_kernel
+from minimd.compiled.kernels import kernel, scalar, shared_kernel
+from minimd.compiled.threads import MOST_SHARES, Team, begin, finish_and_take, take, wait
+from minimd.forces.cluster_loop import BLOCK, LANES
 from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
 from minimd.neighbors.buffers import Buffers
-from minimd.potentials.cluster_loop import BLOCK, LANES
-from minimd.team import MOST_SHARES, Team, begin, finish_and_take, take, wait
+from minimd.structure.cell import Cell
 
 
 class Columns(NamedTuple):

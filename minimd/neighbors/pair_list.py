@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.cell import Cell
 from minimd.neighbors.binning import make_grid, sort_into_bins
 from minimd.neighbors.search import find_pairs, forward_bins, image_table
-from minimd.neighbors.skin import ListWithSkin
+from minimd.neighbors.verlet_list import ListWithSkin
 from minimd.potentials.pair_loop import Pairs
+from minimd.structure.cell import Cell
 
 SPARE = 1.2  # room for this much more than the pairs that were found
 

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.cell import Cell, minimum_image
-from minimd.compiling import kernel
+from minimd.compiled.kernels import kernel
 from minimd.neighbors.binning import Grid
+from minimd.structure.cell import Cell, minimum_image
 
 
 def forward_bins(grid: Grid) -> NDArray[np.int64]:

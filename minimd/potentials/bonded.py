@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.compiling import kernel
+from minimd.compiled.kernels import kernel
 from minimd.potentials.law import user_law
 from minimd.potentials.laws import HarmonicLaw
 from minimd.potentials.pair_loop import FORCES, PER_ATOM

@@ -13,7 +13,7 @@ from numba.core import types
 from numba.core.dispatcher import Dispatcher
 from numba.extending import overload
 
-from minimd.compiling import scalar
+from minimd.compiled.kernels import scalar
 
 
 STEP = 1e-5  # of a central difference, relative to the distance

@@ -3,7 +3,7 @@
 from math import sqrt
 from typing import Any, NamedTuple
 
-from minimd.compiling import marks, scalar
+from minimd.compiled.kernels import marks, scalar
 from minimd.potentials.law import evaluate_law
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiling import kernel, without_cache
+from minimd.compiled.kernels import kernel, without_cache
 from minimd.potentials.law import evaluate_law, is_user_law
 from minimd.potentials.parameters import parameters_of_pair
 

@@ -10,15 +10,15 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from minimd import units
+from minimd.diagnosis.shadow_energy import check_has_shadow
 from minimd.integrators import SPLITTINGS, LangevinBAOAB, Splitting, StochasticVelocityRescaling
-from minimd.lattice import constant_from_density, crystal
 from minimd.scene.problems import problems
 from minimd.scene.section import Reading
 from minimd.scene.sections import SceneSections
-from minimd.shadow import check_has_shadow
-from minimd.simulation import Simulation
-from minimd.system import System
+from minimd.simulation.simulation import Simulation
+from minimd.structure import units
+from minimd.structure.lattice import constant_from_density, crystal
+from minimd.structure.system import System
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Scene:
         structure, unit_system = self.sections.structure, self.units
         lattice, element, mass = structure.lattice or "", structure.element, 1.0
         if unit_system is units.ASE:
-            from minimd.ase import atomic_mass
+            from minimd.structure.ase_atoms import atomic_mass
 
             mass = atomic_mass(element or "")
         edge = structure.lattice_constant or constant_from_density(lattice, structure.density or 0.0, mass)
@@ -137,7 +137,7 @@ class Scene:
 
     def _from_file(self) -> System:
         structure, reduced = self.sections.structure, self.units is units.LJ
-        from minimd.ase import system_from_file
+        from minimd.structure.ase_atoms import system_from_file
 
         read = system_from_file(self.path.parent / (structure.file or ""), structure.cell, structure.pbc)
         return System(

@@ -1,6 +1,6 @@
 """Units that a key of a scene file may end in."""
 
-from minimd.units import BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3
+from minimd.structure.units import BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3
 
 KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension: ending of the key: size of that unit
     "ASE": {

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from minimd import units
-from minimd.autopsy import place_of
-from minimd.errors import ConstraintError, NonFiniteError
-from minimd.h5md import H5MDContents, H5MDWriter, annotate, read_file
+from minimd.constraints.constraint_set import FixedAtoms
+from minimd.diagnosis.crash_report import place_of
+from minimd.files.h5md_writer import H5MDContents, H5MDWriter, annotate, read_file
+from minimd.files.trajectory import checked_output
 from minimd.integrators import DistanceConstraints
 from minimd.potentials import PairPotential
-from minimd.rigidity import FixedAtoms
 from minimd.scene.document import Scene, parse_scene
 from minimd.scene.ending import kept, nothing_written
-from minimd.simulation import Observer, Simulation
-from minimd.trajectory import checked_output
+from minimd.simulation.simulation import Observer, Simulation
+from minimd.structure import units
+from minimd.structure.errors import ConstraintError, NonFiniteError
 
 Tell = Callable[[str], None]
 
@@ -80,7 +80,7 @@ def _drawn(files: Sequence[Path], picture: Path, overwrite: bool, tell: Tell) ->
         tell(f"not drawn      {picture} exists and is kept; draw with: minimd plot")
         return []
     tell(f"drawing        {picture} ...")
-    from minimd.plot import plot_file
+    from minimd.analysis.plot import plot_file
 
     return [plot_file(next(file for file in files if file.suffix.lower() == ".h5md"), picture)]
 

@@ -8,7 +8,7 @@ from cluster_scenes import atoms_in_a_chunk
 from stress_scenes import OPEN, ROUNDING, SMOOTH, assert_stops, forces_of, oscillation, ran, solid
 
 import minimd as md
-from minimd.lattice import crystal
+from minimd.structure.lattice import crystal
 
 POWERS = [(1e-30, 1.0, 1.0), (1e30, 1.0, 1.0), (1.0, 1e-30, 1.0), (1.0, 1e30, 1.0), (1.0, 1.0, 1e-30), (1.0, 1.0, 1e30), (1e-30, 1e30, 1e-30)]
 SI = (3.4e-10, 1.65e-21, 6.63e-26)  # m, J, kg: argon

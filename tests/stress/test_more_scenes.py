@@ -7,8 +7,8 @@ import pytest
 from stress_scenes import BOTTOM, OPEN, SMOOTH, assert_stops, forces_of, is_finite, oscillation, ran, solid
 
 import minimd as md
-from minimd.lattice import crystal
-from minimd.neighbors.closest import closest_pair
+from minimd.neighbors.queries import closest_pair
+from minimd.structure.lattice import crystal
 
 
 def test_a_planet_and_a_moon_a_million_times_lighter():

@@ -8,8 +8,8 @@ import pytest
 from stress_scenes import SMOOTH, assert_stops, solid
 
 import minimd as md
-from minimd.h5md import read_file
-from minimd.mdanalysis import universe
+from minimd.files.h5md_writer import read_file
+from minimd.mdanalysis.universe import universe
 
 SUFFIXES = [".h5md", ".dcd", ".xtc", ".trr", ".extxyz", ".traj"]
 

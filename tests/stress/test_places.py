@@ -6,8 +6,8 @@ from references import brute_force_energy
 from stress_scenes import LAST_GOOD, OPEN, ROUNDING, SMOOTH, assert_stops, forces_of, is_finite, oscillation, ran, solid
 
 import minimd as md
-from minimd.cell import Cell
-from minimd.lattice import BASES, crystal
+from minimd.structure.cell import Cell
+from minimd.structure.lattice import BASES, crystal
 
 GAUSS = md.PairPotential(lambda r2: (np.exp(-r2), 2.0 * np.exp(-r2)), (), 2.5, "force-shifted")
 SHAPES = {

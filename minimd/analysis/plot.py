@@ -1,0 +1,133 @@
+"""A run in one picture: energy, temperature, momentum, structure."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from minimd.diagnosis.report import drift
+from minimd.files.h5md_writer import H5MDContents, read_file
+from minimd.mdanalysis.universe import mean_square_displacement, radial_distribution
+
+INCHES, DOTS_PER_INCH = (10.0, 7.0), 150
+ENERGY, TEMPERATURE, MOMENTUM, STRUCTURE, ACCENT = "#1f5fa8", "#c8501e", "#5b3f99", "#1b7f5c", "#222222"
+STYLE: dict[str, Any] = {"lw": 1.1, "solid_joinstyle": "round"}
+
+
+def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
+    """Draw a minimd file and return the name of the picture.
+
+    Four panels: change of the total energy per atom, temperature, change of the total momentum, and g(r) where the cell is
+    periodic in all directions, else the mean-square displacement.
+
+    Parameters
+    ----------
+    out : the picture, in a format that matplotlib knows by its suffix; the name of the file with .png if not given.
+
+    Raises
+    ------
+    FileNotFoundError, OSError, ValueError : as minimd.h5md.read_file, or if the picture cannot be written.
+    """
+    contents = read_file(path)
+    figure = Figure(figsize=INCHES, dpi=DOTS_PER_INCH, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(2, 2).ravel()
+    for draw, panel in zip((_energy, _temperature, _momentum), panels, strict=False):
+        draw(panel, contents)
+        panel.set_xlabel(f"time  [{_time_unit(contents)}]")
+    _structure(panels[3], Path(path), contents)
+    for panel in panels:
+        _clean(panel)
+    figure.suptitle(f"{contents.title}, {contents.method}, {contents.n_frames} frames", fontsize=11)
+    picture = Path(path).with_suffix(".png") if out is None else Path(out)
+    try:
+        figure.savefig(picture)
+    except OSError as error:
+        raise OSError(f"picture {str(picture)!r} cannot be written: {error.strerror or error}") from error
+    return picture
+
+
+def _time_unit(contents: H5MDContents) -> str:
+    return "τ" if contents.system.units.name == "LJ" else "ps"
+
+
+def _times(contents: H5MDContents) -> np.ndarray:
+    return contents.record.time * contents.system.units.to_picosecond
+
+
+def _energy(panel: Axes, contents: H5MDContents) -> None:
+    """Total energy per atom, minus heat Q if there is a bath, against its start, and a straight line through it."""
+    record, times = contents.record, _times(contents)
+    has_bath = "conserved_energy" in record
+    energy, name = (record.conserved_energy, "total energy − heat") if has_bath else (record.total_energy, "total energy")
+    change, factor = _scaled((energy - energy[0]) / record.n_atoms)
+    panel.plot(times, change, color=ENERGY, label=name, **STYLE)
+    panel.plot(times, change.mean() + drift(times, change).slope * (times - times.mean()), color=ACCENT, lw=1.0, ls="--", label="drift")
+    panel.set_ylabel(f"{'(E − Q − E₀)' if has_bath else '(E − E₀)'} / N  [{factor}{record.units.energy}]")
+    panel.set_title(f"{name} per atom   (kinetic energy: {record.kinetic_energy.mean() / record.n_atoms:.3g} {record.units.energy})")
+    panel.margins(y=0.12)
+    panel.legend(frameon=False, fontsize=8, ncols=2, loc="lower right", borderaxespad=0.0)
+
+
+def _temperature(panel: Axes, contents: H5MDContents) -> None:
+    temperature, unit = contents.record.temperature, contents.system.units.temperature.replace("k_B", "$k_B$")
+    panel.plot(_times(contents), temperature, color=TEMPERATURE, **STYLE)
+    panel.axhline(temperature.mean(), color=ACCENT, lw=1.0, ls="--")
+    panel.set_ylabel(f"T  [{unit}]")
+    panel.set_title(f"temperature   (mean: {temperature.mean():.4g} {unit})")
+    panel.ticklabel_format(axis="y", useOffset=False)
+
+
+def _momentum(panel: Axes, contents: H5MDContents) -> None:
+    record = contents.record
+    changes = np.linalg.norm(record.momentum - record.momentum[0], axis=1) / (record.absolute_momentum.max() or 1.0)
+    shown, factor = _scaled(changes)
+    panel.plot(_times(contents), shown, color=MOMENTUM, **STYLE)
+    panel.set_ylabel(f"|P − P₀| / Σ|mv|{f'  [{factor.strip()}]' if factor else ''}")
+    panel.set_title(f"total momentum   (largest change: {changes.max():.1e})")
+    panel.set_ylim(bottom=0.0)
+
+
+def _scaled(values: np.ndarray) -> tuple[np.ndarray, str]:
+    """Values without their power of ten, and that power as part of a unit; as they are where they are of order one or zero."""
+    size = float(np.abs(values).max())
+    power = int(np.floor(np.log10(size))) if 0.0 < size < np.inf else 0
+    if -2 <= power <= 2:
+        return values, ""
+    return values / 10.0**power, f"$10^{{{power}}}$ "
+
+
+def _structure(panel: Axes, path: Path, contents: H5MDContents) -> None:
+    """g(r) if it can be had, else the mean-square displacement, else a word."""
+    if contents.system.cell.pbc.all() and len(contents.system) > 1:
+        _radial_distribution(panel, path, contents.system.units.length)
+    elif contents.n_frames > 1:
+        _displacement(panel, path, contents)
+    else:
+        panel.text(0.5, 0.5, "one frame only, no displacement", ha="center", va="center", transform=panel.transAxes, color="0.4")
+
+
+def _radial_distribution(panel: Axes, path: Path, length: str) -> None:
+    r, g = radial_distribution(path)
+    panel.axhline(1.0, color="0.7", lw=0.8)
+    panel.plot(r, g, color=STRUCTURE, **STYLE)
+    panel.set(xlabel=f"r  [{length}]", ylabel="g(r)", xlim=(0.0, r[-1]))
+    panel.set_ylim(bottom=0.0)
+    panel.set_title("radial distribution, all atoms")
+
+
+def _displacement(panel: Axes, path: Path, contents: H5MDContents) -> None:
+    lags, squares = mean_square_displacement(path)
+    panel.plot(lags, squares, color=STRUCTURE, **STYLE)
+    panel.set(xlabel=f"lag  [{_time_unit(contents)}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{contents.system.units.length}²]")
+    panel.set_title("mean-square displacement")
+
+
+def _clean(panel: Axes) -> None:
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.grid(alpha=0.25, lw=0.6)
+    panel.margins(x=0.01)
+    panel.title.set_fontsize(10)

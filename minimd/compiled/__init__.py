@@ -1,0 +1,1 @@
+"""How Numba is used: decorators of kernels and their cache, vectors, threads, the machine."""

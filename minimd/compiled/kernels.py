@@ -1,0 +1,171 @@
+"""How minimd compiles: a few decorators, one safe cache folder, one line for the user who waits.
+
+Numba's own cache does not notice that a function of *another* file has changed, and fails when neither the installation
+nor the home folder can be written. Compiled kernels therefore live in a folder named after a hash of all sources of
+minimd: edited sources never meet yesterday's machine code, and any writable place will do.
+"""
+
+import functools
+import hashlib
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+
+import numba
+from numba.core import event
+
+WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
+
+
+@functools.cache
+def cache_folder() -> Path:
+    """The first writable of $NUMBA_CACHE_DIR, the user's cache folder, the temporary folder; one subfolder per source state."""
+    name = f"minimd-{_source_hash()}"
+    for base in _cache_bases():
+        folder = base / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            with tempfile.TemporaryFile(dir=folder):
+                if _is_mine(folder):
+                    return folder
+        except OSError:
+            continue
+    return Path(tempfile.mkdtemp(prefix=name))
+
+
+def kernel(function):
+    """Compile a function that Python calls with arrays and numbers: lazily, once per machine."""
+    return _cached(function)
+
+
+def shared_kernel(function):
+    """Compile a kernel that several threads run at once, as minimd.team has them: it does not hold Python's lock."""
+    return _cached(function, nogil=True)
+
+
+def inlined(function):
+    """Compile a part of a kernel that makes arrays of its own; the compiler puts it into the kernel."""
+    return numba.njit(error_model="numpy", forceinline=True)(function)
+
+
+def scalar(function):
+    """Compile a function that only kernels call; the compiler puts it into the kernel.
+
+    It makes no arrays: so it needs no reference counts on those it is given, which would cost more than small functions do.
+    """
+    return numba.njit(error_model="numpy", forceinline=True, _nrt=False)(function)
+
+
+def marks(formula: Callable) -> Callable[[type], type]:
+    """Decorator of a marker, a NamedTuple class: its instances stand for this compiled function where the cache must know it by type."""
+
+    def tie(marker: type) -> type:
+        marker.formula = formula  # type: ignore[attr-defined]
+        return marker
+
+    return tie
+
+
+@functools.cache
+def without_cache(dispatcher):
+    """The same kernel, shared or not, compiled anew in each process: for laws that the user defines, which no cache can recognise."""
+    return numba.njit(error_model="numpy", nogil=True)(dispatcher.py_func)
+
+
+class CompileClock(event.Listener):
+    """Counts the seconds spent compiling, so that they are not taken for those of steps."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._depth, self._started = 0, 0.0
+
+    def on_start(self, _event: event.Event) -> None:
+        """Called by Numba; compilations nest."""
+        self._started = self._started if self._depth else perf_counter()
+        self._depth += 1
+
+    def on_end(self, _event: event.Event) -> None:
+        """Called by Numba."""
+        self._depth -= 1
+        self.seconds += 0.0 if self._depth else perf_counter() - self._started
+
+
+compile_clock = CompileClock()
+event.register("numba:compile", compile_clock)
+
+
+class announce_compilation(event.Listener):  # noqa: N801 - used as a context manager
+    """While active, tell on standard error when compiling takes more than a second."""
+
+    def __init__(self) -> None:
+        self._told = False
+        self._depth = 0
+        self._timer: threading.Timer | None = None
+
+    def __enter__(self) -> "announce_compilation":
+        event.register("numba:compile", self)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        event.unregister("numba:compile", self)
+        self._stop_timer()
+
+    def on_start(self, _event: event.Event) -> None:
+        """Called by Numba; compilations nest."""
+        self._depth += 1
+        if self._depth == 1 and not self._told:
+            self._timer = threading.Timer(WAIT_BEFORE_TELLING, self._tell)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def on_end(self, _event: event.Event) -> None:
+        """Called by Numba."""
+        self._depth -= 1
+        if self._depth == 0:
+            self._stop_timer()
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _tell(self) -> None:
+        self._told = True
+        print("minimd: compiling kernels (once) ...", file=sys.stderr, flush=True)
+
+
+def _cached(function, **flags):
+    previous = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(cache_folder())
+    try:
+        return numba.njit(cache=True, error_model="numpy", **flags)(function)
+    finally:
+        numba.config.CACHE_DIR = previous
+
+
+def _is_mine(folder: Path) -> bool:
+    """Cached code is run: nobody else may have put it there."""
+    status = folder.stat()
+    return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
+
+
+def _source_hash() -> str:
+    digest = hashlib.sha256(numba.__version__.encode())
+    package = Path(__file__).parents[1]
+    for source in sorted(package.rglob("*.py")):
+        digest.update(str(source.relative_to(package)).encode())
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_bases() -> list[Path]:
+    bases = []
+    if os.environ.get("NUMBA_CACHE_DIR"):
+        bases.append(Path(os.environ["NUMBA_CACHE_DIR"]))
+    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    bases.append(Path(user) / "minimd")
+    bases.append(Path(tempfile.gettempdir()) / f"minimd-{os.getuid() if hasattr(os, 'getuid') else 'user'}")
+    return bases

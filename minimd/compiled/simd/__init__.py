@@ -1,0 +1,39 @@
+"""Vectors for Numba: one variable holds several numbers, and `a + b` adds them all in one machine instruction.
+
+    x = load(positions, start, 8)            # eight contiguous elements of a one-dimensional array, from index start
+    r2 = x * x + 1.0                         # operators act lane by lane; a number is copied to all lanes
+    near = r2 < cutoff2                      # comparisons give a mask, one bit for each lane
+    f = select(near, 1.0 / r2, 0.0)          # lane by lane: where near the first, elsewhere the second
+    store(forces, start, f)
+    total(f)                                 # the sum of the lanes, always in the same order
+
+To Numba such a variable has the type Vector(element, lanes); its value is a vector of LLVM, the compiler beneath Numba.
+LLVM knows `fadd <8 x double>` as it knows `fadd double`, and translates it to the widest instructions of the processor at
+hand: one for AVX-512, two for AVX2, four for NEON. So a law written for numbers compiles for vectors from the same source.
+
+How to add an operation. If LLVM has an instruction or an intrinsic function for it, write an `@intrinsic`: it gets the
+Numba types of its arguments and returns a signature, `result(arguments)`, and a function that emits the instruction with
+llvmlite's IRBuilder. Bind it to the Python name that laws use with `@overload`; see `select` and `math.sqrt` in arithmetic.py. If there
+is none, lane by lane will do: see `_each_lane`.
+"""
+
+from minimd.compiled.simd.arithmetic import fma, select
+from minimd.compiled.simd.memory import load, store, store_compressed
+from minimd.compiled.simd.vector import Vector, bits_from_mask, broadcast, convert, is_vector, lane, mask_from_bits, total, with_lane
+
+__all__ = [
+    "Vector",
+    "bits_from_mask",
+    "broadcast",
+    "convert",
+    "fma",
+    "is_vector",
+    "lane",
+    "load",
+    "mask_from_bits",
+    "select",
+    "store",
+    "store_compressed",
+    "total",
+    "with_lane",
+]

@@ -1,0 +1,164 @@
+"""What laws do with numbers, for vectors: operators, comparisons, choices, functions."""
+
+import math
+import operator
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic, overload
+
+from minimd.compiled.simd.vector import broadcast, call, is_vector, lane, with_lane
+
+FLOAT_OPERATORS = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
+INTEGER_OPERATORS = {operator.add: "add", operator.sub: "sub", operator.mul: "mul"}
+COMPARISONS = {operator.lt: "<", operator.le: "<=", operator.gt: ">", operator.ge: ">=", operator.eq: "==", operator.ne: "!="}
+LANE_BY_LANE = (math.exp, math.log, math.sin, math.cos, math.tanh, math.erf, math.erfc, np.exp, np.log, np.sin, np.cos, np.tanh)
+
+
+def _instruction(names: dict[bool, str], compares: bool = False):
+    """An intrinsic for two vectors of one type: names[is float] is the IRBuilder's method, or the sign of a comparison."""
+
+    @intrinsic
+    def operation(_context, a, b):
+        is_float = isinstance(a.element, types.Float)
+
+        def generate(context, builder, signature, arguments):
+            if compares:
+                return (builder.fcmp_ordered if is_float else builder.icmp_signed)(names[is_float], *arguments)
+            return getattr(builder, names[is_float])(*arguments)
+
+        return (a.mask if compares else a)(a, b), generate
+
+    return operation
+
+
+def _bind(function, operation) -> None:
+    """Make a Python operator of two arguments work when one of them is a vector and the other a vector or a number."""
+
+    @overload(function)
+    def of_vectors(a, b):
+        if is_vector(a) and a == b:
+            return lambda a, b: operation(a, b)
+        if is_vector(a) and isinstance(b, types.Number):
+            return lambda a, b: operation(a, broadcast(b, a))
+        if is_vector(b) and isinstance(a, types.Number):
+            return lambda a, b: operation(broadcast(a, b), b)
+        return None
+
+
+for _operator, _name in FLOAT_OPERATORS.items():
+    _bind(_operator, _instruction({True: _name, False: INTEGER_OPERATORS.get(_operator, "")}))
+for _operator, _sign in COMPARISONS.items():
+    _bind(_operator, _instruction({True: _sign, False: _sign}, compares=True))
+_bind(operator.and_, _instruction({False: "and_"}))
+_bind(operator.or_, _instruction({False: "or_"}))
+
+
+@intrinsic
+def _choose(_context, mask, a, b):
+    return a(mask, a, b), lambda context, builder, signature, arguments: builder.select(*arguments)
+
+
+def select(mask, a, b):
+    """Lane by lane: a where the mask is set, b elsewhere; b may be a number. For numbers: a if mask else b."""
+    return a if mask else b
+
+
+@overload(select)
+def _select(mask, a, b):
+    if is_vector(mask):
+        return lambda mask, a, b: _choose(mask, a, broadcast(b, a))
+    return lambda mask, a, b: a if mask else b
+
+
+def _function(name: str):
+    """An intrinsic for one of LLVM's functions whose arguments and result are of one vector type."""
+
+    @intrinsic
+    def one(_context, a):
+        return a(a), lambda context, builder, signature, arguments: call(builder, f"llvm.{name}.{a.suffix}", arguments[0].type, arguments)
+
+    return one
+
+
+_square_root, _magnitude = _function("sqrt"), _function("fabs")
+
+
+@intrinsic
+def fma(_context, a, b, c):
+    """a · b + c for vectors of one type, rounded once."""
+    return a(a, b, c), lambda context, builder, signature, arguments: call(builder, f"llvm.fma.{a.suffix}", arguments[0].type, arguments)
+
+
+@overload(operator.neg)
+def _negative(a):
+    return (lambda a: 0.0 - a) if is_vector(a) else None
+
+
+@overload(math.sqrt)
+@overload(np.sqrt)
+def _sqrt(x):
+    return (lambda x: _square_root(x)) if is_vector(x) else None
+
+
+@overload(abs)
+def _abs(x):
+    return (lambda x: _magnitude(x)) if is_vector(x) else None
+
+
+@overload(max)
+def _larger(a, b):
+    if is_vector(a):
+        return lambda a, b: select(a > b, a, broadcast(b, a))
+    return (lambda a, b: select(b > a, b, broadcast(a, b))) if is_vector(b) else None
+
+
+@overload(min)
+def _smaller(a, b):
+    if is_vector(a):
+        return lambda a, b: select(a < b, a, broadcast(b, a))
+    return (lambda a, b: select(b < a, b, broadcast(a, b))) if is_vector(b) else None
+
+
+@overload(operator.pow)
+def _power(x, exponent):
+    """The powers that laws are written with, which the compiler picks where the exponent is a constant; others lane by lane."""
+    if not (is_vector(x) and isinstance(exponent, types.Number)):
+        return None
+    lanes = x.lanes
+
+    def power(x, exponent):
+        if exponent == 0.5:
+            return _square_root(x)
+        if exponent == 2:
+            return x * x
+        if exponent == 3:
+            return x * x * x
+        if exponent == -1:
+            return 1.0 / x
+        for k in range(lanes):
+            x = with_lane(x, k, lane(x, k) ** exponent)
+        return x
+
+    return power
+
+
+def _each_lane(function) -> None:
+    """Let a function of one number act on each lane of a vector."""
+
+    @overload(function)
+    def of_vector(x):
+        if not is_vector(x):
+            return None
+        lanes = x.lanes
+
+        def each(x):
+            for k in range(lanes):
+                x = with_lane(x, k, function(lane(x, k)))
+            return x
+
+        return each
+
+
+for _slow in LANE_BY_LANE:
+    _each_lane(_slow)

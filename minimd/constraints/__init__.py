@@ -1,0 +1,1 @@
+"""Lengths and atoms that are held fixed, each shape with the solver that suits it."""

@@ -1,0 +1,161 @@
+"""The curvature of the potential energy around a state: how stiff its bonds are in closed form, and its stiffest mode of all."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.constraints.constraint_set import Rigidity, nearest_images
+from minimd.forces.forces import Forces
+from minimd.neighbors.queries import closest_pair
+from minimd.potentials.bonded import BondPotential, HarmonicBond
+from minimd.structure.system import System
+
+Array = NDArray[np.float64]
+
+DISPLACEMENT = 1e-6  # of the closest pair: central differences are then right to some 1e-9, and few pairs cross their cutoff
+ROUNDINGS = 1e-9  # of the largest coordinate: the least displacement, which rounding leaves with six digits
+SMALL = 90  # coordinates, up to which the whole matrix is as cheap as iterations
+ACCURACY = 1e-4  # of ω², relative
+SEED = 1  # of the vector from which iterations start
+
+
+class StiffBond(NamedTuple):
+    """Atoms i and j of a harmonic bond with ω² = k (1/m_i + 1/m_j) [1/time²]."""
+
+    i: int
+    j: int
+    square: float
+
+
+def stiffest_bond(system: System, potentials: Sequence[Any], rigidity: Rigidity) -> StiffBond | None:
+    """The harmonic bond with the highest frequency of its own, ω² = k/μ; None if there is none that can stretch.
+
+    Beside other bonds, and where nothing is compressed, the stiffest mode is faster still: ω² is a lower bound of its square.
+    """
+    found = [bond for potential in potentials if isinstance(potential, HarmonicBond) and (bond := _stiffest_of(system, potential, rigidity))]
+    return max(found, key=lambda bond: bond.square, default=None)
+
+
+def _stiffest_of(system: System, potential: HarmonicBond, rigidity: Rigidity) -> StiffBond | None:
+    pairs = bonded_pairs(system, potential)
+    if not len(pairs):
+        return None
+    squares = potential.parameters[0] * rigidity.inverse_masses[pairs].sum(axis=1)
+    squares[_among(pairs, rigidity.bonds.pairs if rigidity.bonds else pairs[:0])] = 0.0
+    b = int(np.argmax(squares))
+    return StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) if squares[b] > 0.0 else None
+
+
+def bonded_pairs(system: System, potential: BondPotential) -> NDArray[np.int64]:
+    """(B, 2), the pairs on which a bond potential acts."""
+    return system.bonds if potential.pairs is None else np.asarray(potential.pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def _among(pairs: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of the pairs, (B,) bool, are among others, in either order."""
+    n_atoms = 1 + max(pairs.max(initial=0), others.max(initial=0))
+    names, known = (each.min(axis=1) * n_atoms + each.max(axis=1) for each in (pairs, others))
+    return np.isin(names, known)
+
+
+class Curvature:
+    """Products of D = M^−1/2 (∇²U − Σ λ ∇²g) M^−1/2 with vectors, on the directions that constraints allow.
+
+    g = ½ (r² − d²) of each constraint, and λ its multiplier at rest: the curvature of the constraints acts like springs of stiffness −λ.
+    Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the forces, with the opposite sign,
+    from central differences. Positions of the system are changed and put back.
+
+    Attributes
+    ----------
+    n_evaluations : of the forces so far.  displacement : of the atom that is moved most [length].
+    """
+
+    def __init__(self, forces: Forces, rigidity: Rigidity) -> None:
+        self._forces, self._rigidity, self._system = forces, rigidity, forces.system
+        rigidity.fit(self._system)
+        self._root = np.sqrt(rigidity.inverse_masses)[:, None]
+        self._start = self._system.positions.copy()
+        self._first = forces.compute().copy()
+        self._springs = self._multipliers()
+        closest = closest_pair(self._system)
+        scale = closest.distance if closest and closest.distance > 0.0 else 1.0
+        self.displacement = max(DISPLACEMENT * scale, ROUNDINGS * float(np.abs(self._start).max()))
+
+    @property
+    def n_evaluations(self) -> int:
+        """Of the forces so far."""
+        return self._forces.n_evaluations
+
+    def is_finite(self) -> bool:
+        """Whether the forces of the state are finite numbers."""
+        return bool(np.isfinite(self._first).all())
+
+    def times(self, vector: Array) -> Array:
+        """D w, (3N,) both [1/time²]; what constraints do not allow is left out of w first."""
+        steps = self._root * vector.reshape(-1, 3)
+        self._rigidity.project(steps, self._start)
+        longest = float(np.sqrt(np.einsum("ij,ij->i", steps, steps).max()))
+        if longest == 0.0:
+            return np.zeros_like(vector)
+        change = self._forces_at(steps, -self.displacement / longest) - self._forces_at(steps, self.displacement / longest)
+        product = change * (0.5 * longest / self.displacement) + self._constraint_springs(steps)
+        accelerations = self._rigidity.inverse_masses[:, None] * product
+        self._rigidity.project(accelerations, self._start)
+        return np.divide(accelerations, self._root, out=np.zeros_like(accelerations), where=self._root > 0.0).ravel()
+
+    def stiffest(self, guess: Array) -> tuple[float, Array]:
+        """The largest eigenvalue of D [1/time²] and its vector, (N, 3), of length one.  guess : (N, 3), a vector to start from."""
+        if guess.size <= SMALL:
+            matrix = np.stack([self.times(unit) for unit in np.eye(guess.size)])
+            squares, modes = np.linalg.eigh(0.5 * (matrix + matrix.T))
+            return float(squares[-1]), modes[:, -1].reshape(-1, 3)
+        if not self.times(guess.ravel()).any():  # no curvature at all, which iterations do not accept
+            return 0.0, np.zeros_like(guess)
+        from scipy.sparse.linalg import LinearOperator, eigsh
+
+        operator = LinearOperator((guess.size, guess.size), matvec=self.times, dtype=np.float64)
+        squares, modes = eigsh(operator, k=1, which="LA", v0=guess.ravel(), tol=ACCURACY)
+        return float(squares[0]), modes[:, 0].reshape(-1, 3)
+
+    def guess(self, bond: StiffBond | None) -> Array:
+        """A vector that has a part of every mode, and a large one of the stretching of a bond. (N, 3)."""
+        vector = np.random.default_rng(SEED).standard_normal(self._start.shape) / np.sqrt(self._start.size)
+        return vector if bond is None else vector + self.stretching(np.array([[bond.i, bond.j]]))[0]
+
+    def stretching(self, pairs: NDArray[np.int64]) -> Array:
+        """The mode of each pair by itself: its two atoms move apart. (B, N, 3), each of length one."""
+        modes = np.zeros((len(pairs), *self._start.shape))
+        for mode, (i, j), arm in zip(modes, pairs, self._arms(pairs), strict=True):
+            mode[i], mode[j] = -self._root[i] * arm, self._root[j] * arm
+            mode /= np.linalg.norm(mode)
+        return modes
+
+    def _arms(self, pairs: NDArray[np.int64]) -> Array:
+        return self._start[pairs[:, 1]] - self._start[pairs[:, 0]] + nearest_images(self._system, pairs)
+
+    def _forces_at(self, steps: Array, length: float) -> Array:
+        try:
+            self._system.positions[:] = self._start + length * steps
+            return self._forces.compute().copy()
+        finally:
+            self._system.positions[:] = self._start
+
+    def _multipliers(self) -> list[tuple[NDArray[np.int64], Array]]:
+        """(pairs, λ) of each group of constraints, for atoms at rest."""
+        bonds = self._rigidity.bonds
+        if bonds is None:
+            return []
+        accelerations = self._first * self._rigidity.inverse_masses[:, None]
+        found = bonds.multipliers(self._start, np.zeros_like(self._start), accelerations)
+        return [(bonds.pairs[order], multipliers) for order, multipliers in found]
+
+    def _constraint_springs(self, steps: Array) -> Array:
+        """−Σ λ ∇²g u, (N, 3): λ r_ij is the force on j, so that a step u changes it by λ (u_j − u_i)."""
+        forces = np.zeros_like(steps)
+        for pairs, multipliers in self._springs:
+            pull = multipliers[:, None] * (steps[pairs[:, 1]] - steps[pairs[:, 0]])
+            np.add.at(forces, pairs[:, 1], -pull)
+            np.add.at(forces, pairs[:, 0], pull)
+        return forces

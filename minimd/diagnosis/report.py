@@ -1,0 +1,262 @@
+"""The conservation report: what should have stayed constant, and whether it did."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.diagnosis.static_checks import Line
+from minimd.engine.record import Record
+
+BLOCKS = 20  # averages of the total energy between which the drift is fitted
+SIGNIFICANT = 3.0  # standard errors
+LARGEST_RANGE = 0.5  # of the kinetic energy
+RANGE_OF_ROUNDING = 1e-11  # of the potential energy
+NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
+FEW = 4  # frames below which nothing can be judged
+MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
+ROUNDING_OF_TURNS = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
+SETTLING = 0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
+KEPT = 1e-8  # of d², violation of a rigid length that no one will see
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Slope of a straight line through block averages [per time], and its standard error.
+
+    Below four blocks the error is infinite and the slope that between the ends.
+    """
+
+    slope: float
+    error: float
+
+    @property
+    def is_significant(self) -> bool:
+        """True if the slope differs from zero by more than three standard errors."""
+        return abs(self.slope) > SIGNIFICANT * self.error
+
+
+def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS) -> Drift:
+    """Least-squares slope of a series, with the standard error that its correlated fluctuations leave.
+
+    Averages over a few long blocks are nearly independent of each other, so that their scatter about the line gives the
+    error. time, series : (T,).  H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989).
+    """
+    blocks = min(blocks, len(series))
+    if blocks < FEW or np.ptp(time) == 0.0:
+        slope = (series[-1] - series[0]) / np.ptp(time) if np.ptp(time) > 0.0 else 0.0
+        return Drift(float(slope), np.inf)
+    t = np.array([part.mean() for part in np.array_split(time, blocks)])
+    y = np.array([part.mean() for part in np.array_split(series, blocks)])
+    centered = t - t.mean()
+    slope = centered @ y / (centered @ centered)
+    residuals = y - y.mean() - slope * centered
+    return Drift(float(slope), float(np.sqrt(residuals @ residuals / (blocks - 2) / (centered @ centered))))
+
+
+def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS) -> Drift:
+    """Slope of a series that wanders about its drift as a random walk does, with the standard error that this leaves.
+
+    Total energy minus heat is such a series: each contact with the bath also changes the part of the energy that the method conserves
+    and the Hamiltonian does not show. Only the ends tell a slope then, and the steps of the walk how uncertain it is. Averages over
+    blocks take steps 2/3 as large in the square as the walk does in that time.
+    """
+    blocks = min(blocks, len(series))
+    if blocks < FEW or np.ptp(time) == 0.0:
+        return drift(time, series, blocks)
+    t, y = (np.array([part.mean() for part in np.array_split(values, blocks)]) for values in (time, series))
+    return Drift(float((y[-1] - y[0]) / (t[-1] - t[0])), float(np.sqrt(1.5 * (blocks - 1)) * np.diff(y).std(ddof=1) / (t[-1] - t[0])))
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a run cost: steps, seconds, list builds, force evaluations; in words, its lists, its constraints and what it had no need to pay for."""
+
+    n_steps: int
+    seconds: float
+    list_builds: int
+    n_evaluations: int
+    pair_search: str
+    skipped: list[str]
+    constraints: str = ""
+
+    def lines(self) -> list[str]:
+        """Lines of a report."""
+        speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
+        lines = [f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"]
+        if self.constraints:
+            lines.append(f"constraints    {self.constraints}")
+        return [*lines, f"not needed     {', '.join(self.skipped)}"] if self.skipped else lines
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a run conserved, and what it cost. str(report) is the text for people.
+
+    Attributes
+    ----------
+    energy_drift : Drift of the total energy per atom [energy/time], minus heat if has_bath; time in ps, or τ in reduced units.
+    energy_oscillation : standard deviation of the total energy per atom about that line [energy].
+    momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None where P is not a constant.
+    angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None where L is not a constant.
+    constraint_violation : largest |r² − d²|/d², or None without constraints.
+    mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
+    duration : [ps or τ].  n_frames, n_steps : observed, and between the first and the last.  cost : of the run, if known.
+    kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
+    shadow_drift, shadow_oscillation : as those of the energy, of the shadow energy; None and 0 where it was not recorded.
+    temperatures : means of the first and of the last fifth of the run.
+    lines : what can be said without a run: see minimd.safety.
+    """
+
+    energy_drift: Drift
+    energy_oscillation: float
+    momentum_change: float | None
+    angular_momentum_change: float | None
+    mean_temperature: float
+    temperature_deviation: float
+    duration: float
+    kinetic_energy: float
+    n_frames: int
+    n_steps: int
+    units: tuple[str, str, str]
+    has_bath: bool = False
+    constraint_violation: float | None = None
+    cost: Cost | None = None
+    shadow_drift: Drift | None = None
+    shadow_oscillation: float = 0.0
+    lines: tuple[Line, ...] = ()
+    energy_range: float = 0.0
+    temperatures: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def energy_is_conserved(self) -> bool | None:
+        """True if the drift is zero within three standard errors, or below 1e-6 of the kinetic energy in each ps or τ; None if unknown.
+
+        Energies that differ by half the kinetic energy are not conserved, whatever the line through them: one bad step is no drift.
+        """
+        if not self.has_bath and self.energy_range > LARGEST_RANGE * self.kinetic_energy:
+            return False
+        if self.n_frames < FEW:
+            return None
+        return not self.energy_drift.is_significant or abs(self.energy_drift.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
+
+    @property
+    def is_settling(self) -> bool:
+        """Whether the temperature of the first and of the last fifth of the run differ much, as after a start that is not in equilibrium."""
+        first, last = self.temperatures
+        return abs(last - first) > SETTLING * max(first, last)
+
+    @property
+    def _settling(self) -> str:
+        first, last = self.temperatures
+        return (
+            f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; " if self.is_settling else ""
+        )
+
+    @property
+    def momentum_is_conserved(self) -> bool:
+        """True if the change is what rounding explains, which adds up like a random walk, or if nothing else was promised."""
+        return self.momentum_change is None or self.momentum_change < MOMENTUM_KEPT * self._walk
+
+    @property
+    def angular_momentum_is_conserved(self) -> bool:
+        """Likewise."""
+        return self.angular_momentum_change is None or self.angular_momentum_change < ROUNDING_OF_TURNS * self._walk
+
+    @property
+    def shadow_is_conserved(self) -> bool | None:
+        """Whether the shadow energy has no drift, as energy_is_conserved; None if it was not recorded, or in too few frames."""
+        if self.shadow_drift is None or self.n_frames < FEW:
+            return None
+        return not self.shadow_drift.is_significant or abs(self.shadow_drift.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
+
+    @property
+    def _walk(self) -> float:
+        return max(1.0, (self.n_steps / 1e4) ** 0.5)
+
+    def __str__(self) -> str:
+        energy, time, temperature = self.units
+        drift_, per = self.energy_drift, f"{energy} per atom"
+        lines = [
+            f"{'energy - heat ' if self.has_bath else 'total energy  '} drift {drift_.slope:+.2e} ± {drift_.error:.1e} {per} per {time}",
+            f"               oscillation {self.energy_oscillation:.2e} {per} (standard deviation)",
+        ]
+        if self.shadow_drift is not None:
+            said = {None: "too few frames to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
+            lines.append(f"shadow energy  drift {self.shadow_drift.slope:+.2e} ± {self.shadow_drift.error:.1e} {per} per {time}: {said}")
+            lines.append(f"               oscillation {self.shadow_oscillation:.2e} {per}")
+        if self.momentum_change is not None:
+            said = "conserved" if self.momentum_is_conserved else "NOT CONSERVED"
+            lines.append(f"momentum       change {self.momentum_change:.1e} of the sum of |mv|: {said}")
+        if self.angular_momentum_change is not None:
+            said = "conserved" if self.angular_momentum_is_conserved else "NOT CONSERVED"
+            lines.append(f"ang. momentum  change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {said}")
+        if self.constraint_violation is not None:
+            said = "kept" if self.constraint_violation < KEPT else "NOT KEPT"
+            lines.append(f"lengths        kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
+        lines.extend(map(str, self.lines))
+        lines.append(f"temperature    {self.mean_temperature:.4g} ± {self.temperature_deviation:.2g} {temperature}")
+        if self.cost is not None:
+            lines.extend(self.cost.lines())
+        return "\n".join([*lines, f"verdict        {self.verdict}"])
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        if self.energy_is_conserved is None:
+            return f"{self.n_frames} frames are too few to judge; observe more often"
+        name = "total energy minus heat" if self.has_bath else "total energy"
+        remedy = "equilibrate first" if self.is_settling else "reduce the time step or smooth the cutoff"
+        energy = f"the {name} is conserved" if self.energy_is_conserved else f"THE {name.upper()} DRIFTS: {self._settling}{remedy}"
+        if self.momentum_change is None:
+            return f"{energy}; momentum is not a constant here."
+        momentum = "momentum is conserved to rounding" if self.momentum_is_conserved else "THE TOTAL MOMENTUM CHANGES: a force is not pairwise"
+        return f"{energy}; {momentum}."
+
+
+def conservation_report(record: Record, angular: bool, cost: Cost | None = None, linear: bool = True, lines: Sequence[Line] = ()) -> Report:
+    """The report of a record.
+
+    linear, angular : whether the scene conserves momentum (no bath, nothing fixed) and angular momentum (nor anything periodic).
+    lines : to show beside them.  Of a run with a thermostat it is the total energy minus the heat that is judged.
+    """
+    units = record.units
+    has_bath = "conserved_energy" in record
+    time, energy = record.time * units.to_picosecond, (record.conserved_energy if has_bath else record.total_energy) / record.n_atoms
+    slope = (drift_of_walk if has_bath else drift)(time, energy)
+    shadow = record.shadow_energy / record.n_atoms if "shadow_energy" in record else None
+    shadow_slope = None if shadow is None else drift(time, shadow)
+    fifth = max(1, len(time) // 5)
+    return Report(
+        energy_drift=slope,
+        energy_oscillation=_oscillation(time, energy, slope),
+        momentum_change=_largest_change(record.momentum, record.absolute_momentum) if linear else None,
+        has_bath=has_bath,
+        constraint_violation=float(record.constraint_violation.max()) if "constraint_violation" in record else None,
+        angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum) if angular else None,
+        mean_temperature=float(record.temperature.mean()),
+        temperature_deviation=float(record.temperature.std()),
+        duration=float(np.ptp(time)),
+        kinetic_energy=float(record.kinetic_energy.mean() / record.n_atoms),
+        n_frames=len(time),
+        n_steps=int(record.step[-1] - record.step[0]),
+        cost=cost,
+        shadow_drift=shadow_slope,
+        shadow_oscillation=0.0 if shadow is None or shadow_slope is None else _oscillation(time, shadow, shadow_slope),
+        lines=tuple(lines),
+        units=(units.energy, units.shown_time, units.temperature),
+        temperatures=(float(record.temperature[:fifth].mean()), float(record.temperature[-fifth:].mean())),
+        energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())),
+    )
+
+
+def _oscillation(time: NDArray[np.float64], series: NDArray[np.float64], slope: Drift) -> float:
+    """Standard deviation about a line."""
+    return float((series - series.mean() - slope.slope * (time - time.mean())).std())
+
+
+def _largest_change(vectors: NDArray[np.float64], scales: NDArray[np.float64]) -> float:
+    """max |v(t) − v(0)| over the largest scale; 0 if there is no scale, because nothing moves."""
+    scale = scales.max()
+    return float(np.linalg.norm(vectors - vectors[0], axis=1).max() / scale) if scale > 0.0 else 0.0

@@ -1,0 +1,89 @@
+"""Lines of the report that need no run: what jumps at a cutoff, how long a list is good for, how well velocities obey constraints."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from minimd.diagnosis.contacts import law_at
+from minimd.potentials.pair import PairPotential
+from minimd.structure.observables import largest_speed
+from minimd.structure.system import System
+
+if TYPE_CHECKING:
+    from minimd.simulation.simulation import Simulation
+
+CONTINUOUS = 1e-9  # of what the law is at INSIDE r_c: a jump below is rounding
+INSIDE = 0.9
+FEW_STEPS = 3.0  # that a list lasts: it is rebuilt so often that a wider skin is cheaper
+TURNING = 1e-8  # of the speed, along a rigid bond
+
+
+@dataclass(frozen=True)
+class Line:
+    """One thing that was looked at.  name : at most 14 letters.  words : with figures.  verdict : plain.  is_good : whether it is as it should be."""
+
+    name: str
+    words: str
+    verdict: str
+    is_good: bool
+
+    def __str__(self) -> str:
+        return f"{self.name:<14} {self.words}: {self.verdict}"
+
+
+def safety_lines(simulation: "Simulation") -> list[Line]:
+    """All lines that apply to a simulation as it stands."""
+    lines = [*cutoff_lines(simulation.system, simulation.potentials), *list_lines(simulation), *constraint_lines(simulation)]
+    if simulation.reversibility is not None:
+        found = simulation.reversibility
+        words, _, verdict = str(found).rpartition(": ")
+        lines.append(Line("reversibility", words, verdict, found.is_reversible is not False))
+    return lines
+
+
+def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
+    """The jumps of energy and force at the cutoff of each pair potential, the worst of all pairs of species."""
+    units = system.units
+    for potential in potentials:
+        if not isinstance(potential, PairPotential) or not np.isfinite(potential.cutoff):
+            continue
+        rows = potential.table(system.species_names).reshape(-1, potential.table(system.species_names).shape[-1])
+        jumps = [_jumps(potential.law, float(row[0]) ** 0.5, tuple(row[1:].tolist())) for row in rows]
+        energy, force = (max(jump[k] for jump in jumps) for k in (0, 1))
+        energy_jumps, force_jumps = (any(jump[k] > CONTINUOUS * jump[k + 2] for jump in jumps) for k in (0, 1))
+        verdict = "energy and force are continuous"
+        if energy_jumps:
+            verdict = "THE ENERGY JUMPS, so that it is not conserved; shift or smooth it"
+        elif force_jumps:
+            verdict = "the energy is continuous, the force jumps; smooth it for methods of order above 2"
+        words = f"energy {energy:.1e} {units.energy}, force {force:.1e} {units.energy}/{units.length} at {potential.cutoff:g} {units.length}"
+        yield Line("cutoff jump", words, verdict, not energy_jumps)
+
+
+def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float, float, float, float]:
+    """|u|, |u′| at the cutoff, and the sizes beside which they are large or small."""
+    u, slope = (abs(value) for value in law_at(law, cutoff, numbers))
+    inside = [abs(value) for value in law_at(law, INSIDE * cutoff, numbers)]
+    size = inside[0] + inside[1] * cutoff
+    return u, slope, size, size / cutoff
+
+
+def list_lines(simulation: "Simulation") -> Iterator[Line]:
+    """How many steps of the fastest atom each list with a skin lasts."""
+    stride, length = largest_speed(simulation.velocities) * abs(simulation.method.timestep), simulation.system.units.length
+    for skin in simulation.skins:
+        steps = 0.5 * skin / stride if stride > 0.0 else np.inf
+        words = f"skin/2 {0.5 * skin:.3g} {length}, fastest atom {stride:.2g} {length} a step: lasts {steps:.3g} steps"
+        often = steps < FEW_STEPS
+        verdict = "rebuilt in time" + (", but at nearly every step; a wider skin or a shorter time step is cheaper" if often else "")
+        yield Line("list margin", words, verdict, not often)
+
+
+def constraint_lines(simulation: "Simulation") -> Iterator[Line]:
+    """How well the velocities of the present state obey the constraints."""
+    if simulation.rigid_bonds is not None:
+        turning = float(simulation.rigid_bonds.velocity_violation(simulation.positions, simulation.velocities).max())
+        good = turning < TURNING
+        yield Line("rigid bonds", f"velocities along them {turning:.1e} of the speed", "obeyed" if good else "NOT OBEYED", good)

@@ -1,0 +1,154 @@
+"""Advice on the time step: the stiffest mode of a state, and how long a step of a method may be beside it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, nan, pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.constraints.constraint_set import Constraint, Rigidity
+from minimd.diagnosis.hessian import Curvature, bonded_pairs, stiffest_bond
+from minimd.forces.forces import Forces, Potential
+from minimd.integrators.splitting.linear_stability import accurate_step, stability_limit
+from minimd.integrators.splitting.splitting import Splitting
+from minimd.integrators.splitting.verlet import VelocityVerlet
+from minimd.neighbors.queries import closest_pair
+from minimd.potentials.bonded import BondPotential
+from minimd.structure.errors import NonFiniteError
+from minimd.structure.system import System
+from minimd.structure.units import UnitSystem
+
+if TYPE_CHECKING:
+    import ase
+
+OSCILLATION = 1.0 / 80.0  # of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
+SHOWN_ATOMS = 4  # of the stiffest mode, at most
+SHOWN_SHARE = 0.05  # of its kinetic energy, at least
+
+
+@dataclass(frozen=True)
+class StepAdvice:
+    """What the stiffest mode of a state allows. Print it.
+
+    Attributes
+    ----------
+    frequency : ω of the stiffest mode [1/time], angular; 0 if nothing oscillates.  period : 2π/ω [time].
+    limit : the longest stable step of the method [time].
+    recommended : the step at which the energy of this mode swings by ±1/80 of itself, at most half the limit [time].
+    method : name of the method.  timestep : of the method, if it came with one [time].
+    atoms, shares : those that move most in the mode, and the fraction of its kinetic energy that each of them has.
+    n_moving : over how many atoms the mode is spread, 1/Σ share².
+    bond : (i, j), if the mode is the stretching of one bond.
+    n_evaluations : of the forces.  units : of the system.
+    """
+
+    frequency: float
+    period: float
+    limit: float
+    recommended: float
+    method: str
+    timestep: float | None
+    atoms: tuple[int, ...]
+    shares: tuple[float, ...]
+    n_moving: float
+    bond: tuple[int, int] | None
+    n_evaluations: int
+    units: UnitSystem
+
+    def __str__(self) -> str:
+        if self.frequency == 0.0:
+            return "stiffest mode  none: nothing oscillates in this state, which limits no time step"
+        lines = [
+            f"stiffest mode  ω = {self.frequency:.4g} / {self.units.time}, period {self._time(self.period)}",
+            f"               {self._motion()}",
+            f"limit          {self._time(self.limit)} for {self.method}: longer steps blow up, and at a temperature shorter ones may",
+            f"recommended    {self._time(self.recommended)}: {self.period / self.recommended:.3g} steps a period",
+        ]
+        if self.timestep is not None:
+            lines.append(f"given          {self._time(self.timestep)}: {abs(self.timestep) / self.limit:.3g} of the limit")
+        return "\n".join(lines)
+
+    def _time(self, duration: float) -> str:
+        return f"{duration * self.units.to_picosecond * self.units.shown_small_time:.4g} {self.units.small_time}"
+
+    def _motion(self) -> str:
+        """Who moves in the mode, in words."""
+        shares = ", ".join(f"{atom} ({100.0 * share:.0f} %)" for atom, share in zip(self.atoms, self.shares, strict=True))
+        if self.bond is not None:
+            return f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
+        among = f"mostly of atoms {shares}, " if shares else ""
+        return f"{among}spread over some {self.n_moving:.3g} atoms"
+
+
+def advise_timestep(
+    system: "System | ase.Atoms",
+    potentials: Potential | Sequence[Potential],
+    constraints: Constraint | Sequence[Constraint] | None = None,
+    method: Splitting | type[Splitting] = VelocityVerlet,
+) -> StepAdvice:
+    """How long a time step may be: from the highest frequency of the mass-weighted Hessian M^−1/2 H M^−1/2 of this state.
+
+        limit = h_max/ω, h_max = 2 for velocity Verlet; recommended = h/ω with (E_max − E_min)/(E_max + E_min) = 1/80 for the mode,
+        which velocity Verlet has at h²/8 ≈ 1/80, 20 steps a period.  See integrators.stability for other methods.
+
+    The Hessian is never built: Lanczos iterations ask for its products with vectors, central differences of the forces. With
+    constraints the modes are those of the allowed directions, and the curvature of the constraints counts too.
+
+    The advice is for the state that is given. In a run at a finite temperature atoms come closer to each other than in a crystal
+    or at a minimum, where the forces are stiffer: ask again with a state from the run. Forces that jump at the cutoff ("truncated",
+    "shifted") have no Hessian there; the jumps are left out except where a pair stands at the cutoff to six digits.
+
+    Parameters
+    ----------
+    system : the state, System or ase.Atoms.  potentials : one or several.
+    constraints : as for Simulation; those of the system if not given.
+    method : a splitting, such as VelocityVerlet, or one with its time step, which is then compared.
+
+    Raises
+    ------
+    NonFiniteError : if the forces are not finite.  TypeError, ValueError : as Simulation.
+    """
+    if not (isinstance(method, Splitting) or (isinstance(method, type) and issubclass(method, Splitting))):
+        raise TypeError(f"method must be a splitting, such as VelocityVerlet or VelocityVerlet(0.005); got {method!r}")
+    system = system.copy() if isinstance(system, System) else System.from_ase(system)
+    rigidity = Rigidity(system, system.constraints if constraints is None else constraints)
+    forces = Forces(system, potentials)
+    curvature = Curvature(forces, rigidity)
+    square, mode = _stiffest_mode(curvature, system, forces.potentials, rigidity)
+    frequency = float(np.sqrt(max(square, 0.0)))
+    row, shares = method.row(), np.einsum("ij,ij->i", mode, mode)
+    atoms = [int(i) for i in np.argsort(-shares, kind="stable")[:SHOWN_ATOMS] if shares[i] >= SHOWN_SHARE]
+    return StepAdvice(
+        frequency=frequency,
+        period=2.0 * pi / frequency if frequency else inf,
+        limit=stability_limit(row) / frequency if frequency else inf,
+        recommended=accurate_step(row, OSCILLATION) / frequency if frequency else inf,
+        method=method.name,
+        timestep=method.timestep if isinstance(method, Splitting) else None,
+        atoms=tuple(atoms),
+        shares=tuple(float(shares[i]) for i in atoms),
+        n_moving=float(1.0 / (shares**2).sum()) if shares.any() else nan,
+        bond=_stretched(curvature, system, forces.potentials, mode),
+        n_evaluations=curvature.n_evaluations,
+        units=system.units,
+    )
+
+
+def _stiffest_mode(curvature: Curvature, system: System, potentials: Sequence[Potential], rigidity: Rigidity) -> tuple[float, NDArray[np.float64]]:
+    """ω² and the mode, (N, 3) mass-weighted; or what is wrong with the state."""
+    if curvature.is_finite():
+        square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, rigidity)))
+        if np.isfinite(square):
+            return square, mode
+    raise NonFiniteError(f"the forces around this state are not finite; the closest pair is {closest_pair(system)}: md.minimize moves atoms apart")
+
+
+def _stretched(curvature: Curvature, system: System, potentials: Sequence[Potential], mode: NDArray[np.float64]) -> tuple[int, int] | None:
+    """The bond whose stretching by itself makes up more than half of the mode, if there is one."""
+    pairs = np.concatenate([system.bonds, *(bonded_pairs(system, potential) for potential in potentials if isinstance(potential, BondPotential))])
+    at_most = np.argsort(-np.einsum("ij,ij->i", mode, mode))[:SHOWN_ATOMS]
+    near = pairs[np.isin(pairs, at_most).all(axis=1)]
+    parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2
+    return (int(near[np.argmax(parts), 0]), int(near[np.argmax(parts), 1])) if parts.max(initial=0.0) > 0.5 else None

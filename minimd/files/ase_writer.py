@@ -1,0 +1,41 @@
+"""Trajectories written by ASE."""
+
+from pathlib import Path
+
+import ase.io
+from ase.calculators.singlepoint import SinglePointCalculator
+from ase.io.trajectory import TrajectoryWriter
+
+from minimd.engine.record import Frame
+from minimd.simulation.simulation import Simulation
+from minimd.structure.ase_atoms import atoms_from_system
+
+
+class ASEWriter:
+    """A trajectory written by ASE, in the units of the system: .traj in float64, .xyz and .extxyz as extended XYZ, with 8 decimals.
+
+    Each frame holds positions (not wrapped), momenta, masses, cell, constraints (.traj: all, but no lengths; else fixed atoms), the
+    potential energy as that of a calculator, forces if they are to be stored, and step and time in info.
+    """
+
+    def __init__(self, file: Path, simulation: Simulation, store_forces: bool) -> None:
+        self._template = atoms_from_system(simulation.system)
+        self._store_forces = store_forces
+        self._output = TrajectoryWriter(file, "w") if file.suffix.lower() == ".traj" else file.open("w", encoding="utf-8")
+
+    def write(self, frame: Frame) -> None:
+        """Append one frame."""
+        atoms = self._template.copy()
+        atoms.positions[:] = frame.positions
+        atoms.set_momenta(frame.velocities * atoms.get_masses()[:, None], apply_constraint=False)
+        atoms.info.update(step=frame.step, time=frame.time)
+        forces = frame.forces if self._store_forces else None
+        atoms.calc = SinglePointCalculator(atoms, energy=frame.observables["potential_energy"], forces=forces)
+        if isinstance(self._output, TrajectoryWriter):
+            self._output.write(atoms)
+        else:
+            ase.io.write(self._output, atoms, format="extxyz")
+
+    def close(self, completed: bool) -> None:
+        """Finish the file, the same whether the run was completed or not."""
+        self._output.close()

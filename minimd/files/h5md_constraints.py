@@ -1,0 +1,96 @@
+"""Constraints in a minimd file: what a run holds fixed, and how far two such descriptions differ.
+
+minimd/constraints    pairs (K, 2), lengths (K,) as they are kept, with the attributes tolerance and solver; fixed (F,) atoms
+
+The group holds what there is of these, and is missing from the file of a run without constraints.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiled.machine import EPS
+from minimd.constraints.constraint_set import Constraint, FixedAtoms
+from minimd.constraints.distance import ROUNDINGS, DistanceConstraints
+
+NAME = "constraints"
+BYTES = 24  # of a pair with its length; more than a fixed atom takes
+
+
+def n_bytes(constraints: Sequence[Constraint]) -> int:
+    """Room that constraints take in a file, at most [B]."""
+    return BYTES * sum(len(one.pairs) if isinstance(one, DistanceConstraints) else len(one.atoms) for one in constraints)
+
+
+def describe_constraints(group: h5py.Group, constraints: Sequence[Constraint]) -> None:
+    """Write the constraints of a simulation, lengths included, into the group of minimd."""
+    made = group.create_group(NAME) if constraints else group
+    for one in constraints:
+        if isinstance(one, FixedAtoms):
+            made["fixed"] = one.atoms
+        else:
+            made["pairs"], made["lengths"] = one.pairs, one.lengths
+            made.attrs.update({"tolerance": one.tolerance, "solver": one.solver})
+
+
+def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
+    """The constraints that describe_constraints wrote, to the last bit."""
+    stored = group.get(NAME, {})
+    found: list[Constraint] = [FixedAtoms(stored["fixed"][:])] if "fixed" in stored else []
+    if "pairs" in stored:
+        solver: Any = str(stored.attrs["solver"])
+        found.append(DistanceConstraints(stored["pairs"][:], stored["lengths"][:], float(stored.attrs["tolerance"]), solver))
+    return tuple(found)
+
+
+def difference(file: Sequence[Constraint], simulation: Sequence[Constraint], positions: NDArray[np.float64]) -> str:
+    """What one holds and the other does not, in words; empty if they agree. Lengths agree within tolerance and rounding.
+
+    positions : (N, 3) [length], in which lengths that were not given have been measured.
+    """
+    theirs, ours = _fixed(file), _fixed(simulation)
+    only = set(theirs) ^ set(ours)
+    if only:
+        return f"atom {min(only)} is fixed in the {'file' if min(only) in theirs else 'simulation'} alone"
+    before, now = _distances(file), _distances(simulation)
+    if before and now:
+        return _difference_of_lengths(before, now, positions) or _difference_of_solvers(before, now)
+    alone = before or now
+    return f"the {'file' if before else 'simulation'} alone keeps lengths, {len(alone.pairs)} of them" if alone else ""
+
+
+def _difference_of_lengths(file: DistanceConstraints, simulation: DistanceConstraints, positions: NDArray[np.float64]) -> str:
+    theirs, ours = _by_pair(file), _by_pair(simulation)
+    only = set(theirs) ^ set(ours)
+    if only:
+        i, j = min(only)
+        return f"the length of atoms {i}-{j} is kept in the {'file' if (i, j) in theirs else 'simulation'} alone"
+    rounding = ROUNDINGS * EPS * float(np.abs(positions).max())
+    for (i, j), length in theirs.items():
+        if abs(ours[i, j] - length) > file.tolerance * length + rounding:
+            return f"the length of atoms {i}-{j} is {length:.17g} in the file and {ours[i, j]:.17g} in the simulation"
+    return ""
+
+
+def _difference_of_solvers(file: DistanceConstraints, simulation: DistanceConstraints) -> str:
+    for name in ("tolerance", "solver"):
+        if getattr(file, name) != getattr(simulation, name):
+            return f"the {name} of lengths is {getattr(file, name)!r} in the file and {getattr(simulation, name)!r} in the simulation"
+    return ""
+
+
+def _fixed(constraints: Sequence[Constraint]) -> list[int]:
+    return [atom for one in constraints if isinstance(one, FixedAtoms) for atom in one.atoms.tolist()]
+
+
+def _distances(constraints: Sequence[Constraint]) -> DistanceConstraints | None:
+    return next((one for one in constraints if isinstance(one, DistanceConstraints)), None)
+
+
+def _by_pair(constraints: DistanceConstraints) -> dict[tuple[int, int], float]:
+    """Lengths as they are kept, by pair, the lower atom first."""
+    lengths = [] if constraints.lengths is None else constraints.lengths.tolist()
+    return {(i, j): length for (i, j), length in zip(np.sort(constraints.pairs, axis=1).tolist(), lengths, strict=True)}

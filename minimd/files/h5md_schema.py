@@ -1,0 +1,264 @@
+"""Where everything lies in a minimd file, and how it is read back; minimd.h5md writes it.
+
+    particles/trajectory    box/edges, position, velocity, force [Å, Å/ps, kJ/mol/Å; times in ps], species, mass
+    connectivity/bonds      pairs of bonded atoms
+    observables/<name>      the numbers of the record, to the last bit, in the units of the simulation
+    minimd                  what H5MD has no place for: units, cell, pbc, timestep, method, constraints, exact times, restart
+
+Reduced numbers are written unchanged under the same labels, because MDAnalysis refuses a file without units; the group
+minimd then says units = "LJ". MDAnalysis takes a box with edges for periodic in all directions and one without for open in all:
+edges are written where any direction is periodic and the cell has three independent vectors, pbc holds the truth.
+P. de Buyl, P. H. Colberg, F. Höfling, Comput. Phys. Commun. 185, 1546 (2014); H5MD 1.1.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiled.machine import version
+from minimd.engine.record import SERIES, Frame, Record
+from minimd.files.h5md_constraints import describe_constraints, read_constraints
+from minimd.structure.cell import Cell
+from minimd.structure.system import System
+from minimd.structure.units import SYSTEMS
+
+if TYPE_CHECKING:
+    from minimd.simulation.simulation import Simulation
+
+CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own
+CHUNK_ROWS = 512  # at most
+LARGEST_ENUMERATION = 1000  # labels that fit into the header of a dataset, 64 KiB
+TRAJECTORY = "particles/trajectory"
+STEPS, TIMES = f"{TRAJECTORY}/position/step", f"{TRAJECTORY}/position/time"
+
+
+@dataclass(frozen=True)
+class H5MDContents:
+    """What a minimd file holds apart from its frames.
+
+    Attributes
+    ----------
+    record : Record, one entry for each frame.  system : System at the restart, to the last bit, with the constraints of the run.
+    step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
+    heat : [energy], that a thermostat had put in at the restart; 0 without one.  conserves_momentum : whether the run did.
+    n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
+    """
+
+    record: Record
+    system: System
+    step: int
+    time: float
+    timestep: float
+    method: str
+    heat: float
+    conserves_momentum: bool
+    n_frames: int
+    has_forces: bool
+    title: str
+    scene: str
+
+
+class Column(NamedTuple):
+    """One series of the file: where it lies, in which unit, and its entry for a frame."""
+
+    path: str
+    unit: str
+    entry: Callable[[Frame], Any]
+
+
+def columns(system: System, observables: list[str], store_forces: bool) -> list[Column]:
+    """All series of a file, positions last: their length is the number of frames to MDAnalysis."""
+    units = system.units
+    per_time, force = units.to_angstrom / units.to_picosecond, units.to_kj_per_mol / units.to_angstrom
+    edges = system.cell.vectors * units.to_angstrom
+    return [
+        Column("minimd/time", units.time, lambda frame: frame.time),
+        Column(STEPS, "", lambda frame: frame.step),
+        Column(TIMES, "ps", lambda frame: frame.time * units.to_picosecond),
+        *(Column(f"observables/{name}/value", unit_of(name, system), partial(observable, name)) for name in observables),
+        *([Column(f"{TRAJECTORY}/box/edges/value", "Angstrom", lambda _: edges)] if has_edges(system.cell) else []),
+        Column(f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda frame: frame.velocities * per_time),
+        *([Column(f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", lambda frame: frame.forces * force)] if store_forces else []),
+        Column(f"{TRAJECTORY}/position/value", "Angstrom", lambda frame: frame.positions * units.to_angstrom),
+    ]
+
+
+def observable(name: str, frame: Frame) -> Any:
+    """One observable of a frame."""
+    return frame.observables[name]
+
+
+def unit_of(name: str, system: System) -> str:
+    """Name of the unit of an observable; empty for one that minimd does not know."""
+    return getattr(system.units, SERIES[name]) if name in SERIES else ""
+
+
+def has_edges(cell: Cell) -> bool:
+    """True if MDAnalysis can be told of this cell: something repeats, and three vectors span a volume."""
+    return cell.is_periodic and np.linalg.matrix_rank(cell.vectors) == 3
+
+
+def chunk_rows(entry: Any) -> int:
+    """Entries that one chunk of a series holds."""
+    return int(np.clip(CHUNK_BYTES // np.asarray(entry).nbytes, 1, CHUNK_ROWS))
+
+
+def series_of(h5: h5py.File, column: Column, frame: Frame) -> h5py.Dataset:
+    """The series of a column, made empty if it is not there yet; those of H5MD share one step and one time."""
+    if column.path in h5:
+        return h5[column.path]
+    entry = np.asarray(column.entry(frame))
+    growing = {"maxshape": (None, *entry.shape), "chunks": (chunk_rows(entry), *entry.shape)}
+    series = h5.create_dataset(column.path, (0, *entry.shape), entry.dtype, **growing)
+    if column.unit:
+        series.attrs["unit"] = column.unit
+    if column.path.endswith("/value") and "step" not in series.parent:
+        series.parent["step"], series.parent["time"] = h5[STEPS], h5[TIMES]
+    return series
+
+
+def describe(h5: h5py.File, simulation: "Simulation") -> None:
+    """Everything that does not change: who wrote the file, species, masses, bonds, cell, method, constraints; and an empty restart."""
+    system = simulation.system
+    _describe_standard(h5, system)
+    group = h5.create_group("minimd")
+    group.attrs.update({"version": version("minimd"), "units": system.units.name, "pbc": system.cell.pbc, "scene": ""})
+    group.attrs["title"] = f"{len(system)} atoms of {', '.join(str(name) for name in system.species_names)}"
+    describe_method(group, simulation)
+    describe_constraints(group, simulation.constraints)
+    group["cell"] = system.cell.vectors
+    group["species_index"] = system.species_index
+    names = system.species_names
+    group["species_names"] = np.array(names, dtype=h5py.string_dtype() if isinstance(names[0], str) else np.int64)
+    group["masses"], group["bonds"] = h5[f"{TRAJECTORY}/mass"], h5["connectivity/bonds"]
+    restart = group.create_group("restart")
+    restart["positions"], restart["velocities"] = system.positions, system.velocities
+    restart.attrs.update({"step": np.int64(simulation.step), "time": np.float64(simulation.time), "heat": np.float64(simulation.heat)})
+
+
+def describe_method(group: h5py.Group, simulation: "Simulation") -> None:
+    """Method and time step of the frames that come next."""
+    group.attrs.update({"method": simulation.method.name, "conserves_momentum": simulation.conserves_momentum})
+    group.attrs.update({name: np.asarray(value) for name, value in simulation.method.parameters.items()})
+
+
+def _describe_standard(h5: h5py.File, system: System) -> None:
+    """What H5MD has a place for."""
+    h5.create_group("h5md").attrs["version"] = np.array([1, 1])
+    h5.create_group("h5md/author").attrs["name"] = "N/A"
+    h5.create_group("h5md/creator").attrs.update({"name": "minimd", "version": version("minimd")})
+    particles = h5.create_group(TRAJECTORY)
+    box = particles.create_group("box")
+    box.attrs.update({"dimension": 3, "boundary": ["periodic" if has_edges(system.cell) else "none"] * 3})
+    labels = {str(name): number for number, name in enumerate(system.species_names)}
+    kind = h5py.enum_dtype(labels, basetype=np.int64) if len(labels) <= LARGEST_ENUMERATION else np.int64
+    particles.create_dataset("species", data=system.species_index, dtype=kind)
+    particles["mass"] = system.masses
+    particles["mass"].attrs["unit"] = "u"
+    h5["connectivity/bonds"] = system.bonds
+    h5["connectivity/bonds"].attrs["particles_group"] = particles.ref
+
+
+def all_series(h5: h5py.File) -> list[h5py.Dataset]:
+    """Every dataset that grows with the frames, each once."""
+    found: list[h5py.Dataset] = []
+
+    def collect(_name: str, item: h5py.HLObject) -> None:
+        if isinstance(item, h5py.Dataset) and item.maxshape[:1] == (None,):
+            found.append(item)
+
+    h5.visititems(collect)
+    return found
+
+
+def whole_frames(h5: h5py.File) -> int:
+    """Frames of which every series has its part."""
+    return min((len(series) for series in all_series(h5)), default=0)
+
+
+def opened(path: str | Path, mode: Literal["r", "r+", "w"]) -> h5py.File:
+    """An HDF5 file.
+
+    Raises
+    ------
+    FileNotFoundError : if it is read and does not exist.  ValueError : if it is not HDF5.
+    OSError : if it is damaged, being written by another process, or its folder does not let it be written.
+    """
+    if mode != "w" and not Path(path).is_file():
+        raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")
+    if mode != "w" and not h5py.is_hdf5(path):
+        raise ValueError(f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run")
+    try:
+        return h5py.File(path, mode)
+    except (OSError, RuntimeError) as error:
+        raise OSError(f"file {str(path)!r} cannot be opened: {_reason(str(error))}") from error
+
+
+def _reason(words: str) -> str:
+    """Why HDF5 does not open a file, from its own words."""
+    if "unable to lock file" in words:
+        return "another process is writing it"
+    if "truncated file" in words:
+        return "it is damaged, it ends before its data do; copy it again, or run again"
+    return words.splitlines()[0]
+
+
+def read_file(path: str | Path) -> H5MDContents:
+    """Record, restart and description of a minimd file.
+
+    Frames that are not in every series, which only a machine that went down while writing can leave, do not count.
+
+    Raises
+    ------
+    FileNotFoundError, OSError : as opened.  ValueError : if it is not HDF5, not written by minimd, or holds no frame.
+    """
+    with opened(path, "r") as h5:
+        if "minimd/restart" not in h5:
+            raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
+        n_frames, group = whole_frames(h5), h5["minimd"]
+        if n_frames == 0:
+            raise ValueError(f"file {str(path)!r} holds no frame; the run ended before its first")
+        system, restart = _system(group), group["restart"].attrs
+        return H5MDContents(
+            record=_record(h5, system, n_frames),
+            system=system,
+            step=int(restart["step"]),
+            time=float(restart["time"]),
+            timestep=float(group.attrs["timestep"]),
+            method=str(group.attrs["method"]),
+            heat=float(restart["heat"]),
+            conserves_momentum=bool(group.attrs["conserves_momentum"]),
+            n_frames=n_frames,
+            has_forces=f"{TRAJECTORY}/force" in h5,
+            title=str(group.attrs["title"]),
+            scene=str(group.attrs["scene"]),
+        )
+
+
+def _system(group: h5py.Group) -> System:
+    names = group["species_names"]
+    labels = names.asstr()[:] if h5py.check_string_dtype(names.dtype) else names[:]
+    return System(
+        group["restart/positions"][:],
+        masses=group["masses"][:],
+        velocities=group["restart/velocities"][:],
+        cell=Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
+        species=np.array(labels.tolist())[group["species_index"][:]],
+        bonds=group["bonds"][:],
+        units=SYSTEMS[group.attrs["units"]],
+        constraints=read_constraints(group),
+    )
+
+
+def _record(h5: h5py.File, system: System, n_frames: int) -> Record:
+    known = [name for name in SERIES if name in h5["observables"]]
+    names = known + [name for name in h5["observables"] if name not in SERIES]
+    series: dict[str, NDArray[Any]] = {"step": h5[STEPS][:n_frames], "time": h5["minimd/time"][:n_frames]}
+    series.update({name: h5[f"observables/{name}/value"][:n_frames] for name in names})
+    return Record.of(system.units, len(system), series)

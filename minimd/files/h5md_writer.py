@@ -1,0 +1,262 @@
+"""One float64 file for a run: trajectory, observables and restart, laid out as H5MD; see minimd.h5md_layout.
+
+A frame is whole or absent. Frames are collected in memory for up to a second; then the room for them is reserved on the disk,
+and only then does HDF5 append them. (Where HDF5 itself runs out of room it leaves a file that cannot be opened, or crashes.)
+"""
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.engine.record import Frame
+from minimd.files import h5md_schema as layout
+from minimd.files.h5md_constraints import difference, n_bytes
+from minimd.files.h5md_schema import H5MDContents, read_file
+
+if TYPE_CHECKING:
+    from minimd.simulation.simulation import Simulation
+
+__all__ = ["H5MDContents", "H5MDWriter", "annotate", "read_file"]
+
+SECONDS_BETWEEN_FLUSHES = 1.0
+BUFFER_BYTES = 8 * 1024**2  # of frames kept in memory between two flushes
+METADATA_BYTES = 256 * 1024  # room for HDF5's own tables, far above what a flush was seen to need
+BYTES_PER_ATOM, BYTES_PER_BOND = 96, 32  # of what is written once: masses, species, restart; bonds
+FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
+
+
+class H5MDWriter:
+    """A new H5MD file that takes frames.
+
+    After each flush, at least once a second while frames come, and after close the file is valid, whatever ended the run.
+    Its restart is the last frame; or the end of the run, where that lies beyond the last frame and close is told that it was reached.
+
+    Parameters
+    ----------
+    file : replaced if it exists.  simulation : whose frames will come.  store_forces : also write forces.
+
+    Raises
+    ------
+    OSError : if the file cannot be created or has no room.
+    """
+
+    _n_frames: int  # in the file
+    _last_step: int  # that was taken
+    _flushed: float  # when [s]
+
+    def __init__(self, file: Path, simulation: "Simulation", store_forces: bool) -> None:
+        self._begin(Path(file), simulation, layout.opened(file, "w"), store_forces)
+        system = simulation.system
+        with self._telling("begin"):
+            self._reserve(BYTES_PER_ATOM * len(system) + BYTES_PER_BOND * len(system.bonds) + n_bytes(simulation.constraints))
+            layout.describe(self._h5, simulation)
+            self._h5.flush()
+
+    @classmethod
+    def append_to(cls, file: Path, simulation: "Simulation", store_forces: bool = False) -> "H5MDWriter":
+        """A writer that continues a file from its restart; frames behind the restart are dropped.
+
+        Forces are written if the file has them. The frame at the restart, which a resumed run observes again, is not doubled.
+
+        Raises
+        ------
+        ValueError : if the file holds another system or other constraints, no forces although store_forces, or if the
+            simulation does not stand at the step of the restart.  OSError : if the file cannot be written.
+        """
+        contents = read_file(file)
+        _check_continues(file, contents, simulation, store_forces)
+        writer = cls.__new__(cls)
+        writer._begin(Path(file), simulation, layout.opened(file, "r+"), contents.has_forces)
+        with writer._telling("be continued"):
+            writer._cut(int(np.searchsorted(contents.record.step, contents.step, side="right")))
+            layout.describe_method(writer._h5["minimd"], simulation)
+        return writer
+
+    def write(self, frame: Frame) -> None:
+        """Take one frame; a second one of the same step is passed over.
+
+        Raises
+        ------
+        OSError : if the file has no room or cannot be written; what it held before stays valid.  ValueError : if it is closed.
+        """
+        if not self._h5:
+            raise ValueError(f"trajectory {str(self._file)!r} is closed; it takes no frame of step {frame.step}")
+        if frame.step == self._last_step:
+            return
+        copies = {name: getattr(frame, name).copy() for name in ("positions", "velocities", "forces")}
+        self._pending.append(frame._replace(**copies))
+        self._last_step = frame.step
+        is_full = 3 * frame.positions.nbytes * len(self._pending) > BUFFER_BYTES
+        if is_full or monotonic() - self._flushed >= SECONDS_BETWEEN_FLUSHES:
+            self._flush()
+
+    def close(self, completed: bool) -> None:
+        """Write what is left and close the file; do nothing if it is closed or has failed.
+
+        completed : whether the run came to its end; the restart is then that end, else the last frame.
+
+        Raises
+        ------
+        OSError : if what is left cannot be written.
+        """
+        if not self._h5:
+            return
+        try:
+            self._flush()
+            simulation = self._simulation
+            if completed and simulation.step > self._last_step:
+                with self._telling(f"take the end of the run, step {simulation.step}"):
+                    self._write_restart(simulation.step, simulation.time, simulation.positions, simulation.velocities, simulation.heat)
+        finally:
+            self._shut()
+
+    def _begin(self, file: Path, simulation: "Simulation", h5: h5py.File, store_forces: bool) -> None:
+        self._file, self._simulation, self._h5, self._store_forces = file, simulation, h5, store_forces
+        self._pending: list[Frame] = []
+        self._n_frames, self._last_step = 0, -1
+        self._flushed = -np.inf
+
+    def _cut(self, n_frames: int) -> None:
+        """Keep the first n_frames frames, n_frames > 0."""
+        self._n_frames = n_frames
+        self._take_back()
+        self._last_step = int(self._h5[layout.STEPS][-1])
+
+    def _flush(self) -> None:
+        """Append the pending frames, all of them or none."""
+        frames = self._pending
+        if not frames:
+            return
+        with self._telling(f"take the frame of step {frames[0].step}"):
+            self._append(frames)
+            last = frames[-1]
+            self._write_restart(last.step, last.time, last.positions, last.velocities, last.heat)
+        self._n_frames += len(frames)
+        self._pending = []
+        self._flushed = monotonic()
+
+    def _append(self, frames: list[Frame]) -> None:
+        table = layout.columns(self._simulation.system, list(frames[0].observables), self._store_forces)
+        self._reserve(sum(_room(column, frames) for column in table))
+        end = self._n_frames + len(frames)
+        for column in table:
+            series = layout.series_of(self._h5, column, frames[0])
+            series.resize(end, axis=0)
+            series[self._n_frames :] = np.array([column.entry(frame) for frame in frames])
+
+    def _write_restart(self, step: int, time: float, positions: NDArray[np.float64], velocities: NDArray[np.float64], heat: float) -> None:
+        restart = self._h5["minimd/restart"]
+        restart["positions"][...], restart["velocities"][...] = positions, velocities
+        restart.attrs.modify("step", np.int64(step))
+        restart.attrs.modify("time", np.float64(time))
+        restart.attrs.modify("heat", np.float64(heat))
+        self._h5.flush()
+
+    def _reserve(self, n_bytes: int) -> None:
+        """Make sure that the disk has room for so many bytes more [B].
+
+        Raises
+        ------
+        OSError : if it has not. A filesystem that cannot reserve is trusted.
+        """
+        if not hasattr(os, "posix_fallocate"):
+            return
+        try:
+            os.posix_fallocate(self._h5.id.get_vfd_handle(), self._h5.id.get_filesize(), n_bytes + METADATA_BYTES)
+        except OSError as error:
+            if error.errno in FULL:
+                raise
+
+    @contextmanager
+    def _telling(self, what: str) -> Iterator[None]:
+        """Turn a failure into a sentence and give the file up; after Ctrl-C take half a block back, close will write it."""
+        try:
+            yield
+        except (OSError, RuntimeError) as error:
+            self._give_up()
+            reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+            raise OSError(f"trajectory {str(self._file)!r} could not {what}: {reason}; its {self._n_frames} frames before that are valid") from error
+        except BaseException:
+            self._take_back()
+            raise
+
+    def _take_back(self) -> None:
+        """Drop what lies behind the last whole frame."""
+        for series in layout.all_series(self._h5):
+            if len(series) > self._n_frames:
+                series.resize(self._n_frames, axis=0)
+        self._h5.flush()
+
+    def _give_up(self) -> None:
+        self._pending = []
+        with suppress(OSError, RuntimeError):
+            self._take_back()
+        with suppress(OSError, RuntimeError):
+            self._shut()
+
+    def _shut(self) -> None:
+        """Close the file and return the room that was reserved and not needed."""
+        if not self._h5:
+            return
+        size = self._h5.id.get_filesize()
+        self._h5.close()
+        if self._file.stat().st_size > size:
+            os.truncate(self._file, size)
+
+
+def annotate(path: str | Path, *, title: str | None = None, scene: str | None = None) -> None:
+    """Store a title, or the text of the scene file that a run came from, in a minimd file; also from an observer of that run.
+
+    Raises
+    ------
+    FileNotFoundError, OSError, ValueError : if there is no such file.
+    """
+    with layout.opened(path, "r+") as h5:
+        if "minimd" not in h5:
+            raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
+        h5["minimd"].attrs.update({name: text for name, text in (("title", title), ("scene", scene)) if text is not None})
+
+
+def _room(column: layout.Column, frames: list[Frame]) -> int:
+    """Bytes that some entries of a series take at most, in chunks of which one may be new [B]."""
+    entry = np.asarray(column.entry(frames[0]))
+    return entry.nbytes * (len(frames) + layout.chunk_rows(entry))
+
+
+def _check_continues(file: Path, contents: H5MDContents, simulation: "Simulation", store_forces: bool) -> None:
+    """Raise ValueError unless the simulation can continue the file."""
+    ours, theirs = simulation.system, contents.system
+    same = {
+        "units": ours.units.name == theirs.units.name,
+        "the number of atoms": len(ours) == len(theirs),
+        "masses": np.array_equal(ours.masses, theirs.masses),
+        "species": np.array_equal(ours.species, theirs.species),
+        "bonds": np.array_equal(ours.bonds, theirs.bonds),
+        "the cell": ours.cell.same_as(theirs.cell),
+    }
+    for name, is_same in same.items():
+        if not is_same:
+            raise ValueError(f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new file")
+    held = difference(theirs.constraints, simulation.constraints, theirs.positions)
+    if held:
+        raise ValueError(f"trajectory {str(file)!r} holds a run with other constraints: {held}; go on with those of the file, or write to a new file")
+    if simulation.step != contents.step:
+        raise ValueError(f"trajectory {str(file)!r} continues from step {contents.step}; the simulation stands at step {simulation.step}")
+    if simulation.method.is_thermostat != ("conserved_energy" in contents.record):
+        raise ValueError(
+            f"trajectory {str(file)!r} was written {'without' if simulation.method.is_thermostat else 'with'} a thermostat, "
+            f"{simulation.method.name} would continue it otherwise; write to a new file"
+        )
+    if ("shadow_energy" in contents.record) != ("shadow_energy" in simulation.extra_observables):
+        wanted = "('shadow_energy',)" if "shadow_energy" in contents.record else "()"
+        raise ValueError(f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set them so, or write to a new file")
+    if store_forces and not contents.has_forces:
+        raise ValueError(f"trajectory {str(file)!r} was begun without forces; resume without storing them, or write to a new file")

@@ -1,0 +1,126 @@
+"""Trajectories written by MDAnalysis: .xtc .dcd .trr .ncdf .nc."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from errno import ENOSPC
+from pathlib import Path
+from shutil import disk_usage
+from typing import TYPE_CHECKING, Any
+
+import MDAnalysis
+import numpy as np
+from MDAnalysis.lib.mdamath import triclinic_box, triclinic_vectors
+from numpy.typing import NDArray
+
+from minimd.engine.record import Frame
+from minimd.files.h5md_schema import has_edges
+from minimd.structure.cell import Cell
+from minimd.structure.console import outside_minimd
+
+if TYPE_CHECKING:
+    from minimd.simulation.simulation import Simulation
+
+FORMATS = {".nc": "NCDF"}  # of suffixes that are not their name
+XTC_DECIMALS = 4  # of nm, one more than usual, because σ is written as 0.1 nm
+ROOM = 2**18  # B that must stay free beside a frame, for what C libraries buffer
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Without MDAnalysis' warnings about what minimd files mean not to hold."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+class MDAnalysisWriter:
+    """Frames to .xtc, .dcd, .trr or .ncdf (.nc) through MDAnalysis: float32, positions unwrapped, Å and ps or reduced numbers.
+
+    TRR and NCDF hold velocities; XTC, rounded to 0.001 Å, and DCD do not. A DCD states the time between its frames at
+    its beginning, so that it is begun with the second frame.
+
+    Raises
+    ------
+    OSError : if the file cannot be written.
+    """
+
+    def __init__(self, file: Path, simulation: "Simulation") -> None:
+        system = simulation.system
+        self._file, self._format = Path(file), FORMATS.get(Path(file).suffix.lower(), Path(file).suffix[1:].upper())
+        self._angstrom, self._picosecond = system.units.to_angstrom, system.units.to_picosecond
+        self._timestep = simulation.method.timestep * self._picosecond
+        self._dimensions = cell_dimensions(system.cell, self._angstrom)
+        self._waiting: list[Frame] = []
+        self._writer: Any = None
+        with quiet():
+            self._universe = MDAnalysis.Universe.empty(len(system), trajectory=True, velocities=True)
+        _warn_if_turned(self._file, system.cell)
+
+    def write(self, frame: Frame) -> None:
+        """Append one frame."""
+        self._waiting.append(frame._replace(positions=frame.positions.copy(), velocities=frame.velocities.copy()))
+        if self._format != "DCD" or self._writer is not None or len(self._waiting) > 1:
+            self._write_waiting()
+
+    def close(self, completed: bool) -> None:
+        """Finish the file, the same whether the run was completed or not; do nothing if it has failed."""
+        self._write_waiting()
+        self._shut()
+
+    def _write_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for frame in waiting:
+            try:
+                with quiet():
+                    _check_room(self._file, frame.positions.nbytes + ROOM)
+                    self._writer = self._writer or self._opened(waiting)
+                    self._place(frame)
+                    self._writer.write(self._universe)
+            except (OSError, RuntimeError) as error:
+                with suppress(OSError, RuntimeError):
+                    self._shut()
+                reason = getattr(error, "strerror", None) or error
+                raise OSError(f"trajectory {str(self._file)!r} could not take the frame of step {frame.step}: {reason}") from error
+
+    def _shut(self) -> None:
+        writer, self._writer = self._writer, None
+        if writer:
+            writer.close()
+
+    def _opened(self, waiting: list[Frame]) -> Any:
+        options: dict[str, dict[str, Any]] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": self._spacing(waiting)}
+        return MDAnalysis.Writer(str(self._file), n_atoms=len(self._universe.atoms), format=self._format, **options.get(self._format, {}))
+
+    def _spacing(self, waiting: list[Frame]) -> dict[str, Any]:
+        """Steps between frames, their time [ps] and the first step."""
+        steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1
+        return {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
+
+    def _place(self, frame: Frame) -> None:
+        ts = self._universe.trajectory.ts
+        ts.positions = frame.positions * self._angstrom
+        ts.velocities = frame.velocities * (self._angstrom / self._picosecond)
+        ts.dimensions = self._dimensions
+        ts.time, ts.data["step"] = frame.time * self._picosecond, frame.step
+
+
+def _check_room(file: Path, n_bytes: int) -> None:
+    """Raise OSError where a disk has less room [B]: not every format notices that it could not write."""
+    if disk_usage(file.absolute().parent).free < n_bytes:
+        raise OSError(ENOSPC, "no room on the disk")
+
+
+def cell_dimensions(cell: Cell, to_angstrom: float) -> NDArray[np.float32] | None:
+    """Lengths and angles of a cell [Å, °], or None where nothing repeats or three independent vectors are missing."""
+    return triclinic_box(*(cell.vectors * to_angstrom)) if has_edges(cell) else None
+
+
+def _warn_if_turned(file: Path, cell: Cell) -> None:
+    dimensions = cell_dimensions(cell, 1.0)
+    if dimensions is not None and not np.allclose(triclinic_vectors(dimensions), cell.vectors, atol=1e-4 * abs(cell.vectors).max()):
+        warnings.warn(
+            f"trajectory {str(file)!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the "
+            "xy plane, which they do not; distances across the boundary will be wrong, write .h5md too",
+            stacklevel=outside_minimd(),
+        )

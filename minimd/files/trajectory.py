@@ -1,0 +1,102 @@
+"""Trajectory files: which writer a suffix means, and that all are closed whatever happens.
+
+.h5md                          minimd.h5md: float64, observables, restart
+.xtc .dcd .trr .ncdf .nc       MDAnalysis' writers
+.xyz .extxyz .traj             ASE's writers
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from minimd.engine.record import Frame
+
+if TYPE_CHECKING:
+    from minimd.simulation.simulation import Simulation
+
+MDANALYSIS_SUFFIXES = (".xtc", ".dcd", ".trr", ".ncdf", ".nc")
+ASE_SUFFIXES = (".xyz", ".extxyz", ".traj")
+
+
+class Writer(Protocol):
+    """A file that takes frames."""
+
+    def write(self, frame: Frame) -> None:
+        """Append one frame."""
+
+    def close(self, completed: bool) -> None:
+        """Finish the file; it is valid afterwards, however many frames it got.  completed : whether the run came to its end."""
+
+
+@contextmanager
+def open_trajectories(
+    paths: str | Path | Sequence[str | Path], simulation: "Simulation", *, store_forces: bool, overwrite: bool
+) -> Iterator[list[Writer]]:
+    """Writers for some files, all checked before the first is opened, all closed at the end; if one cannot be opened, none is left.
+
+    Raises
+    ------
+    ValueError : for a suffix that no writer knows.  FileExistsError : for a file that exists, unless overwrite.
+    FileNotFoundError, PermissionError : for a folder that does not exist or cannot be written.
+    """
+    several = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    files = [checked_output(path, overwrite) for path in several]
+    with ExitStack() as closing, ExitStack() as undoing:
+        writers = []
+        for file in files:
+            if not file.exists():
+                undoing.callback(file.unlink, missing_ok=True)
+            writers.append(_opened(file, simulation, store_forces))
+            closing.push(_close_of(writers[-1]))
+        undoing.pop_all()
+        yield writers
+
+
+def _close_of(writer: Writer) -> Callable[..., None]:
+    """An exit of a context that closes a writer and tells it whether the body came to its end."""
+
+    def close(failure: type[BaseException] | None, *_: object) -> None:
+        writer.close(completed=failure is None)
+
+    return close
+
+
+def checked_output(path: str | Path, overwrite: bool) -> Path:
+    """The path, if a new file can be written there; nothing is left by trying.
+
+    Raises
+    ------
+    As open_trajectories.
+    """
+    file = Path(path)
+    known = (".h5md", *MDANALYSIS_SUFFIXES, *ASE_SUFFIXES)
+    if file.suffix.lower() not in known:
+        raise ValueError(f"the suffix of a trajectory must be one of {', '.join(known)}; the file is {str(file)!r}")
+    if file.exists() and not overwrite:
+        raise FileExistsError(f"output {str(file)!r} exists; choose another name, or pass overwrite=True")
+    if not file.absolute().parent.is_dir():
+        raise FileNotFoundError(f"output folder {str(file.absolute().parent)!r} does not exist; make it first")
+    is_new = not file.exists()
+    try:
+        file.open("ab").close()
+        if is_new:
+            file.unlink()
+    except OSError as error:
+        raise PermissionError(f"output {str(file)!r} cannot be written: {error.strerror}") from None
+    return file
+
+
+def _opened(file: Path, simulation: "Simulation", store_forces: bool) -> Writer:
+    suffix = file.suffix.lower()
+    if suffix in MDANALYSIS_SUFFIXES:
+        from minimd.files.mdanalysis_writer import MDAnalysisWriter
+
+        return MDAnalysisWriter(file, simulation)
+    if suffix in ASE_SUFFIXES:
+        from minimd.files.ase_writer import ASEWriter
+
+        return ASEWriter(file, simulation, store_forces)
+    from minimd.files.h5md_writer import H5MDWriter
+
+    return H5MDWriter(file, simulation, store_forces)

@@ -1,0 +1,81 @@
+"""Starts that obey all constraints, given and hidden: time derivatives without formulas, and the nearest root.
+
+    c(ε) = g(t + ε, y + ε y′ + ε²/2 y″)        dᵏg/dtᵏ along the solution is dᵏc/dεᵏ at ε = 0
+    x ← x − C⁺ c(x)                            Gauss-Newton, C⁺ the pseudo-inverse of C = ∂c/∂x: the root nearest to the guess
+
+C. C. Pantelides, SIAM J. Sci. Stat. Comput. 9, 213 (1988); B. Leimkuhler, L. R. Petzold, C. W. Gear, SIAM J. Numer. Anal. 28, 205 (1991).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.integrators.ode.differences import CENTRAL, central_differences
+from minimd.compiled.machine import EPS
+
+Array = NDArray[np.float64]
+SPACINGS = 0.1 / 3.0 ** np.arange(12)  # of the points of a difference formula, in units of the time in which the path changes by its size
+WEIGHTS = {  # of the values at −3 … 3 spacings, for the derivative of the same number: formulas of order 6 and 4
+    1: (np.array([-1, 9, -45, 0, 45, -9, 1]) / 60.0, np.array([0, 1, -8, 0, 8, -1, 0]) / 12.0),
+    2: (np.array([2, -27, 270, -490, 270, -27, 2]) / 180.0, np.array([0, -1, 16, -30, 16, -1, 0]) / 12.0),
+}
+NOISE = 10.0 * EPS  # of a function, of its change over the widest spacing
+DEPENDENT = 1e-8  # ratio of singular values below which constraints count as dependent on each other
+MAX_ITERATIONS = 50
+RESTING = 1e-13  # rates below are rounding: nothing moves, but perhaps what depends on time [1/time]
+WIDE = 1e-3  # step of a difference of functions that are time derivatives
+SMALL = 1e-6  # corrections that may be rounding once they no longer shrink
+KEPT = 1e-11  # moves, relative to the size of the variables, below which a start is left as it is
+REFUSED = 1e-8  # and above which it counts as inconsistent; those between are made in silence
+
+
+def time_derivative(path: Callable[[float], Array], order: int, unit: float) -> Array:
+    """The first or second derivative at 0 of a path, to some 1e-12 or 1e-10: from the spacing at which two formulas agree best, beside rounding.
+
+    unit : time in which the path changes by its size [time].
+    """
+    here = path(0.0)
+    best, least, largest = np.zeros_like(here), np.inf, 0.0
+    for spacing in SPACINGS * unit:
+        values = np.array([path(k * spacing) - here for k in range(-3, 4)])
+        sixth, fourth = (weights @ values / spacing**order for weights in WEIGHTS[order])
+        largest = max(largest, np.abs(values).max(initial=0.0))
+        error = np.abs(sixth - fourth).max(initial=0.0) + NOISE * largest / spacing**order
+        if error < least:
+            best, least = sixth, error
+    return best
+
+
+def unit_of_time(y: Array, *derivatives: Array) -> float:
+    """The time in which a path y + ε y′ + ε²/2 y″ changes by its own size; 1 if it rests."""
+    size = np.abs(y).max() or 1.0
+    rates = [0.0, *((np.abs(d).max() / size) ** (1.0 / k) for k, d in enumerate(derivatives, start=1))]
+    return 1.0 / max(rates) if max(rates) > RESTING else 1.0
+
+
+def nearest_root(function: Callable[[Array], Array], x: Array, step: float = CENTRAL, dependent: float = DEPENDENT, size: float = 0.0) -> Array:
+    """The x nearest to the guess with function(x) = 0, as near as Gauss-Newton comes; of dependent equations, the least correction.
+
+    step : of central differences, in proportion to x; wide for functions that are derivatives already.
+    dependent : ratio of singular values below which equations count as dependent.  size : of the largest variable, where x can be smaller by chance.
+    """
+    best, least, size = x, np.inf, max(size, np.abs(x).max())
+    for _ in range(MAX_ITERATIONS):
+        c = function(x)
+        if not (c.any() and np.isfinite(c).all()):
+            return best if c.any() else x
+        dx = np.linalg.lstsq(central_differences(function, x, step, size), -c, rcond=dependent)[0]
+        move, largest = float(np.abs(dx).max()), float(max(size, np.abs(x + dx).max()))
+        if move > 0.5 * least and move <= SMALL * largest:
+            return best
+        x, best, least = x + dx, x + dx, move
+        if move <= EPS * largest:
+            return x
+    return best
+
+
+def are_independent(function: Callable[[Array], Array], x: Array, step: float = CENTRAL, size: float = 0.0) -> bool:
+    """Whether the Jacobian of the function has full row rank."""
+    sizes = np.linalg.svd(central_differences(function, x, step, size), compute_uv=False)
+    return bool(function(x).size <= x.size and sizes[-1] > DEPENDENT * sizes[0])

@@ -1,0 +1,249 @@
+"""Differential-algebraic equations in Hessenberg form, of index 1, 2 and 3, and constrained mechanics.
+
+    index 1     y′ = f(t, y, z)                             0 = g(t, y, z)    gives z
+    index 2     y′ = f(t, y, z)                             0 = g(t, y)       0 = dg/dt = g_t + g_y f gives z
+    index 3     y′ = f(t, y, z),  z′ = k(t, y, z, u)        0 = g(t, y)       0 = dg/dt is hidden, 0 = d²g/dt² gives u
+    mechanics   q′ = v,  M(q) v′ = f(t, q, v) − G(q)ᵀ λ     0 = g(t, q)       0 = G v + g_t is hidden, 0 = d²g/dt² gives λ
+
+The state holds the parts one after the other. A start that violates one of these constraints is refused, with the reason.
+E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
+"""
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.integrators.dae.consistent_start import KEPT, REFUSED, WIDE, are_independent, nearest_root, time_derivative, unit_of_time
+from minimd.integrators.ode.differences import CENTRAL
+from minimd.integrators.dae.problem import DifferentialAlgebraic, Function, taking
+from minimd.integrators.ode.newton import Newton, Solver
+
+Array = NDArray[np.float64]
+Parts = tuple[Array, ...]
+
+
+class Hessenberg(DifferentialAlgebraic):
+    """What the forms have in common: parts of the state, and a chain of constraints, one for each of the last parts."""
+
+    names: ClassVar[tuple[str, ...]]  # of the parts
+    functions: ClassVar[tuple[str, ...]]  # that belong to them
+    chain: ClassVar[tuple[str, ...]]  # what is zero, from g on; the last one gives the algebraic variables
+    regular: ClassVar[str]  # the matrix that must have full rank for that
+    _slices: tuple[slice, ...] = ()
+
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
+        """The start as a state, its algebraic variables solved for.
+
+        Parameters
+        ----------
+        start : the parts one after the other, such as (q, v); algebraic variables may be left out, or are taken for a first guess.
+
+        Raises
+        ------
+        ValueError : for a start that violates a constraint, given or hidden; problem.corrected gives one that does not.
+        """
+        return self._consistent(start, t0, self._refused)
+
+    def corrected(self, start: Any, t0: float = 0.0) -> Array:
+        """The consistent state next to a start, part after part."""
+        return self._consistent(start, t0, lambda k, t, parts, root: root)
+
+    def parts(self, y: ArrayLike) -> Parts:
+        """Views of the parts of a state, or of many: y may be (n,), or (n_times, n) as in a solution."""
+        y = np.asarray(y)
+        return tuple(y[..., part] for part in self._slices)
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """y′ − f, then z′ − k where there is one, and g."""
+        *rates, g = self._answers(t, *self.parts(y))
+        return np.concatenate([*(own - rate for own, rate in zip(self.parts(slope), rates, strict=False)), g])
+
+    def field(self, t: float, y: Array) -> Array:
+        """f, then k where there is one, and zero for the algebraic variables."""
+        *rates, g = self._answers(t, *self.parts(y))
+        return np.concatenate([*rates, np.zeros(g.size)])
+
+    def constraint(self, k: int, t: float, *parts: Array) -> Array:
+        """The k-th of the chain, zero on solutions: dᵏg/dtᵏ, from central differences along the solution."""
+        raise NotImplementedError
+
+    def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
+        """1 for the differential variables, 0 for the algebraic ones."""
+        n_differential = self._slices[-1].start
+        return np.diag(np.repeat([1.0, 0.0], [n_differential, y.size - n_differential]))
+
+    def _consistent(self, start: Any, t: float, judged: Any) -> Array:
+        parts = self._begun(start, t)
+        first, last = len(parts) - len(self.chain), len(self.chain) - 1
+        for k in range(last + 1):
+            i, step = first + k, WIDE if k > 0 else CENTRAL
+
+            def violation(x: Array) -> Array:
+                return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
+
+            size = self._size_of_algebraic(t, parts) if k == last else _size(parts[i], parts)
+            if not are_independent(violation, parts[i], step, size):
+                raise ValueError(f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher than {self.index}: "
+                                 f"the constraints 0 = {self.chain[k]} do not determine {self.names[i]}")  # fmt: skip
+            root = nearest_root(violation, parts[i], step, size=size)
+            parts[i] = root if k == last else judged(k, t, parts, root)
+        return np.concatenate(parts)
+
+    def _refused(self, k: int, t: float, parts: list[Array], root: Array) -> Array:
+        """The part of the chain's k-th constraint, unless it is far from the root."""
+        i = len(parts) - len(self.chain) + k
+        name, part = self.names[i], parts[i]
+        move, size = np.abs(root - part).max(), max(_size(part, parts), np.abs(root).max())
+        if move > REFUSED * size:
+            violation = self.constraint(k, t, *parts)
+            worst = int(np.argmax(np.abs(violation)))
+            raise ValueError(f"the start violates the {'hidden ' if k else ''}constraint 0 = {self.chain[k]}: its element {worst} is "
+                             f"{violation[worst]:.2e} at t = {t:g}, and {name} would have to move by {move:.1e}; "
+                             "give consistent values, or take them from problem.corrected(start, t0)")  # fmt: skip
+        return root if move > KEPT * size else part
+
+    def _size_of_algebraic(self, t: float, parts: list[Array]) -> float:
+        """The algebraic variables that would change the highest derivative of the path by its size."""
+        *others, algebraic = parts
+        here = self._highest_derivative(t, *parts)
+        response = np.abs(self._highest_derivative(t, *others, algebraic + 1.0) - here).max()
+        wanted = np.abs(here).max() or np.abs(parts[0]).max()
+        return float(wanted / response) if wanted > 0.0 < response else 1.0
+
+    def _highest_derivative(self, t: float, *parts: Array) -> Array:
+        """The derivative of y through which the algebraic variables act on the last constraint of the chain."""
+        return parts[-1]
+
+    def _begun(self, start: Any, t: float) -> list[Array]:
+        """The parts of a start, zeros for algebraic variables that are not given; sizes are remembered."""
+        if not isinstance(start, tuple) or len(start) not in (len(self.names) - 1, len(self.names)):
+            raise ValueError(f"the start must be a tuple of {', '.join(self.names)}, of which {self.names[-1]} may be left out; got {start!r}")
+        parts = [np.array(part, dtype=float).reshape(-1) for part in start]
+        if len(parts) < len(self.names):
+            parts.append(np.zeros(self._n_multipliers(t, *parts)))
+        for name, part in zip(self.names, parts, strict=True):
+            if part.size == 0 or not np.isfinite(part).all():
+                raise ValueError(f"{name} of the start must have at least one element, and finite ones; got {part}")
+        sizes = [part.size for part in parts]
+        self._slices = tuple(slice(end - size, end) for end, size in zip(np.cumsum(sizes).tolist(), sizes, strict=True))
+        self.levels = np.repeat(np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), sizes)
+        for name, answer, part in zip(self.functions, self._answers(t, *parts), parts, strict=True):
+            if answer.size != part.size:
+                raise ValueError(f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got {answer.size}")
+        return parts
+
+    def _answers(self, t: float, *parts: Array) -> Parts:
+        """What each function answers with, in the order of the parts."""
+        raise NotImplementedError
+
+    def _n_multipliers(self, t: float, *parts: Array) -> int:
+        """How many algebraic variables there are."""
+        return self.constraint(0, t, *parts).size
+
+
+class Hessenberg1(Hessenberg):
+    """y′ = f(t, y, z), 0 = g(t, y, z), with g_z regular: index 1.
+
+    Parameters
+    ----------
+    f, g : functions of t, y, z, or of some of them under these names.
+
+    The start is (y, z), with a guess of z.
+    """
+
+    index, names, functions, chain, regular = 1, ("y", "z"), ("f", "g"), ("g",), "g_z"
+
+    def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
+        super().__init__(solver)
+        self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y", "z"), "g")
+
+    def constraint(self, k: int, t: float, *parts: Array) -> Array:
+        """G itself."""
+        return self.g(t, *parts)
+
+    def _answers(self, t: float, *parts: Array) -> Parts:
+        return self.f(t, *parts), self.g(t, *parts)
+
+    def _n_multipliers(self, t: float, *parts: Array) -> int:
+        raise ValueError("the start must be a tuple of y and a guess of z, for g(t, y, z) depends on both")
+
+
+class Hessenberg2(Hessenberg):
+    """y′ = f(t, y, z), 0 = g(t, y), with g_y f_z regular: index 2.
+
+    Parameters
+    ----------
+    f : function of t, y, z.  g : of t, y; or of some of them under these names.
+
+    The start is (y,), or (y, z) with a guess of z.
+    """
+
+    index, names, functions, regular = 2, ("y", "z"), ("f", "g"), "g_y f_z"
+    chain = ("g", "dg/dt = g_t + g_y f")
+
+    def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
+        super().__init__(solver)
+        self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y"), "g")
+
+    def constraint(self, k: int, t: float, *parts: Array) -> Array:
+        """G, and its time derivative."""
+        y = parts[0]
+        if k == 0:
+            return self.g(t, y)
+        f = self.f(t, *parts)
+        return time_derivative(lambda e: self.g(t + e, y + e * f), 1, unit_of_time(y, f))
+
+    def _highest_derivative(self, t: float, *parts: Array) -> Array:
+        return self.f(t, *parts)
+
+    def _answers(self, t: float, *parts: Array) -> Parts:
+        return self.f(t, *parts), self.g(t, parts[0])
+
+
+class Hessenberg3(Hessenberg):
+    """y′ = f(t, y, z), z′ = k(t, y, z, u), 0 = g(t, y), with g_y f_z k_u regular: index 3.
+
+    Parameters
+    ----------
+    f : function of t, y, z.  k : of t, y, z, u.  g : of t, y; or of some of them under these names.
+
+    The start is (y, z), or (y, z, u) with a guess of u.
+    """
+
+    index, names, functions, regular = 3, ("y", "z", "u"), ("f", "k", "g"), "g_y f_z k_u"
+    chain = ("g", "dg/dt = g_t + g_y f", "d²g/dt²")
+
+    def __init__(self, f: Function, k: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
+        super().__init__(solver)
+        self.f, self.k, self.g = taking(f, ("t", "y", "z"), "f"), taking(k, ("t", "y", "z", "u"), "k"), taking(g, ("t", "y"), "g")
+
+    def constraint(self, k: int, t: float, *parts: Array) -> Array:
+        """G, and its time derivatives."""
+        y, z = parts[:2]
+        if k == 0:
+            return self.g(t, y)
+        rate = self.f(t, y, z)
+        if k == 1:
+            return time_derivative(lambda e: self.g(t + e, y + e * rate), 1, unit_of_time(y, rate))
+        second = self._second(t, y, z, parts[2])
+        return time_derivative(lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), 2, unit_of_time(y, rate, second))
+
+    def _answers(self, t: float, *parts: Array) -> Parts:
+        return self.f(t, *parts[:2]), self.k(t, *parts), self.g(t, parts[0])
+
+    def _highest_derivative(self, t: float, *parts: Array) -> Array:
+        return self._second(t, *parts)
+
+    def _second(self, t: float, y: Array, z: Array, u: Array) -> Array:
+        """y″ = f_t + f_y f + f_z k."""
+        rate = self.f(t, y, z)
+        z_rate = self.k(t, y, z, u)
+        unit = min(unit_of_time(y, rate), unit_of_time(z, z_rate))
+        return time_derivative(lambda e: self.f(t + e, y + e * rate, z + e * z_rate), 1, unit)
+
+
+def _size(part: Array, parts: list[Array]) -> float:
+    """Size of a part, or that of the others where it is nothing but rounding."""
+    own, all_parts = float(np.abs(part).max()), max(float(np.abs(other).max()) for other in parts)
+    return own if own > KEPT * all_parts else all_parts

@@ -1,0 +1,181 @@
+"""Fully implicit differential equations F(t, y, y′) = 0, with the start and the index found from F alone.
+
+    0 = F,  0 = dF/dt,  0 = d²F/dt²         along y + ε y′ + ε²/2 y″ + ε³/6 y‴: the derivative array
+
+A start is consistent if this array, of as many derivatives as the index less one, can be solved for y′, y″ … and for the variables
+whose derivative does not occur in F. The index is that of the pencil λ F_y′ + F_y at the start.
+S. L. Campbell, SIAM J. Sci. Stat. Comput. 6, 334 (1985); E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, VII.2.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.integrators.dae.consistent_start import WIDE, nearest_root, time_derivative, unit_of_time
+from minimd.integrators.ode.differences import CENTRAL, central_differences
+from minimd.integrators.dae.problem import DifferentialAlgebraic, Function, taking
+from minimd.integrators.ode.newton import Newton, Solver
+from minimd.integrators.dae.pencil import pencil_index
+
+Array = NDArray[np.float64]
+ABSENT = 1e-12  # of the largest derivative of F: those below count as none
+RANK, NOISY_RANK = 1e-7, 1e-4  # singular values of matrices found by differences, and by differences of differences, that count as zero
+RELUCTANT = 0.1  # mobility of variables with a derivative, beside that of all others
+SOLVED, NEGLIGIBLE = 1e-7, 1e-12  # of the terms of an equation, and of the largest variable in it: what may be left of it
+HIGHEST_INDEX = 3
+ORDINALS = ("", "the first time derivative of ", "the second time derivative of ")
+
+
+class Implicit(DifferentialAlgebraic):
+    """F(t, y, y′) = 0, of index 0 to 3.
+
+    Parameters
+    ----------
+    F : (n,) function of t, y, slope, or of some of them under these names.
+    F_y, F_slope : (n, n) ∂F/∂y and ∂F/∂y′, functions of the same; by finite differences if not given.
+
+    The start is y, or (y, y′) with a guess of y′. Variables whose derivative does not occur in F are taken for a guess as well.
+    """
+
+    def __init__(self, F: Function, F_y: Function | None = None, F_slope: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008, N803
+        super().__init__(solver)
+        names = "t", "y", "slope"
+        self._F = taking(F, names, "F")
+        self._F_y = F_y if F_y is None else taking(F_y, names, "F_y")
+        self._F_slope = F_slope if F_slope is None else taking(F_slope, names, "F_slope")
+        self._slope = np.zeros(0)
+
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
+        """The start as a state, variables without a derivative in F solved for; field(t0, y) then answers with the y′ that belongs to it.
+
+        Raises
+        ------
+        ValueError : if F, or a time derivative of it, cannot be zero there; if the index is above 3, or solutions are not unique.
+        """
+        y, slope = self._begun(start, t0)
+        return self._consistent(t0, y, slope, np.where(self._is_algebraic(t0, y, slope), 1.0, 0.0))
+
+    def corrected(self, start: Any, t0: float = 0.0) -> Array:
+        """A consistent state near the start, where variables whose derivative occurs in F move only if they must."""
+        try:
+            return self.begin(start, t0)
+        except ValueError:
+            y, slope = self._begun(start, t0)
+            return self._consistent(t0, y, slope, np.where(self._is_algebraic(t0, y, slope), 1.0, RELUCTANT))
+
+    def _is_algebraic(self, t: float, y: Array, slope: Array) -> Array:
+        derivatives = np.abs(self.slope_jacobian(t, y, slope))
+        return np.asarray(derivatives.max(axis=0) <= ABSENT * derivatives.max())
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """F(t, y, y′)."""
+        return np.asarray(self._F(t, y, slope))
+
+    def field(self, t: float, y: Array) -> Array:
+        """The y′ nearest to that of the start with F = 0, in least squares."""
+        return nearest_root(lambda slope: self.residual(t, y, slope), self._slope)
+
+    def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
+        """∂F/∂y, (n, n)."""
+        return super().state_jacobian(t, y, slope) if self._F_y is None else self._F_y(t, y, slope).reshape(y.size, y.size)
+
+    def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
+        """∂F/∂y′, (n, n)."""
+        return super().slope_jacobian(t, y, slope) if self._F_slope is None else self._F_slope(t, y, slope).reshape(y.size, y.size)
+
+    def _begun(self, start: Any, t: float) -> tuple[Array, Array]:
+        """Y and y′ of the start, zero if there is none."""
+        y, slope = start if isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1 else (start, np.zeros(np.shape(start)))
+        y, slope = np.array(y, dtype=float), np.array(slope, dtype=float)
+        if y.ndim != 1 or y.size == 0 or y.shape != slope.shape or not (np.isfinite(y).all() and np.isfinite(slope).all()):
+            raise ValueError(f"the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; got {start!r}")
+        n_equations = self.residual(t, y, slope).size
+        if n_equations != y.size:
+            raise ValueError(f"there must be as many equations as variables; F has {n_equations}, y has {y.size}")
+        self._slope = slope
+        return y, slope
+
+    def _consistent(self, t: float, y: Array, slope: Array, mobility: Array) -> Array:
+        """Y, after solving F = 0 and as many derivatives of it as the index asks for."""
+        size = float(np.abs(y).max())
+        y, slope = self._solved(t, y, [slope], mobility, 1.0, size)
+        of_slope, of_state = self._pencil(t, y, slope)
+        self.index = pencil_index(of_slope, -of_state, RANK)
+        if self.index > HIGHEST_INDEX:
+            raise ValueError(
+                f"the index must be at most {HIGHEST_INDEX}; that of F_y′ y′ + F_y y at the start is {self.index}. Differentiate constraints"
+            )
+        if self.index > 1:
+            unit = unit_of_time(np.append(y, size), slope)
+            y, slope = self._solved(t, y, [slope, *np.zeros((self.index - 1, y.size))], mobility, unit, size)
+        self._slope, self.levels = slope, self._levels_around(t, y, slope)
+        return y
+
+    def _pencil(self, t: float, y: Array, slope: Array) -> tuple[Array, Array]:
+        """F_y′ and F_y, to some eleven digits."""
+        return central_differences(lambda x: self.residual(t, y, x), slope), central_differences(lambda x: self.residual(t, x, slope), y)
+
+    def _levels_around(self, t: float, y: Array, slope: Array) -> Array:
+        """Powers of 1/h by which errors appear in each variable, at the start and somewhere near it, where nothing vanishes by chance."""
+        aside = 0.01 * (np.abs(y).max() or 1.0) * np.random.default_rng(0).uniform(0.5, 1.0, y.size)
+        there, near = _levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope))
+        return np.maximum(there, near)
+
+    def _solved(self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float) -> tuple[Array, Array]:
+        """Y and y′ with F = 0 and one derivative of it less than there are in the jet y′, y″ …
+
+        mobility : (n,) how easily variables move, 0 for fixed ones.  unit : of time.  size : of the largest variable.
+        """
+        order, scales = len(jet), unit ** np.arange(1, len(jet) + 1)
+        is_free = mobility > 0.0
+
+        def taken(x: Array) -> tuple[Array, Array]:
+            moved = y.copy()
+            moved[is_free] = mobility[is_free] * x[: is_free.sum()]
+            return moved, x[is_free.sum() :].reshape(order, -1) / scales[:, None]
+
+        def array(x: Array) -> Array:
+            return self._derivative_array(t, *taken(x), unit)
+
+        guess = np.concatenate([y[is_free] / mobility[is_free], *(scale * derivative for scale, derivative in zip(scales, jet, strict=True))])
+        step, dependent = (CENTRAL, RANK) if order == 1 else (WIDE, NOISY_RANK)
+        x = nearest_root(array, guess, step, dependent, size)
+        self._check_solved(t, array(x), np.abs(central_differences(array, x, step, size)), x, unit, size)
+        moved, derivatives = taken(x)
+        return moved, derivatives[0]
+
+    def _check_solved(self, t: float, left: Array, terms: Array, x: Array, unit: float, size: float) -> None:
+        """ValueError if an equation of the derivative array could not be made zero."""
+        allowed = SOLVED * (terms @ np.abs(x)) + NEGLIGIBLE * terms.max(axis=1) * max(np.abs(x).max(), size)
+        k = int(np.argmax(np.abs(left) - allowed))
+        if not abs(left[k]) <= allowed[k]:
+            order, equation = divmod(k, self._slope.size)
+            raise ValueError(
+                f"the start violates F(t, y, y′) = 0: {ORDINALS[order]}equation {equation} stays at {left[k] / unit**order:.2e} at t = {t:g}, "
+                "whatever y′ and the variables without one are; give consistent values, or take them from problem.corrected(start, t0)"
+            )
+
+    def _derivative_array(self, t: float, y: Array, jet: Array, unit: float) -> Array:
+        """F and its time derivatives along y + ε y′ + ε²/2 y″ + …, in units of time in which y changes by its size."""
+
+        def path(e: float) -> Array:
+            states = [y, *jet]
+            return self.residual(t + e, _taylor(states, e), _taylor(states[1:], e))
+
+        return np.concatenate([path(0.0), *(unit**k * time_derivative(path, k, unit) for k in range(1, len(jet)))])
+
+
+def _taylor(coefficients: list[Array], e: float) -> Array:
+    """Σ eʲ/j! c_j, by Horner's rule."""
+    total = np.zeros_like(coefficients[0])
+    for j in range(len(coefficients), 0, -1):
+        total = coefficients[j - 1] + total * (e / j)
+    return total
+
+
+def _levels(of_slope: Array, of_state: Array) -> Array:
+    """(n,) powers of 1/h by which errors of equations appear in each variable: 0, 1 or 2, from (F_y′/h + F_y)⁻¹ at two small h."""
+    m, a = of_slope / (np.abs(of_slope).max() or 1.0), of_state / (np.abs(of_state).max() or 1.0)
+    long, short = (np.abs(np.linalg.inv(m / h + a)).max(axis=1) for h in (1e-3, 1e-4))
+    return np.clip(np.round(np.log10(short / long)), 0, HIGHEST_INDEX - 1).astype(int)

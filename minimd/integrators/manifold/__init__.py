@@ -1,0 +1,1 @@
+"""Motion on manifolds: holonomic constraints, projection onto invariants."""

@@ -1,0 +1,180 @@
+"""Constrained mechanics in the small: q″ = f(t, q) − M⁻¹ G(q)ᵀ λ with 0 = g(q), the differential-algebraic equation of index 3.
+
+    drift     q₁ = q₀ + h v − M⁻¹ G(q₀)ᵀ λ  with  g(q₁) = 0,      v ← (q₁ − q₀)/h
+    end       v ← v − M⁻¹ G(q₁)ᵀ μ          with  G(q₁) v = 0
+
+Kicks are as ever. With the row of velocity Verlet this is RATTLE: order 2, symmetric, symplectic on the manifold.
+H. C. Andersen, J. Comput. Phys. 52, 24 (1983); B. Leimkuhler, R. D. Skeel, J. Comput. Phys. 112, 117 (1994).
+Every symmetric row stays symmetric. Rows made of steps of velocity Verlet, such as Yoshida's, keep their order; all others have
+order 2 at most, for a constrained drift is no exact flow and two of them are not one.
+"""
+
+import warnings
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.structure.errors import ConvergenceError
+from minimd.integrators.ode.differences import central_differences
+from minimd.integrators.method import Step
+from minimd.integrators.ode.newton import Newton, Solver
+from minimd.integrators.splitting.order_conditions import nystrom_order
+from minimd.integrators.ode.partitioned import push
+from minimd.integrators.ode.problems import Function, SecondOrder
+from minimd.integrators.splitting.substeps import ROW_ROUNDING, Kick, Row
+
+Array = NDArray[np.float64]
+KEPT = 1e-12  # violations of a start, relative to its size, that are put right without a word
+DEPENDENT = 1e-10  # ratio of singular values of G M^(−1/2) below which constraints say the same thing twice
+
+
+class Holonomic(SecondOrder):
+    """Newton's equation on the manifold g(q) = 0.
+
+    Parameters
+    ----------
+    f : acceleration without the constraints, a function of q, or of t and q [length/time²].
+    g : (m,) constraints, a function of q.  jacobian : (m, n) G = ∂g/∂q, by central differences if not given.
+    masses : (n,) mass of each coordinate, or one number [mass].
+
+    A start that violates g = 0 or G v = 0 is projected, with a warning that says how far it was off.
+
+    Raises
+    ------
+    ValueError : if f takes v, or constraints depend on each other at the start.
+    """
+
+    def __init__(self, f: Function, g: Function, jacobian: Function | None = None, masses: ArrayLike = 1.0, solver: Solver = Newton()) -> None:  # noqa: B008
+        super().__init__(f, solver=solver)
+        if "v" in self.f.takes:
+            raise ValueError("a constrained step needs forces that do not depend on v; f takes v")
+        self._g, self._jacobian, self._masses = g, jacobian, np.asarray(masses, dtype=float)
+
+    def violation(self, q: Array) -> Array:
+        """g(q), (m,), for q of length n."""
+        return np.array(self._g(q.reshape(self.shape)), dtype=float).reshape(-1)
+
+    def gradient(self, q: Array) -> Array:
+        """G(q), (m, n)."""
+        if self._jacobian is None:
+            return central_differences(self.violation, q)
+        return np.array(self._jacobian(q.reshape(self.shape)), dtype=float).reshape(-1, q.size)
+
+    def inverse_mass_gradient(self, q: Array) -> Array:
+        """M⁻¹ Gᵀ, (n, m)."""
+        masses = np.broadcast_to(self._masses, self.shape).reshape(-1)
+        return self.gradient(q).T / masses[:, None]
+
+    def begin(self, start: tuple[ArrayLike, ArrayLike]) -> Array:
+        """(q, v) as one state, projected onto the manifold."""
+        y = super().begin(start)
+        n = y.size // 2
+        q, v = y[:n], y[n:]
+        self._check_independent(q)
+        off = float(np.abs(self.violation(q)).max())
+        q1 = projected(self, q, q) if off > 0.0 else q
+        v1 = tangent(self, q1, v)
+        moved, turned = np.abs(q1 - q).max(), np.abs(v1 - v).max()
+        if moved > KEPT * np.abs(q).max() or turned > KEPT * max(np.abs(v).max(), np.finfo(float).tiny):
+            warnings.warn(f"the start was projected onto the constraints: q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}", stacklevel=4)
+        return np.concatenate([q1, v1])
+
+    def row_step(self, row: Row) -> Step:
+        """The row with constrained drifts."""
+        return RattleStep(self, row)
+
+    def row_order(self, row: Row) -> int:
+        """Rows made of steps of velocity Verlet keep their order, for each such step is a RATTLE step; all others have order 2 at most."""
+        return nystrom_order(row) if is_made_of_verlet(row) else min(nystrom_order(row), 2)
+
+    def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
+        """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
+        q, v = np.asarray(q, dtype=float).reshape(-1), np.asarray(v, dtype=float).reshape(-1)
+        gradient, h = self.gradient(q), 1e-5 * (float(np.abs(q).max()) or 1.0) / max(float(np.abs(v).max()), 1e-300)
+        turning = (self.gradient(q + h * v) - self.gradient(q - h * v)) @ v / (2.0 * h) if v.any() else 0.0
+        force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
+        return np.asarray(np.linalg.solve(gradient @ self.inverse_mass_gradient(q), gradient @ force + turning))
+
+    def _check_independent(self, q: Array) -> None:
+        masses = np.broadcast_to(self._masses, self.shape).reshape(-1)
+        if not (masses > 0.0).all():
+            raise ValueError(f"masses must be positive; the smallest is {masses.min()}")
+        sizes = np.linalg.svd(self.gradient(q) / np.sqrt(masses), compute_uv=False)
+        if sizes.size > q.size or not sizes[-1] > DEPENDENT * sizes[0]:
+            raise ValueError(
+                f"the gradients of g must be independent at the start; singular values of G M^(-1/2) from {sizes[0]:.1e} to {sizes[-1]:.1e}"
+            )
+
+
+class RattleStep:
+    """One step of a row on a Holonomic problem."""
+
+    def __init__(self, problem: Holonomic, row: Row) -> None:
+        self.nfev = 0
+        self._problem, self._row = problem, [(isinstance(letter, Kick), letter.coefficient) for letter in row]
+        self._iteration = problem.solver.iteration()
+        self._known: tuple[Array | None, Array | None] = None, None
+
+    def __call__(self, t: float, y: Array, h: float) -> Array:
+        """y(t+h)."""
+        problem, n = self._problem, y.size // 2
+        known, force = self._known
+        force = force if known is y else None
+        q, v = y[:n].copy(), y[n:].copy()
+        for is_kick, coefficient in self._row:
+            duration = coefficient * h
+            if is_kick:
+                if force is None:
+                    force = problem.f(t, q.reshape(problem.shape), v)
+                    self.nfev += 1
+                push(v, duration, force)
+            else:
+                new = projected(problem, q, q + duration * v, self._iteration)
+                q, v, force = new, (new - q) / duration, None
+                t += duration
+        y = np.concatenate([q, tangent(problem, q, v)])
+        self._known = y, force
+        return y
+
+
+def is_made_of_verlet(row: Row) -> bool:
+    """Whether each kick lasts half as long as its neighboring drifts together: kick w₁/2, drift w₁, kick (w₁ + w₂)/2, drift w₂, …"""
+    kicks, drifts = row[::2], (0.0, *(letter.coefficient for letter in row[1::2]), 0.0)
+    halves = [(one + other) / 2.0 for one, other in pairwise(drifts)]
+    return (
+        isinstance(row[0], Kick) and len(kicks) == len(halves) and all(abs(k.coefficient - w) < ROW_ROUNDING for k, w in zip(kicks, halves, strict=True))
+    )
+
+
+def projected(problem: Holonomic, q0: Array, q: Array, iteration: Any = None) -> Array:
+    """The point q + M⁻¹ G(q0)ᵀ λ with g = 0.
+
+    Raises
+    ------
+    ConvergenceError : if there is none near q.
+    """
+    directions = problem.inverse_mass_gradient(q0)
+    solve: Callable[..., Array] = (iteration or problem.solver.iteration()).solve
+    scale = np.abs(q).max() / np.abs(directions).max()
+    multipliers = solve(
+        lambda x: problem.violation(q + directions @ x),
+        np.zeros(directions.shape[1]),
+        lambda x: problem.gradient(q + directions @ x) @ directions,
+        scale=scale,
+    )
+    return q + directions @ multipliers
+
+
+def tangent(problem: Holonomic, q: Array, v: Array) -> Array:
+    """The velocity v + M⁻¹ G(q)ᵀ μ with G v = 0; twice, for the rounding of the first time."""
+    gradient, directions = problem.gradient(q), problem.inverse_mass_gradient(q)
+    matrix = gradient @ directions
+    try:
+        for _ in range(2):
+            v = v - directions @ np.linalg.solve(matrix, gradient @ v)
+    except np.linalg.LinAlgError:
+        raise ConvergenceError("the gradients of the constraints depend on each other here, their forces are not determined") from None
+    return np.asarray(v)

@@ -1,0 +1,271 @@
+"""Steps that end on the manifold g(y) = g₀ of the invariants, whatever the method: projections, and Lagrange multipliers.
+
+    ỹ = Φ_h(y₀)                     y₁ = ỹ + G(ỹ)ᵀ μ                  projected: standard projection
+    ỹ = Φ_h(y₀ + G(y₀)ᵀ μ)          y₁ = ỹ + G(y₁)ᵀ μ                 symmetrically_projected
+    y′ = f(t, y) − G(y)ᵀ z          z constant over the step          with_multipliers: the index-2 form, for any method
+    the same, 0 = g(y) − g₀         z as the method has it            index_two: the problem, for differential-algebraic methods
+
+with μ, or z, such that g(y₁) = g₀. As the exact flow keeps g, all leave the order of the method as it is, and μ, z → 0 with h.
+They act on the whole state at once: of a symplectic method they leave an energy that is constant and a step that is no longer symplectic.
+E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IV.4 and V.4.1;
+U. M. Ascher, L. R. Petzold, SIAM J. Numer. Anal. 28, 1097 (1991), for the index-2 form.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.structure.errors import ConvergenceError
+from minimd.integrators.dae.hessenberg import Hessenberg2
+from minimd.integrators.manifold.invariants import Invariants, Manifold, Shape, check_invariants, corrected
+from minimd.integrators.method import Method, Step
+from minimd.integrators.ode.problems import FirstOrder, Partitioned, Problem
+from minimd.compiled.machine import EPS
+
+Array = NDArray[np.float64]
+Arrival = Callable[[Array], Array]
+MAX_CORRECTIONS = 50
+SMALL = 1e-10  # relative errors of invariants that may be taken for rounding once they no longer shrink
+
+
+def projected(method: type[Method], invariants: Invariants) -> type[Method]:
+    """The method, with the standard projection onto the manifold after each step. Neither symmetric nor symplectic.
+
+    Parameters
+    ----------
+    method : any method, such as RadauIIA3; projected(RadauIIA3, energy)(0.05) is then a method with its time step.
+
+    Raises
+    ------
+    TypeError : for anything but a method and Invariants.
+    ConvergenceError : from a run, if a step cannot be brought to the manifold.
+    """
+    return _wrapped(method, invariants, "projected", StandardProjection, False)
+
+
+def symmetrically_projected(method: type[Method], invariants: Invariants) -> type[Method]:
+    """The method, leaving the manifold before each step by as much as it returns to it afterwards: symmetric, if the method is.
+
+    Parameters, Raises : as for projected.
+    """
+    return _wrapped(method, invariants, "symmetrically-projected", SymmetricProjection, method.is_symmetric if isinstance(method, type) else False)
+
+
+def with_multipliers(method: type[Method], invariants: Invariants) -> type[Method]:
+    """The method on y′ = f − Gᵀ z, z in each step such that it ends on the manifold: the index-2 form. Symmetric, if the method is.
+
+    Problems with q and v become Partitioned, and steps implicit.
+
+    Parameters, Raises : as for projected. TypeError from a run for other problems than SecondOrder, Partitioned, FirstOrder.
+    """
+    return _wrapped(method, invariants, "multipliers", MultiplierStep, method.is_symmetric if isinstance(method, type) else False)
+
+
+def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type["ManifoldStep"], is_symmetric: bool) -> type[Method]:
+    if not (isinstance(method, type) and issubclass(method, Method)):
+        raise TypeError(f"method must be a method without a time step, such as RadauIIA3; got {method!r}")
+    check_invariants(invariants)
+    inner = method
+
+    class OnManifold(Method):
+        name, source = f"{verb}({inner.name})", f"{verb}, Hairer, Lubich, Wanner (2006), IV.4, V.4: {inner.source}"
+        order, stages = inner.order, inner.stages
+        is_symplectic = is_explicit = False
+
+        @classmethod
+        def on(cls, problem: Problem) -> Step:
+            return step(problem, inner, invariants)
+
+        @classmethod
+        def order_on(cls, problem: Problem) -> int:
+            return inner.order_on(problem)
+
+    OnManifold.is_symmetric = is_symmetric
+    OnManifold.__name__ = OnManifold.__qualname__ = f"{verb}({inner.__name__})"
+    OnManifold.__doc__ = f"{OnManifold.name}."
+    return OnManifold
+
+
+class ManifoldStep:
+    """A step that begins and ends on the manifold through the first state it is given."""
+
+    def __init__(self, problem: Problem, method: type[Method], invariants: Invariants) -> None:
+        self._shape: Shape = problem.shape
+        self._invariants = invariants
+        self._manifold: Manifold | None = None  # known with the first state
+        self._step = self._inner(problem, method)
+
+    def _inner(self, problem: Problem, method: type[Method]) -> Step:
+        return method.on(problem)
+
+    @property
+    def nfev(self) -> int:
+        """Evaluations of the right-hand side."""
+        return self._step.nfev
+
+    def __call__(self, t: float, y: Array, h: float) -> Array:
+        """y(t+h)."""
+        if self._manifold is None:
+            self._manifold = self._invariants.through(y, self._shape)
+        return self._moved(self._manifold, t, y, h)
+
+    def _moved(self, manifold: Manifold, t: float, y: Array, h: float) -> Array:
+        raise NotImplementedError
+
+
+class StandardProjection(ManifoldStep):
+    """y₁ = ỹ + Q a, where the columns of Q span those of G(ỹ)ᵀ."""
+
+    def _moved(self, manifold: Manifold, t: float, y: Array, h: float) -> Array:
+        free = self._step(t, y, h)
+        if not manifold.defect(free).any():
+            return free
+        q, r = manifold.frame(free)
+        return arrival(manifold, lambda a: free + q @ a, lambda: r.T)
+
+
+class SymmetricProjection(ManifoldStep):
+    """ỹ = Φ(y₀ + G(y₀)ᵀ μ), y₁ = ỹ + G(y₁)ᵀ μ."""
+
+    def _moved(self, manifold: Manifold, t: float, y: Array, h: float) -> Array:
+        gradients = manifold.jacobian(y).T
+
+        def arrive(mu: Array) -> Array:
+            free = self._step(t, y + gradients @ mu, h)
+            return _fixed_point(lambda y1: free + manifold.jacobian(y1).T @ mu, free)
+
+        return arrival(manifold, arrive, lambda: 2.0 * _gram(manifold, y))
+
+
+class MultiplierStep(ManifoldStep):
+    """The step on y′ = f − Gᵀ z, made again until z is such that it ends on the manifold."""
+
+    def _inner(self, problem: Problem, method: type[Method]) -> Step:
+        self._pull = _Pull()
+        return method.on(corrected(problem, self._pull))
+
+    def _moved(self, manifold: Manifold, t: float, y: Array, h: float) -> Array:
+        def arrive(z: Array) -> Array:
+            self._pull.set(manifold, z)
+            return self._step(t, y, h)
+
+        return arrival(manifold, arrive, lambda: -h * _gram(manifold, y))
+
+
+class _Pull:
+    """−G(y)ᵀ z."""
+
+    _manifold: Manifold
+    _z: Array = np.zeros(0)
+
+    def begin(self, y: Array, shape: Shape) -> None:
+        """Nothing: the step knows the manifold."""
+
+    def set(self, manifold: Manifold, z: Array) -> None:
+        """Give z another value."""
+        self._manifold, self._z = manifold, z
+
+    def __call__(self, y: Array) -> Array:
+        return -self._manifold.jacobian(y).T @ self._z if self._z.any() else np.zeros(y.size)
+
+
+class IndexTwo(Hessenberg2):
+    """y′ = f(t, y) − G(y)ᵀ z, 0 = g(y) − g₀. A state holds y and z; z is zero on exact solutions."""
+
+    def __init__(self, problem: Problem, invariants: Invariants) -> None:
+        def f(t: float, y: Array, z: Array) -> Array:
+            return problem.field(t, y) - self._manifold.jacobian(y).T @ z
+
+        super().__init__(f, lambda y: self._manifold.defect(y), solver=problem.solver)
+        self._problem, self._invariants = problem, invariants
+
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
+        """The start of the problem itself, (q, v) or y, as a state.
+
+        Raises
+        ------
+        ValueError : if it is not on the manifold of the values that were given, or the gradients of the invariants are not independent.
+        """
+        y = self._problem.begin(start)
+        self._manifold = self._invariants.through(y, self._problem.shape)
+        return super().begin((y,), t0)
+
+
+def index_two(problem: Problem, invariants: Invariants) -> IndexTwo:
+    """The differential-algebraic problem y′ = f − Gᵀ z, 0 = g − g₀ of index 2, for methods such as RadauIIA3.
+
+    It is given the start of the problem; index_two(…).parts(solution.y) are y, with q and v in a row, and z.
+
+    Parameters
+    ----------
+    problem : SecondOrder, Partitioned or FirstOrder, with Newton's method for its solver.
+
+    Raises
+    ------
+    TypeError : for problems of other kinds.
+    """
+    check_invariants(invariants)
+    if not isinstance(problem, (Partitioned, FirstOrder)):
+        raise TypeError(f"problem must be SecondOrder, Partitioned or FirstOrder; got {type(problem).__name__}")
+    return IndexTwo(problem, invariants)
+
+
+def arrival(manifold: Manifold, arrive: Arrival, slope: Callable[[], Array]) -> Array:
+    """arrive(z) with g(arrive(z)) = g₀, to rounding: Newton's method from z = 0, the matrix kept up to date by Broyden's formula.
+
+    Parameters
+    ----------
+    arrive : (n,) state as a function of (m,) numbers z.  slope : answers with a guess of ∂g(arrive(z))/∂z, (m, m).
+
+    Raises
+    ------
+    ConvergenceError : with the largest error of an invariant.
+    C. G. Broyden, Math. Comput. 19, 577 (1965), eq. 4.2.
+    """
+    z = np.zeros(manifold.value.size)
+    y = best = arrive(z)
+    defect, scale = manifold.defect(y), _rounding_scale(manifold, y)
+    least, n_stalls = _relative(defect, scale), 0
+    matrix = slope() if least > EPS else np.eye(z.size)
+    for _ in range(MAX_CORRECTIONS):
+        if least <= EPS or n_stalls > 1 or not np.isfinite(defect).all() or not np.linalg.det(matrix):
+            break
+        dz = -np.linalg.solve(matrix, defect)
+        z = z + dz
+        y = arrive(z)
+        defect = manifold.defect(y)
+        error = _relative(defect, scale)
+        if error < least or error > SMALL:  # and not rounding, from which no slope can be learnt
+            matrix = matrix + np.outer(defect, dz) / (dz @ dz)
+        n_stalls += least <= error <= SMALL
+        best, least = (y, error) if error < least else (best, least)
+    if least <= SMALL:
+        return best
+    k = int(np.argmax(np.abs(defect) / scale))
+    raise ConvergenceError(f"the state could not be brought to the manifold of the invariants: invariant {k} is off by {defect[k]:.1e}")
+
+
+def _gram(manifold: Manifold, y: Array) -> Array:
+    """G Gᵀ = Rᵀ R."""
+    _, r = manifold.frame(y)
+    return r.T @ r
+
+
+def _rounding_scale(manifold: Manifold, y: Array) -> Array:
+    """(m,) sizes of the invariants of which rounding changes a part EPS: |g₀|, and Σ |G y| of the terms that may cancel in it."""
+    return np.maximum(np.abs(manifold.value), np.abs(manifold.jacobian(y)) @ np.abs(y)) + np.finfo(float).tiny
+
+
+def _relative(defect: Array, scale: Array) -> float:
+    return float(np.max(np.abs(defect) / scale))
+
+
+def _fixed_point(image: Arrival, y: Array) -> Array:
+    """y = image(y) for an image that hardly depends on y."""
+    for _ in range(MAX_CORRECTIONS):
+        y, before = image(y), y
+        if np.abs(y - before).max() <= EPS * np.abs(y).max():
+            break
+    return y

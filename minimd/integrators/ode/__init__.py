@@ -1,0 +1,1 @@
+"""Problems, drivers and implicit methods for small systems of ordinary differential equations."""

@@ -1,0 +1,121 @@
+"""Drivers with a fixed time step: a method on a small problem, over a number of steps or up to a time."""
+
+from collections.abc import Iterator
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.structure.errors import ConvergenceError, NonFiniteError
+from minimd.integrators.dae.problem import begun
+from minimd.integrators.method import Method, Step
+from minimd.integrators.ode.problems import Problem
+from minimd.integrators.ode.solution import Solution, with_path
+
+Array = NDArray[np.float64]
+LEFTOVER = 1e-12  # of a step: a last one shorter than this is nothing but rounding, and made with the one before
+
+
+def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: float = 0.0, every: int = 1) -> Solution:
+    """A fixed number of steps of the method's time step.
+
+    Parameters
+    ----------
+    problem : SecondOrder, Partitioned, FirstOrder, or a differential-algebraic one.
+    method : a method with its time step, such as VelocityVerlet(0.05).
+    start : (q, v), or y, at time t0.  every : steps between the states that are kept; the last one is kept too.
+
+    Raises
+    ------
+    TypeError : for anything but a problem and a method with its time step.
+    ValueError : for counts below 1, a time that is not finite, or a start that does not fit the problem.
+    ConvergenceError, NonFiniteError : if a step cannot be made; the message names it, error.solution holds the path before.
+    """
+    check_method(method)
+    check_count("n_steps", n_steps)
+    if not isfinite(t0):
+        raise ValueError(f"t0 must be finite; t0 = {t0!r}")
+    h = method.timestep
+    return _fixed(problem, method, start, t0, (h for _ in range(n_steps)), every)
+
+
+def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: float = 0.0, every: int = 1) -> Solution:
+    """Steps of the method's time step up to t_end, the last one shortened to end there.
+
+    Parameters, Raises : as run_steps; t_end must lie on the side of t0 to which the time step leads.
+    """
+    check_method(method)
+    h = method.timestep
+    n_steps = (t_end - t0) / h
+    if not (isfinite(n_steps) and n_steps > 0.0):
+        raise ValueError(f"t_end must be finite and lie ahead of t0; t0 = {t0!r}, t_end = {t_end!r}, timestep = {h!r}")
+    whole = int(n_steps * (1.0 + LEFTOVER) + LEFTOVER)
+    rest = t_end - (t0 + whole * h)
+    steps = [h] * whole + ([rest] if rest / h > LEFTOVER * n_steps else [])
+    return _fixed(problem, method, start, t0, iter(steps), every, t_end)
+
+
+def check_ahead(t0: float, t_end: float) -> None:
+    """ValueError unless there is time to go."""
+    if not (isfinite(t0) and isfinite(t_end) and t0 != t_end):
+        raise ValueError(f"t0 and t_end must be finite and differ; t0 = {t0!r}, t_end = {t_end!r}")
+
+
+def _fixed(problem: Problem, method: Method, start: Any, t0: float, steps: Iterator[float], every: int, t_end: float | None = None) -> Solution:
+    check_problem(problem)
+    check_count("every", every)
+    y = begun(problem, start, t0)
+    step = type(method).on(problem)
+    t, n, times, states = t0, 0, [t0], [y]
+    try:
+        for n, h in enumerate(steps, start=1):
+            y = step(t, y, h)
+            t = t0 + n * method.timestep
+            if n % every == 0:
+                times.append(t)
+                states.append(y)
+    except ConvergenceError as reason:
+        error = ConvergenceError(f"step {n} from t = {t:g} with timestep {h:g}: {reason}; reduce the timestep")
+        if (n - 1) % every != 0:
+            times.append(t)
+            states.append(y)
+        raise with_path(error, _path(problem, times, states, step)) from None
+    if n % every != 0:
+        times.append(t)
+        states.append(y)
+    if t_end is not None:
+        times[-1] = t_end
+    return _finite(_path(problem, times, states, step), method.timestep)
+
+
+def _path(problem: Problem, times: list[float], states: list[Array], step: Step) -> Solution:
+    return Solution(np.array(times), np.array(states), step.nfev, problem.shape)
+
+
+def _finite(solution: Solution, h: float) -> Solution:
+    """The solution, or NonFiniteError with the part of it that is finite."""
+    if np.isfinite(solution.y[-1]).all():
+        return solution
+    first = int(np.argmin(np.isfinite(solution.y).all(axis=1)))
+    error = NonFiniteError(f"the state is not finite at t = {solution.t[first]:g}; the last finite one is at t = {solution.t[first - 1]:g}; "
+                           f"reduce the timestep ({h:g}), or look for a singularity of the problem")  # fmt: skip
+    raise with_path(error, Solution(solution.t[:first], solution.y[:first], solution.nfev, solution.shape))
+
+
+def check_problem(problem: Problem) -> None:
+    """TypeError for anything but a problem."""
+    if not hasattr(problem, "begin"):
+        raise TypeError(f"problem must be a differential equation, such as SecondOrder(f); got {problem!r}")
+
+
+def check_count(name: str, value: int) -> None:
+    """ValueError for anything but a whole number, at least 1."""
+    if not isinstance(value, (int, np.integer)) or value < 1:
+        raise ValueError(f"{name} must be a whole number, at least 1; {name} = {value!r}")
+
+
+def check_method(method: Method) -> None:
+    """TypeError for anything but a method with its time step."""
+    if not isinstance(method, Method):
+        raise TypeError(f"method must be a method with its time step, such as VelocityVerlet(0.05); got {method!r}")

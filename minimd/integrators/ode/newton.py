@@ -1,0 +1,165 @@
+"""Solving the equations of an implicit step, down to rounding.
+
+    x ← x − J⁻¹ r(x),   J ≈ ∂r/∂x        simplified Newton: J is kept from solution to solution, and renewed when progress is slow
+    x ← x − r(x)                          fixed point: the same with J = 1, for r(x) = x − φ(x)
+
+An iteration has converged when the correction is at rounding, or is small and no longer shrinks though J is new: a looser
+tolerance would make symmetric and symplectic methods drift. Where the unknowns have sizes of their own, J is scaled by them, and
+its rows to one: the equations of a differential-algebraic step differ by powers of h.
+E. Hairer, R. I. McLachlan, A. Razakarivony, BIT Numer. Math. 48, 231 (2008), 4; E. Hairer, G. Wanner, Solving ODEs II (1996), IV.8, VII.4.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy  # its parts are loaded when they are used
+from numpy.typing import NDArray
+
+from minimd.structure.errors import ConvergenceError
+from minimd.integrators.ode.differences import forward_differences
+from minimd.compiled.machine import EPS
+
+Array = NDArray[np.float64]
+Residual = Callable[[Array], Array]
+SLOW = 0.3  # a correction shrinks at least by this factor per iteration, or the Jacobian is renewed
+NEAR = 16.0 * EPS  # corrections, relative to the unknowns, that are taken for rounding once they shrink slowly
+STALLED = 0.5  # a new Jacobian that does not even bring this factor does not help
+SMALL = 1e-8  # the same, once they no longer shrink with a new Jacobian either
+
+
+class Newton:
+    """Newton's method with the Jacobian of the problem, or one by finite differences.
+
+    Parameters
+    ----------
+    max_iterations : int, after which the equations count as unsolved.
+    small : relative size of corrections that may be taken for rounding once they no longer shrink.
+
+    Raises
+    ------
+    ValueError : if max_iterations is below 1.
+    """
+
+    slow = SLOW
+
+    def __init__(self, max_iterations: int = 50, small: float = SMALL) -> None:
+        if not max_iterations >= 1:
+            raise ValueError(f"max_iterations must be at least 1; max_iterations = {max_iterations!r}")
+        self.max_iterations, self.small = max_iterations, small
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(max_iterations={self.max_iterations})"
+
+    def iteration(self) -> "Iteration":
+        """An iteration with a memory of its own for the Jacobian."""
+        return Iteration(self)
+
+    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None, sizes: Array | float) -> Any:
+        """LU factors of ∂r/∂x at x, of unknowns in units of their sizes and with rows scaled to one where sizes are given."""
+        matrix = forward_differences(residual, x, r) if jacobian is None else jacobian(x)
+        if not np.isfinite(matrix).all():
+            raise ConvergenceError("the equations of the step have no finite Jacobian")
+        rows = None
+        if np.ndim(sizes):
+            matrix = matrix * sizes
+            rows = 1.0 / np.maximum(np.abs(matrix).max(axis=1), np.finfo(float).tiny)
+            matrix *= rows[:, None]
+        factors, pivots, zero_pivot = scipy.linalg.lapack.dgetrf(matrix)
+        if zero_pivot:
+            raise ConvergenceError(f"the equations of the step are singular: unknown {zero_pivot - 1} is not determined")
+        return factors, pivots, sizes, rows
+
+    def correction(self, factors: Any, r: Array) -> Array:
+        """J⁻¹ r."""
+        lu, pivots, sizes, rows = factors
+        solve = scipy.linalg.lapack.dgetrs
+        return solve(lu, pivots, r)[0] if rows is None else sizes * solve(lu, pivots, rows * r)[0]
+
+
+class FixedPoint(Newton):
+    """Fixed-point iteration x ← φ(x): no Jacobian, and convergence only for steps that are short enough.
+
+    Parameters
+    ----------
+    max_iterations, small : as for Newton.
+    """
+
+    slow = 1.0  # nothing but more iterations helps
+
+    def __init__(self, max_iterations: int = 200, small: float = SMALL) -> None:
+        super().__init__(max_iterations, small)
+
+    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None, sizes: Array | float) -> Any:
+        """Nothing: the Jacobian is taken for 1."""
+
+    def correction(self, factors: Any, r: Array) -> Array:
+        """r itself."""
+        return r
+
+
+Solver = Newton
+
+
+class Iteration:
+    """Solves r(x) = 0 again and again, for equations that change little from one time to the next."""
+
+    def __init__(self, solver: Solver) -> None:
+        self.solver = solver
+        self._factors: Any = None
+        self._key: Any = None
+
+    def solve(
+        self,
+        residual: Residual,
+        x: Array,
+        jacobian: Callable[[Array], Array] | None = None,
+        key: Any = None,
+        scale: Array | float = 0.0,
+        floor: Array | float | None = None,
+        nothing: float = 0.0,
+    ) -> Array:
+        """x with residual(x) = 0, to rounding.
+
+        Parameters
+        ----------
+        residual : function of x.  x : first guess.  jacobian : ∂residual/∂x, a function of x.
+        key : the kept Jacobian is renewed when this changes, such as the time step.
+        scale : sizes of the unknowns below which errors do not matter, as an array (by which the equations are scaled too) or a number.
+        floor : the same for corrections that no longer shrink, if larger ones may then be rounding.
+        nothing : corrections of this size end the iteration whatever the unknowns.
+
+        Raises
+        ------
+        ConvergenceError : with the largest residual.
+        """
+        before, last, slow = np.inf, np.inf, self.solver.slow
+        for _ in range(self.solver.max_iterations):
+            r = residual(x)
+            if not r.any():
+                return x
+            if not np.isfinite(r).all():
+                break
+            if self._factors is None or key != self._key:
+                self._factors, self._key = self.solver.factorized(residual, x, r, jacobian, scale), key
+            dx = self.solver.correction(self._factors, r)
+            x = x - dx
+            size = _relative_size(dx, x, scale)
+            if size <= EPS or np.abs(dx).max() <= nothing:
+                return x
+            if size >= slow * before:
+                is_small = _relative_size(dx, x, scale if floor is None else floor) <= self.solver.small
+                if size <= NEAR or (is_small and size > STALLED * last):
+                    return x
+                last, before, self._factors = size if is_small else np.inf, np.inf, None
+            else:
+                before = size
+        self._factors = None
+        largest = f"largest residual {np.abs(r).max():.1e}" if np.isfinite(r).all() else "their residual is not finite"
+        raise ConvergenceError(f"the equations of the step were not solved: {largest}")
+
+
+def _relative_size(dx: Array, x: Array, scale: Array | float) -> float:
+    """Largest |Δx| over the size of x; without a scale, unknowns much smaller than the largest one count as that one's rounding."""
+    floor = np.maximum(np.abs(x), scale if np.any(scale) else np.abs(x).max())
+    return float(np.max(np.abs(dx) / np.maximum(floor, np.finfo(float).tiny)))

@@ -1,0 +1,167 @@
+"""Steps of varying length that keep a symmetric method symmetric: the integrating controller.
+
+    ρ_{n+1/2} = ρ_{n−1/2} + ε G(y_n),      y_{n+1} = Φ_{ε/ρ_{n+1/2}}(y_n),      G = d ln ρ/dt along the solution
+
+Steps are dense (ρ large) where the solution changes fast. As density and state leapfrog each other, the whole is symmetric, and
+reversible if G changes sign with the velocities; the energy of Hamiltonian problems then oscillates, and does not drift as it
+does when each step is chosen by an estimate of its error.
+E. Hairer, G. Söderlind, SIAM J. Sci. Comput. 26, 1838 (2005), eq. 3.2-3.4.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import copysign, isfinite, log
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.structure.errors import ConvergenceError, NonFiniteError
+from minimd.integrators.dae.problem import begun
+from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_count, check_method, check_problem
+from minimd.integrators.method import Method
+from minimd.integrators.ode.problems import Partitioned
+from minimd.integrators.ode.solution import Solution, ended, with_path
+
+Array = NDArray[np.float64]
+Rate = Callable[[float, Array, Array], float]
+EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), steps in proportion to the time of free fall
+DIFFERENCE = 1e-5  # of the time in which q changes by its size, for the slope of ln |f|: truncation and rounding are then alike, 1e-10
+
+
+@dataclass
+class ReversibleSolution(Solution):
+    """A Solution with density : (n + 1,) values of ρ at its times, dimensionless, to go on from or back."""
+
+    density: Array = field(default_factory=lambda: np.empty(0))
+
+
+@dataclass(frozen=True)
+class DensityControl:
+    """How dense steps are.
+
+    Parameters
+    ----------
+    rate : G(t, q, v) = d ln ρ/dt [1/time], odd in v. If not given, ρ follows |f|^¾, at two more evaluations of f per step.
+    density : ρ at the start, dimensionless.  max_steps : int, the most that are made.
+
+    Raises
+    ------
+    ValueError : if the density is not positive and finite, or there may be no step.
+    """
+
+    rate: Rate | None = None
+    density: float = 1.0
+    max_steps: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.density < np.inf:
+            raise ValueError(f"density must be positive and finite; density = {self.density!r}")
+        check_count("max_steps", self.max_steps)
+
+
+def run_reversible(
+    problem: Partitioned,
+    method: Method,
+    start: tuple[ArrayLike, ArrayLike],
+    t_end: float,
+    t0: float = 0.0,
+    control: DensityControl = DensityControl(),  # noqa: B008
+    every: int = 1,
+) -> ReversibleSolution:
+    """Steps of length timestep/ρ up to t_end, the last one shortened to end there.
+
+    Parameters
+    ----------
+    problem : SecondOrder or Partitioned.
+    method : a symmetric method; its time step is ε, the length of steps where ρ = 1.
+    control : DensityControl, where steps are dense and how many may be made.
+    every : steps between the states that are kept; the last one is kept too.
+
+    Raises
+    ------
+    ValueError : if the method is not symmetric, or t_end does not lie ahead.
+    ConvergenceError, NonFiniteError : if a step cannot be made, or ρ is no longer positive; error.solution holds the path before.
+    A run that needs too many steps ends there: solution.success is False.
+    """
+    check_problem(problem)
+    check_method(method)
+    check_ahead(t0, t_end)
+    check_count("every", every)
+    if not isinstance(control, DensityControl):
+        raise TypeError(f"control must be DensityControl(rate, density, max_steps); got {control!r}")
+    if not method.is_symmetric:
+        raise ValueError(f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not")
+    if (t_end - t0) * method.timestep < 0.0:
+        raise ValueError(f"t_end must lie ahead; t0 = {t0!r}, t_end = {t_end!r}, {method!r}")
+    return _Path(problem, method, begun(problem, start, t0), t0, control).to(t_end, every)
+
+
+class _Path:
+    """State, time and density, and what has been kept of them."""
+
+    def __init__(self, problem: Partitioned, method: Method, y: Array, t0: float, control: DensityControl) -> None:
+        self.problem, self.epsilon = problem, method.timestep
+        self.y, self.t = y, t0
+        self.step = type(method).on(problem)
+        self.rate = control.rate or _Fall(problem, abs(method.timestep))
+        self.rho = control.density  # at the last state, half a change after the last step's and half a change before the next one's
+        self.max_steps = control.max_steps
+        self.kept: list[tuple[float, Array, float]] = [(t0, y, self.rho)]
+
+    def to(self, t_end: float, every: int) -> ReversibleSolution:
+        n, direction = 0, copysign(1.0, self.epsilon)
+        change = self._change()
+        try:
+            while (t_end - self.t) * direction > 0.0 and n < self.max_steps:
+                n += 1
+                change = self._advance(t_end, change)
+                if n % every == 0:
+                    self.kept.append((self.t, self.y, self.rho))
+        except (ConvergenceError, NonFiniteError) as reason:
+            error = type(reason)(f"step {n} from t = {self.t:g}: {reason}; reduce the timestep ({self.epsilon:g})")
+            raise with_path(error, self.solution()) from None
+        if n % every != 0:
+            self.kept.append((self.t, self.y, self.rho))
+        if self.t != t_end:
+            return ended(self.solution(), f"stopped at t = {self.t:g} after {n} steps, where ρ = {self.rho:.1e}; raise max_steps or the timestep")
+        return self.solution()
+
+    def _advance(self, t_end: float, change: float) -> float:
+        """One step; the change of ρ that half belongs to it and half to the next one is returned."""
+        rho = self.rho + 0.5 * change
+        if not rho > 0.0 or self.t + self.epsilon / rho == self.t:
+            raise ConvergenceError(f"the density of steps fell to {rho:.1e}" if rho <= 0.0 else f"the density of steps grew to {rho:.1e}")
+        h, rest = self.epsilon / rho, t_end - self.t
+        is_last = abs(h) >= abs(rest) - LEFTOVER * max(abs(self.t), abs(t_end))
+        y = self.step(self.t, self.y, rest if is_last else h)
+        if not np.isfinite(y).all():
+            raise NonFiniteError("the state is no longer finite")
+        self.t, self.y = (t_end if is_last else self.t + h), y
+        change = self._change()
+        self.rho = rho + 0.5 * change
+        return change
+
+    def _change(self) -> float:
+        """ε G at the present state."""
+        return self.epsilon * float(self.rate(self.t, *self.problem.halves(self.y)))
+
+    def solution(self) -> ReversibleSolution:
+        t, y, rho = zip(*self.kept, strict=True)
+        nfev = self.step.nfev + getattr(self.rate, "nfev", 0)
+        return ReversibleSolution(np.array(t), np.array(y), nfev, self.problem.shape, density=np.array(rho))
+
+
+class _Fall:
+    """G = ¾ d ln |f(t, q)|/dt along v, by a central difference over a time, exactly odd in v, the same in all units."""
+
+    def __init__(self, problem: Partitioned, timestep: float) -> None:
+        self.problem, self.timestep, self.nfev = problem, timestep, 0
+
+    def __call__(self, t: float, q: Array, v: Array) -> float:
+        speed = float(np.linalg.norm(v))
+        if speed == 0.0:
+            return 0.0
+        delta = DIFFERENCE * max(float(np.linalg.norm(q)) / speed, self.timestep)
+        ahead, behind = (float(np.linalg.norm(self.problem.f(t, q + side * v, v))) for side in (delta, -delta))
+        self.nfev += 2
+        return EXPONENT * log(ahead / behind) / (2.0 * delta) if ahead > 0.0 < behind and isfinite(ahead * behind) else 0.0

@@ -1,0 +1,57 @@
+"""What the methods for small systems return, in the manner of SciPy."""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.structure.errors import ConvergenceError, NonFiniteError
+
+Path = TypeVar("Path", bound="Solution")
+
+
+@dataclass
+class Solution:
+    """A path on a grid of times.
+
+    t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities, of problems that have them.
+    nfev : evaluations of the right-hand side (of f, for problems with q and v).  n_rejected : steps tried in vain.
+    success, message : whether the end was reached, and if not, why.
+    """
+
+    t: NDArray[np.float64]
+    y: NDArray[np.float64]
+    nfev: int
+    shape: tuple[int, ...] | None = None
+    success: bool = True
+    message: str = "the end was reached"
+    n_rejected: int = 0
+
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """(n + 1, …) positions."""
+        return self._half(0)
+
+    @property
+    def v(self) -> NDArray[np.float64]:
+        """(n + 1, …) velocities."""
+        return self._half(1)
+
+    def _half(self, k: int) -> NDArray[np.float64]:
+        if self.shape is None:
+            raise AttributeError("this problem has no q and v; its states are in y")
+        n = self.y.shape[1] // 2
+        return self.y[:, k * n : (k + 1) * n].reshape(-1, *self.shape)
+
+
+def ended(path: Path, why: str) -> Path:
+    """A solution that did not reach its end."""
+    path.success, path.message = False, why
+    return path
+
+
+def with_path(error: ConvergenceError | NonFiniteError, path: Solution) -> ConvergenceError | NonFiniteError:
+    """The error of a run with the path before it, error.solution."""
+    error.solution = ended(path, str(error))
+    return error

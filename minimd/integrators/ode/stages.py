@@ -1,0 +1,91 @@
+"""The equations of the stages of an implicit step, for all stages and all variables together.
+
+    F(t_i, b_i + h Σ_j β_ij K_j, K_i) = 0,  i = 1 … s             unknown are the slopes K
+    ∂/∂K_j = δ_ij F_y′ + h β_ij F_y                              of stage i
+
+F is the residual of the problem. Slopes are sought to the rounding of what they add to the state, h K, in every variable by
+itself; in those of index 2 and 3 rounding is amplified by 1/h and 1/h² (E. Hairer, G. Wanner, Solving ODEs II (1996), VII.4).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.integrators.dae.problem import DifferentialAlgebraic
+from minimd.integrators.ode.differences import forward_differences
+from minimd.integrators.ode.newton import FixedPoint
+from minimd.integrators.ode.problems import FirstOrder, Problem
+
+Array = NDArray[np.float64]
+AMPLIFIED = 3e1  # rounding, by steps of some hundredth of the time in which the solution varies; once for each level
+UNSEEN = 1e-22  # of the state: a millionth of its rounding, which even a compensated sum does not see
+VANISHING = 1e-30  # of the largest variable: sizes below are no sizes
+
+
+class StageEquations:
+    """Solves for slopes, step after step; counts evaluations of the right-hand side in nfev."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.nfev = 0
+        self._problem, self._iteration = problem, problem.solver.iteration()
+        self._needs_jacobian = not isinstance(problem.solver, FixedPoint)
+
+    def slopes(self, times: Array, base: Array, weights: Array, guess: Array, h: float) -> Array:
+        """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.
+
+        Parameters
+        ----------
+        times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h : the step [time].
+
+        Raises
+        ------
+        ConvergenceError : with the largest residual.
+        """
+
+        def residual(unknowns: Array) -> Array:
+            k = unknowns.reshape(guess.shape)
+            return np.concatenate([self._residual(*stage) for stage in zip(times, base + weights @ k, k, strict=True)])
+
+        def jacobian(unknowns: Array) -> Array:
+            k = unknowns.reshape(guess.shape)
+            n, matrix = base.size, np.empty((k.size, k.size))
+            for i, stage in enumerate(zip(times, base + weights @ k, k, strict=True)):
+                of_state, of_slope = self._jacobians(*stage)
+                rows = matrix[i * n : (i + 1) * n]
+                rows[:] = np.kron(weights[i], of_state)
+                rows[:, i * n : (i + 1) * n] += of_slope
+            return matrix
+
+        scale, floor = self._sizes(base, guess, h)
+        key = h, *weights[0]
+        nothing = 0.0 if isinstance(self._problem, DifferentialAlgebraic) else UNSEEN * float(np.abs(base).max()) / abs(h)
+        solved = self._iteration.solve(residual, guess.reshape(-1), jacobian, key, scale, floor, nothing)
+        return solved.reshape(guess.shape)
+
+    def _residual(self, t: float, y: Array, slope: Array) -> Array:
+        self.nfev += 1
+        return self._problem.residual(t, y, slope)
+
+    def _jacobians(self, t: float, y: Array, slope: Array) -> tuple[Array, Array]:
+        """F_y and F_y′."""
+        problem = self._problem
+        if isinstance(problem, DifferentialAlgebraic):
+            self.nfev += y.size
+            return problem.state_jacobian(t, y, slope), problem.slope_jacobian(t, y, slope)
+        if isinstance(problem, FirstOrder) and problem.jacobian is not None:
+            return -np.asarray(problem.jacobian(t, y), dtype=float), np.eye(y.size)
+        at_y = self._residual(t, y, slope)
+        return forward_differences(lambda x: self._residual(t, x, slope), y, at_y), np.eye(y.size)
+
+    def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float | None]:
+        """Sizes of the unknowns, each in itself; and what else is rounding, once corrections no longer shrink.
+
+        Explicit problems have one size for all, and slopes that are rounding once what they add to the state is: at rest slopes
+        vanish, and the state does not. In algebraic variables all that no longer shrinks is rounding, once the others are solved for.
+        """
+        problem = self._problem
+        if not isinstance(problem, DifferentialAlgebraic):
+            return 0.0, float(np.abs(base).max()) / abs(h)
+        sizes = np.maximum(np.abs(base), np.abs(h * guess).max(axis=0))
+        own = np.maximum(sizes, VANISHING * sizes.max()) * AMPLIFIED**problem.levels / abs(h)
+        floor = np.where(problem.levels > 0, np.inf, sizes[problem.levels == 0].max(initial=0.0) / abs(h))
+        return np.tile(own, len(guess)), np.tile(floor, len(guess))

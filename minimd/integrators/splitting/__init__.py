@@ -1,0 +1,1 @@
+"""Kicks, drifts and Ornstein-Uhlenbeck substeps, and the methods composed of them."""

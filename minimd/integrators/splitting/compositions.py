@@ -1,0 +1,141 @@
+"""Splittings of higher order: one row of coefficients each, quoted from the paper or computed from its closed form.
+
+Steps forward only cannot have an order above 2, so every row here has a negative coefficient (Q. Sheng, IMA J. Numer. Anal.
+9, 199 (1989); M. Suzuki, J. Math. Phys. 32, 400 (1991)). All of them take timestep : Δt [time], and raise ValueError if it
+is zero or not finite. Surveys: R. I. McLachlan, G. R. W. Quispel, Acta Numerica 11, 341 (2002); E. Hairer, C. Lubich,
+G. Wanner, Geometric Numerical Integration (2006), V.3.
+"""
+
+from minimd.integrators.splitting.substeps import Drift, Kick, alternating, palindrome, repeated
+from minimd.integrators.splitting.splitting import Splitting
+from minimd.integrators.splitting.verlet import VelocityVerlet
+
+CBRT2 = 2.0 ** (1.0 / 3.0)
+CBRT4 = 4.0 ** (1.0 / 3.0)
+
+
+class Ruth3(Splitting):
+    """Ruth's method of order 3, the first of more than two: three kicks, not symmetric.
+
+    kicks 7/24, 3/4, −1/24, each followed by its drift 2/3, −2/3, 1.
+    """
+
+    name = "ruth-3"
+    letters = (Kick(7 / 24), Drift(2 / 3), Kick(3 / 4), Drift(-2 / 3), Kick(-1 / 24), Drift(1.0))
+    source = "R. D. Ruth, IEEE Trans. Nucl. Sci. 30, 2669 (1983)"
+
+
+class CandyRozmus4(Splitting):
+    """Candy-Rozmus = Forest-Ruth = Yoshida's triple jump over position Verlet: order 4, three kicks.
+
+    drifts a₁ = a₄ = (2 + ∛2 + 1/∛2)/6,  a₂ = a₃ = (1 − ∛2 − 1/∛2)/6
+    kicks  b₁ = b₃ = 1/(2 − ∛2) = 2a₁,   b₂ = 1/(1 − ∛4) = −∛2 b₁
+    """
+
+    name = "candy-rozmus-4"
+    letters = alternating(
+        Drift, palindrome(((2.0 + CBRT2 + 1.0 / CBRT2) / 6.0, 1.0 / (2.0 - CBRT2), (1.0 - CBRT2 - 1.0 / CBRT2) / 6.0, 1.0 / (1.0 - CBRT4)))
+    )
+    source = (
+        "J. Candy, W. Rozmus, J. Comput. Phys. 92, 230 (1991); E. Forest, R. D. Ruth, Physica D 43, 105 (1990); "
+        "H. Yoshida, Phys. Lett. A 150, 262 (1990)"
+    )
+
+
+class Suzuki4(Splitting):
+    """Suzuki's fractal of five velocity Verlet steps: order 4, five kicks, errors smaller than those of three.
+
+    γ₁ = γ₂ = γ₄ = γ₅ = 1/(4 − ∛4),  γ₃ = 1 − 4γ₁ = −∛4 γ₁
+    """
+
+    name = "suzuki-4"
+    letters = repeated(VelocityVerlet.letters, palindrome((1.0 / (4.0 - CBRT4), 1.0 / (4.0 - CBRT4), -CBRT4 / (4.0 - CBRT4))))
+    source = "M. Suzuki, Phys. Lett. A 146, 319 (1990)"
+
+
+class McLachlanAtela4(Splitting):
+    """McLachlan and Atela's optimal method of order 4 for quadratic kinetic energy: four kicks, not symmetric.
+
+    Of order 3 only for other T(p): it uses that the kinetic energy is p²/2m, as it is here.
+    """
+
+    name = "mclachlan-atela-4"
+    letters = (
+        Kick(0.1344961992774310892),
+        Drift(0.5153528374311229364),
+        Kick(-0.2248198030794208058),
+        Drift(-0.085782019412973646),
+        Kick(0.7563200005156682911),
+        Drift(0.4415830236164665242),
+        Kick(0.3340036032863214255),
+        Drift(0.1288461583653841854),
+    )
+    source = "R. I. McLachlan, P. Atela, Nonlinearity 5, 541 (1992)"
+
+
+class PEFRL(Splitting):
+    """Position extended Forest-Ruth like: order 4, four kicks, the free parameters spent on a small error.
+
+    drifts ξ, χ, 1 − 2(χ + ξ), χ, ξ;  kicks (1 − 2λ)/2, λ, λ, (1 − 2λ)/2
+    """
+
+    name = "pefrl"
+    _xi, _lambda, _chi = 0.1786178958448091, -0.2123418310626054, -0.06626458266981849
+    letters = alternating(Drift, palindrome((_xi, (1.0 - 2.0 * _lambda) / 2.0, _chi, _lambda, 1.0 - 2.0 * (_chi + _xi))))
+    source = "I. P. Omelyan, I. M. Mryglod, R. Folk, Comput. Phys. Commun. 146, 188 (2002)"
+
+
+class BlanesMoan4(Splitting):
+    """Blanes and Moan's Nyström method SRKN₆ᵇ: order 4, six kicks, the smallest error per force evaluation of order 4 here.
+
+    Its free parameters make the terms of order 5 small that appear for quadratic kinetic energy.
+    """
+
+    name = "blanes-moan-rkn-4"
+    _a1, _a2 = 0.245298957184271, 0.604872665711080
+    _b1, _b2, _b3 = 0.0829844064174052, 0.396309801498368, -0.0390563049223486
+    letters = alternating(Kick, palindrome((_b1, _a1, _b2, _a2, _b3, 0.5 - (_a1 + _a2), 1.0 - 2.0 * (_b1 + _b2 + _b3))))
+    source = "S. Blanes, P. C. Moan, J. Comput. Appl. Math. 142, 313 (2002), table 3"
+
+
+class Yoshida6(Splitting):
+    """Yoshida's solution A: order 6 from seven steps of velocity Verlet, seven kicks."""
+
+    name = "yoshida-6"
+    _w3, _w2, _w1 = 0.78451361047755726382, 0.23557321335935813368, -1.17767998417887100695
+    letters = repeated(VelocityVerlet.letters, palindrome((_w3, _w2, _w1, 1.0 - 2.0 * (_w1 + _w2 + _w3))))
+    source = "H. Yoshida, Phys. Lett. A 150, 262 (1990), table 1, solution A"
+
+
+class KahanLi6(Splitting):
+    """Kahan and Li's s9odr6a: order 6 from nine steps of velocity Verlet, errors smaller than those of seven."""
+
+    name = "kahan-li-6"
+    letters = repeated(
+        VelocityVerlet.letters,
+        palindrome((0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023, 0.79854399093482996340)),
+    )
+    source = "W. Kahan, R.-C. Li, Math. Comput. 66, 1089 (1997), s9odr6a"
+
+
+class KahanLi8(Splitting):
+    """Kahan and Li's s17odr8a: order 8 from seventeen steps of velocity Verlet."""
+
+    name = "kahan-li-8"
+    letters = repeated(
+        VelocityVerlet.letters,
+        palindrome(
+            (
+                0.13020248308889008088,
+                0.56116298177510838456,
+                -0.38947496264484728641,
+                0.15884190655515560090,
+                -0.39590389413323757734,
+                0.18453964097831570709,
+                0.25837438768632204729,
+                0.29501172360931029887,
+                -0.60550853383003451170,
+            )
+        ),
+    )
+    source = "W. Kahan, R.-C. Li, Math. Comput. 66, 1089 (1997), s17odr8a"

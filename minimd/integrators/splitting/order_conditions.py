@@ -1,0 +1,125 @@
+"""The order of a row of kicks and drifts, answered by evaluating its order conditions.
+
+A row has order p if its step and the exact flow agree through Δtᵖ. Two questions are told apart:
+
+    separable order   for every H = T(p) + V(q); for every q′ = g(v), v′ = f(q)
+    Nyström order     for T = p²/2m, that is q″ = f(q): fewer conditions, never a lower order
+
+E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), III.3 and IV.2; R. I. McLachlan, G. R. W. Quispel,
+Acta Numerica 11, 341 (2002), section 4.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from itertools import product
+from math import factorial, prod
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.integrators.splitting.substeps import Drift, Kick, Letter, Row
+
+HIGHEST_ORDER = 10  # conditions are looked at up to here
+TOLERANCE = 1e-12  # rows of 14 digits pass; a condition that fails leaves 1e-6 and more
+
+Word = tuple[type[Letter], ...]
+
+
+@cache
+def separable_order(row: Row) -> int:
+    """Order for every H = T(p) + V(q), at most HIGHEST_ORDER; 0 if the row is not consistent."""
+    return _first_failure(row, separable_residuals)
+
+
+@cache
+def nystrom_order(row: Row) -> int:
+    """Order for H = p²/2m + V(q), at most HIGHEST_ORDER; 0 if the row is not consistent."""
+    return _first_failure(row, nystrom_residuals)
+
+
+def _first_failure(row: Row, residuals: Callable[[Row, int], list[float]]) -> int:
+    for order in range(1, HIGHEST_ORDER + 1):
+        if max(map(abs, residuals(row, order))) > TOLERANCE:
+            return order - 1
+    return HIGHEST_ORDER
+
+
+def separable_residuals(row: Row, order: int) -> list[float]:
+    """What the conditions of exactly this order leave: coefficient of each Lyndon word − 1/order!.
+
+    The step is exp(c₁X₁) exp(c₂X₂) … with X one of the two letters T and V, the exact flow exp(T + V), in which every word
+    of n letters has the coefficient 1/n!. Both are group-like; such series agree if they agree on the Lyndon words, the
+    words that come before all their rotations: 2, 1, 2, 3, 6, 9, 18, 30 of them for n = 1, …, 8 (C. Reutenauer, Free Lie
+    Algebras (1993), chapter 6), as many as independent conditions.
+    """
+    return [word_coefficient(row, word) - 1.0 / factorial(order) for word in lyndon_words(order)]
+
+
+@cache
+def lyndon_words(length: int) -> tuple[Word, ...]:
+    """Words in Drift < Kick that come strictly before each of their rotations."""
+    words = product((0, 1), repeat=length)
+    lyndon = (word for word in words if all(word < word[k:] + word[:k] for k in range(1, length)))
+    return tuple(tuple((Drift, Kick)[letter] for letter in word) for word in lyndon)
+
+
+def word_coefficient(row: Row, word: Word) -> float:
+    """Coefficient of a word in exp(c₁X₁) exp(c₂X₂) …; a flow appends k of its letter with weight cᵏ/k!."""
+    prefix = [1.0] + [0.0] * len(word)  # coefficient of the first j letters in the product so far
+    for letter in row:
+        for j in range(len(word), 0, -1):
+            weight, k = 1.0, 1
+            while k <= j and word[j - k] is type(letter):
+                weight *= letter.coefficient / k
+                prefix[j] += weight * prefix[j - k]
+                k += 1
+    return prefix[-1]
+
+
+class Branch(NamedTuple):
+    """A branch of a Nyström tree: its power of Δt, its value at each kick and in the exact solution, κ Δt^power."""
+
+    power: int
+    values: NDArray[np.float64]
+    kappa: float
+
+
+def nystrom_residuals(row: Row, order: int) -> list[float]:
+    """What the conditions of exactly this order leave for q″ = f(q): Σ bᵢ Φᵢ(τ) − κ(τ)/order for each Nyström tree τ.
+
+    As a Runge-Kutta-Nyström method the row has, for kick i, the weight bᵢ, the abscissa cᵢ = Σ drifts before it and
+    aᵢⱼ = bⱼ (cᵢ − cⱼ), j before i. A tree is a force f with branches: velocities, Φᵢ = cᵢ, and forces integrated twice,
+    Φᵢ = Σⱼ aᵢⱼ Φⱼ. Written for velocities; with Σ drifts = 1 the conditions for positions follow, for the weights there
+    are bᵢ (1 − cᵢ). The trees: E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.14.
+    """
+    b, c, a = nystrom_tableau(row)
+    one, branches = np.ones_like(c), [Branch(1, c, 1.0)]
+    for power in range(1, order + 1):
+        trees = [(np.prod([one, *(t.values for t in tree)], axis=0), prod(t.kappa for t in tree)) for tree in bunches(branches, power - 1)]
+        branches += [Branch(power + 1, a @ values, kappa / (power * (power + 1))) for values, kappa in trees]
+    residuals = [float(b @ values - kappa / order) for values, kappa in trees]
+    return residuals if order > 1 else [*residuals, drifts_sum(row) - 1.0]
+
+
+def nystrom_tableau(row: Row) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Weights b (s,), abscissae c (s,) and matrix a (s, s) of the row with s kicks."""
+    kicks = [k for k, letter in enumerate(row) if isinstance(letter, Kick)]
+    b = np.array([row[k].coefficient for k in kicks])
+    c = np.array([drifts_sum(row[:k]) for k in kicks])
+    return b, c, np.tril(b * (c[:, None] - c), -1)
+
+
+def drifts_sum(row: Row) -> float:
+    """Σ of the coefficients of all drifts."""
+    return sum(letter.coefficient for letter in row if isinstance(letter, Drift))
+
+
+def bunches(branches: list[Branch], power: int, first: int = 0) -> Iterator[tuple[Branch, ...]]:
+    """All multisets of branches whose powers add up to power."""
+    if power == 0:
+        yield ()
+    for k in range(first, len(branches)):
+        if branches[k].power <= power:
+            for rest in bunches(branches, power - branches[k].power, k):
+                yield (branches[k], *rest)

@@ -1,0 +1,214 @@
+"""Splitting methods: the flows of the two halves of H = T(p) + V(q), composed from a row of coefficients.
+
+    drift  φ[1]:  r(t+cΔt) = r(t) + cΔt v            velocities stand still
+    kick   φ[2]:  v(t+cΔt) = v(t) + cΔt F(r)/m       positions stand still
+
+Each half is solved exactly, so every composition is symplectic and conserves total momentum; it is reversible if the row
+reads the same from both ends. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiled.kernels import kernel
+from minimd.integrators.method import Answer, Method, Step
+from minimd.integrators.splitting.order_conditions import nystrom_order
+from minimd.integrators.ode.problems import Partitioned, Problem
+from minimd.integrators.splitting.substeps import Drift, Kick, Row, Thermalize, is_palindrome, merged
+
+if TYPE_CHECKING:
+    from minimd.constraints.distance import RigidBonds
+
+
+@dataclass
+class State:
+    """What a splitting moves, in place.
+
+    positions, velocities, forces : (N, 3) [length], [length/time], [energy/length].  inverse_masses : (N,) [1/mass].
+    forces_are_current : whether forces belong to positions; whoever moves positions sets it to False.
+    stop_requested : set it to True to end a run of steps after the present one.
+    constraints : lengths to keep, if any; inverse_masses are then zero for atoms that are held fixed.
+    step : steps made since the start, contacts : with a bath since the step began; noise depends on both.
+    n_dof : degrees of freedom.  conserves_momentum : whether the motion of the whole is a constant, and none of them.
+    k_B : in units of the others.  heat : what a thermostat has put in since the start [energy].
+    """
+
+    positions: NDArray[np.float64]
+    velocities: NDArray[np.float64]
+    forces: NDArray[np.float64]
+    inverse_masses: NDArray[np.float64]
+    forces_are_current: bool = False
+    stop_requested: bool = False
+    constraints: "RigidBonds | None" = None
+    step: int = 0
+    contacts: int = 0
+    n_dof: int = 0
+    conserves_momentum: bool = False
+    k_B: float = 1.0
+    heat: float = 0.0
+
+    @cached_property
+    def masses(self) -> NDArray[np.float64]:
+        """(N,) [mass] of the atoms that move, zero for those that are held fixed."""
+        moving = self.inverse_masses > 0.0
+        return np.divide(1.0, self.inverse_masses, out=np.zeros(moving.shape), where=moving)
+
+
+ComputeForces = Callable[[State, bool], None]  # fills state.forces; True if somebody will look at the energy
+
+
+@kernel
+def kick(velocities, forces, inverse_masses, duration):
+    """velocities += duration · forces / m.  (N, 3) [length/time], (N, 3) [energy/length], (N,) [1/mass], [time]."""
+    for i in range(velocities.shape[0]):
+        scale = duration * inverse_masses[i]
+        velocities[i, 0] += scale * forces[i, 0]
+        velocities[i, 1] += scale * forces[i, 1]
+        velocities[i, 2] += scale * forces[i, 2]
+
+
+@kernel
+def drift(positions, velocities, duration):
+    """positions += duration · velocities.  (N, 3) [length], (N, 3) [length/time], [time]."""
+    for i in range(positions.shape[0]):
+        positions[i, 0] += duration * velocities[i, 0]
+        positions[i, 1] += duration * velocities[i, 1]
+        positions[i, 2] += duration * velocities[i, 2]
+
+
+@kernel
+def kinetic_energy(velocities, masses):
+    """K = Σ ½ m v² [energy].  velocities : (N, 3) [length/time].  masses : (N,) [mass]."""
+    total = 0.0
+    for i in range(velocities.shape[0]):
+        total += 0.5 * masses[i] * (velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
+    return total
+
+
+def stages(method: "type[Splitting]") -> int:
+    """Force evaluations per step of a long run: the kicks of a step, those with no drift between them being one, the last and the first too."""
+    kicks = [isinstance(letter, Kick) for letter in merged(letter for letter in method.letters if not isinstance(letter, Thermalize))]
+    return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
+
+
+class Splitting(Method):
+    """A splitting method, given by its row of letters.
+
+    A row that begins and ends with the same letter is run with the two merged between steps: where nobody looks, velocity
+    Verlet makes one kick and one drift per step, as leapfrog does. Forces are computed when a kick needs them and
+    positions have moved since. With constraints every drift is projected, and the velocities where somebody looks: a drift does
+    not see what a projection would take from them.
+
+    Parameters
+    ----------
+    timestep : Δt [time], finite and not zero; a negative one runs time backwards.
+
+    Attributes of each method
+    -------------------------
+    name, letters, source : key in METHODS; kicks and drifts of one step; literature.
+    conserves_momentum : true unless a bath acts on atoms one by one.  is_thermostat : whether a bath acts at all.
+    opening, closing : letters before the first and after the last of a run of steps, for velocities at half steps.
+
+    Answers computed from them
+    --------------------------
+    order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).  stages : forces computed per step in a long run.
+    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1, then also reversible.  is_symplectic, is_explicit : always true of splittings.
+
+    Raises
+    ------
+    ValueError : if the time step is zero or not finite.
+    """
+
+    letters: ClassVar[Row]
+    opening: ClassVar[Row] = ()
+    closing: ClassVar[Row] = ()
+    is_symplectic: ClassVar[bool] = True
+    is_explicit: ClassVar[bool] = True
+    conserves_momentum: ClassVar[bool] = True
+    is_thermostat: ClassVar[bool] = False
+    order = Answer(lambda method: nystrom_order(method.row()))
+    is_symmetric = Answer(lambda method: is_palindrome(method.row()))
+    stages = Answer(stages)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """What it takes to make this method again, by name."""
+        return {"timestep": self.timestep}
+
+    @classmethod
+    def row(cls) -> Row:
+        """One step from opening to closing, equal neighbors merged."""
+        return merged((*cls.opening, *cls.letters, *cls.closing))
+
+    @classmethod
+    def on(cls, problem: Problem) -> Step:
+        """The step on a problem with q and v.
+
+        Raises
+        ------
+        TypeError : for a problem without q and v.
+        """
+        if not isinstance(problem, Partitioned):
+            raise TypeError(f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}")
+        return problem.row_step(cls.row())
+
+    @classmethod
+    def order_on(cls, problem: Problem) -> int:
+        """See Method."""
+        return problem.row_order(cls.row()) if isinstance(problem, Partitioned) else cls.order
+
+    def advance(self, state: State, compute_forces: ComputeForces, n_steps: int, look: bool = True) -> int:
+        """Make n_steps steps, at least one, fewer if state.stop_requested becomes true; return how many.
+
+        look : compute the forces of the last step with the flag that somebody looks at the energy.
+        """
+        opening, body, between, closing = self._merged() if state.constraints is None or isinstance(self.letters[0], Kick) else self._unmerged()
+        state.contacts = 0
+        self._apply(opening, state, compute_forces)
+        for step in range(1, n_steps + 1):
+            is_last = step == n_steps or state.stop_requested
+            self._apply(body + (closing if is_last else between), state, compute_forces, look_at_last=look and is_last)
+            state.step, state.contacts = state.step + 1, 0
+            if is_last:
+                break
+        if state.constraints is not None:
+            state.constraints.project_velocities(state.velocities, state.positions)
+        return step
+
+    def thermalize(self, state: State, duration: float) -> None:
+        """What a letter Thermalize does. Methods without a bath have no such letter."""
+        raise NotImplementedError(f"{self.name} has no thermostat")
+
+    def _unmerged(self) -> tuple[Row, ...]:
+        """The row as it stands: with constraints two drifts in a row are not one."""
+        return self.opening, self.letters, (), self.closing
+
+    def _merged(self) -> tuple[Row, ...]:
+        """The row as letters before, in, between and after the steps, with equal neighbors made one."""
+        first, last = self.letters[0], self.letters[-1]
+        if len(self.letters) == 1 or type(first) is not type(last) or isinstance(first, Thermalize):  # noise is not merged
+            return self.opening, self.letters, (), self.closing
+        merged = type(first)(first.coefficient + last.coefficient)
+        return (*self.opening, first), self.letters[1:-1], (merged,), (last, *self.closing)
+
+    def _apply(self, letters: Row, state: State, compute_forces: ComputeForces, look_at_last: bool = False) -> None:
+        for k, letter in enumerate(letters, start=1):
+            duration = letter.coefficient * self.timestep
+            if isinstance(letter, Kick):
+                if not state.forces_are_current:
+                    compute_forces(state, look_at_last and k == len(letters))
+                    state.forces_are_current = True
+                kick(state.velocities, state.forces, state.inverse_masses, duration)
+            elif isinstance(letter, Thermalize):
+                self.thermalize(state, duration)
+            else:
+                if state.constraints is None:
+                    drift(state.positions, state.velocities, duration)
+                else:
+                    state.constraints.drift(state.positions, state.velocities, duration)
+                state.forces_are_current = False

@@ -1,0 +1,221 @@
+"""Methods in contact with a bath: the letters of a splitting, and one more that changes velocities at random.
+
+The noise of a step depends on the seed, the number of the step and the place in its row, on nothing else: a run that is stopped and
+resumed, replayed after a failure, or made on other threads, meets the same noise. What the bath puts in is counted as heat, so that
+total energy minus heat changes by the errors of kicks and drifts only: it wanders a little, and drifts where Δt is large.
+G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007); D. A. Sivak, J. D. Chodera, G. E. Crooks, Phys. Rev. X 3, 011007 (2013).
+"""
+
+from math import exp, isfinite, sqrt
+from numbers import Integral, Real
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiled.kernels import kernel
+from minimd.integrators.method import Step
+from minimd.integrators.ode.problems import Problem
+from minimd.integrators.splitting.substeps import Drift, Kick, Thermalize
+from minimd.integrators.splitting.splitting import Splitting, State, kinetic_energy
+
+SEEDS = 2**128  # keys of numpy's Philox
+AT_REST = 1e-12  # of the kinetic energy: what is less, beside the motion of the whole, is rounding
+STEPS = 2**64  # counters of noise; steps before the start, of an equilibration, count from the other end
+
+
+class Thermostat(Splitting):
+    """A splitting with a bath.
+
+    Parameters
+    ----------
+    timestep : Δt [time], positive.  temperature : of the bath, ≥ 0.  seed : int ≥ 0, of the noise, below 2¹²⁸.
+
+    Raises
+    ------
+    ValueError : for a time step that is not positive, a temperature or a rate below zero, or a seed that is none.
+    """
+
+    temperature: float
+    seed: int
+    is_symmetric = False
+    is_symplectic = False
+    is_thermostat = True
+
+    def __init__(self, timestep: float, temperature: float, seed: int) -> None:
+        super().__init__(timestep)
+        if self.timestep < 0.0:
+            raise ValueError(f"time cannot run backwards with a thermostat; timestep = {timestep!r}")
+        if not isinstance(seed, Integral) or not 0 <= seed < SEEDS:
+            raise ValueError(f"seed must be a whole number, not negative and below 2¹²⁸; seed = {seed!r}")
+        self.temperature, self.seed = _not_negative("temperature", temperature), int(seed)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """See Splitting."""
+        return {**super().parameters, "temperature": self.temperature, "seed": self.seed}
+
+    @classmethod
+    def on(cls, problem: Problem) -> Step:
+        """Not for small problems: a bath needs masses.
+
+        Raises
+        ------
+        TypeError : always.
+        """
+        raise TypeError(f"{cls.name} runs in a Simulation, where atoms have masses and a temperature has a unit")
+
+    def noise(self, state: State) -> np.random.Generator:
+        """The random numbers of one contact with the bath: of this step, and of its place among those of the step."""
+        counter = np.array([0, 0, state.contacts, state.step % STEPS], dtype=np.uint64)
+        state.contacts += 1
+        return np.random.Generator(np.random.Philox(key=self.seed, counter=counter))
+
+
+class LangevinBAOAB(Thermostat):
+    """Langevin dynamics, each atom with a friction and a noise of its own: kick, drift, bath, drift, kick.
+
+        v(t+Δt/2) = v(t) + Δt/2 F(t)/m                         B
+        r(t+Δt/2) = r(t) + Δt/2 v                              A
+        v ← e^(−γΔt) v + √(k_B T (1 − e^(−2γΔt))/m) ξ          O, the exact Ornstein-Uhlenbeck process; ξ normal
+        r(t+Δt)   = r(t+Δt/2) + Δt/2 v                         A
+        v(t+Δt)   = v + Δt/2 F(t+Δt)/m                         B
+
+    Of order 2 in averages; those of positions are exact for harmonic forces at any stable Δt, where those of v² are low by
+    (ωΔt)²/4: a kinetic temperature below that of the bath, by O(Δt²), tells of the time step and not of the bath. Rigid molecules
+    share this: one on which nothing acts has the temperature of the bath. Momentum is not conserved, so that all 3N degrees of
+    freedom are thermal. Without friction it is velocity Verlet.
+
+    Parameters
+    ----------
+    friction : γ ≥ 0 [1/time].  Others : see Thermostat.
+
+    B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013); J. Chem. Phys. 138, 174102 (2013), eq. 7.
+    With constraints: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016).
+    """
+
+    name = "langevin-baoab"
+    letters = (Kick(0.5), Drift(0.5), Thermalize(1.0), Drift(0.5), Kick(0.5))
+    source = "B. Leimkuhler, C. Matthews, J. Chem. Phys. 138, 174102 (2013)"
+    conserves_momentum = False
+    order = 2
+
+    def __init__(self, timestep: float, temperature: float, friction: float, seed: int) -> None:
+        super().__init__(timestep, temperature, seed)
+        self.friction = _not_negative("friction", friction)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """See Splitting."""
+        return {**super().parameters, "friction": self.friction}
+
+    def thermalize(self, state: State, duration: float) -> None:
+        """The Ornstein-Uhlenbeck process over a duration."""
+        kept = exp(-self.friction * duration)
+        spread = sqrt(state.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
+        _project(state)
+        before = kinetic_energy(state.velocities, state.masses)
+        noise = self.noise(state).standard_normal(state.velocities.shape)
+        mix(state.velocities, noise, state.inverse_masses, kept, spread)
+        _project(state)
+        state.heat += kinetic_energy(state.velocities, state.masses) - before
+
+
+class StochasticVelocityRescaling(Thermostat):
+    """Velocity Verlet, then one factor for all velocities, drawn so that the kinetic energy is that of the canonical ensemble.
+
+        dK = (K̄ − K) dt/τ + 2 √(K K̄/n_dof) dW/√τ,  K̄ = n_dof k_B T/2
+
+    solved exactly over Δt: with c = e^(−Δt/τ), normal ξ and S the sum of n_dof − 1 squares of others,
+
+        K′ = c K + (1 − c) K̄/n_dof (S + ξ²) + 2 ξ √(c (1 − c) K K̄/n_dof)
+
+    K is what belongs to the n_dof that are counted: where the total momentum is a constant, the motion of the whole is none of them,
+    so that K is relative to the center of mass, whose velocity V is kept: v ← V + √(K′/K) (v − V). Where atoms are held fixed V is
+    zero. Directions of motion are kept, and dynamics hardly disturbed.
+
+    Parameters
+    ----------
+    relaxation_time : τ > 0 [time].  Others : see Thermostat.
+
+    G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007), eq. A7.
+    """
+
+    name = "stochastic-velocity-rescaling"
+    letters = (Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(1.0))
+    source = "G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007)"
+    order = 2
+
+    def __init__(self, timestep: float, temperature: float, relaxation_time: float, seed: int) -> None:
+        super().__init__(timestep, temperature, seed)
+        if not _not_negative("relaxation_time", relaxation_time) > 0.0:
+            raise ValueError(f"relaxation_time must be positive; relaxation_time = {relaxation_time!r}")
+        self.relaxation_time = float(relaxation_time)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """See Splitting."""
+        return {**super().parameters, "relaxation_time": self.relaxation_time}
+
+    def thermalize(self, state: State, duration: float) -> None:
+        """The exact change of the kinetic energy over a duration."""
+        _project(state)
+        drift = np.zeros(3)
+        whole = kinetic_energy(state.velocities, state.masses)
+        kinetic = whole - (motion_of_whole(state.velocities, state.masses, drift) if state.conserves_momentum else 0.0)
+        if kinetic <= AT_REST * whole:
+            return
+        noise, kept = self.noise(state), exp(-duration / self.relaxation_time)
+        one, others = noise.standard_normal(), 2.0 * noise.standard_gamma(0.5 * (state.n_dof - 1))
+        share = (1.0 - kept) * 0.5 * state.k_B * self.temperature / kinetic
+        scale = sqrt(max(kept + share * (others + one * one) + 2.0 * one * sqrt(kept * share), 0.0))
+        if share > 0.0 and one < -sqrt(kept / share):
+            scale = -scale
+        rescale(state.velocities, drift, scale)
+        state.heat += kinetic * (scale * scale - 1.0)
+
+
+@kernel
+def mix(velocities, noise, inverse_masses, kept, spread):
+    """velocities = kept · velocities + spread √(1/m) · noise.  (N, 3), (N, 3), (N,), dimensionless, √energy."""
+    for i in range(velocities.shape[0]):
+        scale = spread * sqrt(inverse_masses[i])
+        for x in range(3):
+            velocities[i, x] = kept * velocities[i, x] + scale * noise[i, x]
+
+
+@kernel
+def motion_of_whole(velocities, masses, drift):
+    """½ M V² [energy], with V = Σ m v/M, M = Σ m.  (N, 3), (N,); drift = V, (3,) [length/time]."""
+    mass, px, py, pz = 0.0, 0.0, 0.0, 0.0
+    for i in range(velocities.shape[0]):
+        mass += masses[i]
+        px += masses[i] * velocities[i, 0]
+        py += masses[i] * velocities[i, 1]
+        pz += masses[i] * velocities[i, 2]
+    drift[0], drift[1], drift[2] = px / mass, py / mass, pz / mass
+    return 0.5 * (px * px + py * py + pz * pz) / mass
+
+
+@kernel
+def rescale(velocities, drift, scale):
+    """velocities = V + scale · (velocities − V), with V = drift.  (N, 3), (3,) [length/time], dimensionless."""
+    x, y, z = (1.0 - scale) * drift[0], (1.0 - scale) * drift[1], (1.0 - scale) * drift[2]
+    for i in range(velocities.shape[0]):
+        velocities[i, 0] = x + scale * velocities[i, 0]
+        velocities[i, 1] = y + scale * velocities[i, 1]
+        velocities[i, 2] = z + scale * velocities[i, 2]
+
+
+def _project(state: State) -> None:
+    """Velocities without what constraints will take from them, for their kinetic energy to be counted."""
+    if state.constraints is not None:
+        state.constraints.project_velocities(state.velocities, state.positions)
+
+
+def _not_negative(name: str, value: float) -> float:
+    if not (isinstance(value, Real) and isfinite(value) and value >= 0.0):
+        raise ValueError(f"{name} must be finite and not negative; {name} = {value!r}")
+    return float(value)
+
+
+THERMOSTATS: dict[str, type[Thermostat]] = {method.name: method for method in (LangevinBAOAB, StochasticVelocityRescaling)}

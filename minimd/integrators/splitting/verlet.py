@@ -1,0 +1,87 @@
+"""Symplectic Euler and the one-step forms of Störmer-Verlet: one row of coefficients each.
+
+    (A) = SE2 ∘ SE1 over Δt/2 each = velocity Verlet        (B) = SE1 ∘ SE2 over Δt/2 each = position Verlet
+
+E. Hairer, C. Lubich, G. Wanner, Acta Numerica 12, 399 (2003).
+"""
+
+from minimd.integrators.splitting.substeps import Drift, Kick
+from minimd.integrators.splitting.splitting import Splitting
+
+
+class SE1(Splitting):
+    """Symplectic Euler, kick first: order 1, not symmetric; its adjoint is SE2.
+
+        v(t+Δt) = v(t) + Δt F(t)/m                  kick
+        r(t+Δt) = r(t) + Δt v(t+Δt)                 drift
+
+    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
+    """
+
+    name = "symplectic-euler-1"
+    letters = (Kick(1.0), Drift(1.0))
+    source = "E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), VI.3"
+
+
+class SE2(Splitting):
+    """Symplectic Euler, drift first: order 1, not symmetric; its adjoint is SE1.
+
+        r(t+Δt) = r(t) + Δt v(t)                    drift
+        v(t+Δt) = v(t) + Δt F(t+Δt)/m               kick
+
+    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
+    """
+
+    name = "symplectic-euler-2"
+    letters = (Drift(1.0), Kick(1.0))
+    source = "E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), VI.3"
+
+
+class VelocityVerlet(Splitting):
+    """Velocity Verlet, Störmer-Verlet (A): order 2, symplectic, time-reversible, one force evaluation per step.
+
+        v(t+Δt/2) = v(t) + Δt/2 F(t)/m              kick
+        r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift
+        F(t+Δt)   = −∇U(r(t+Δt))
+        v(t+Δt)   = v(t+Δt/2) + Δt/2 F(t+Δt)/m      kick
+
+    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
+    """
+
+    name = "velocity-verlet"
+    letters = (Kick(0.5), Drift(1.0), Kick(0.5))
+    source = "W. C. Swope et al., J. Chem. Phys. 76, 637 (1982), eq. 16-17"
+
+
+class PositionVerlet(Splitting):
+    """Position Verlet, Störmer-Verlet (B): the same two flows with the drift outside.
+
+        r(t+Δt/2) = r(t) + Δt/2 v(t)                drift
+        v(t+Δt)   = v(t) + Δt F(t+Δt/2)/m           kick
+        r(t+Δt)   = r(t+Δt/2) + Δt/2 v(t+Δt)        drift
+
+    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
+    """
+
+    name = "position-verlet"
+    letters = (Drift(0.5), Kick(1.0), Drift(0.5))
+    source = "M. Tuckerman, B. J. Berne, G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), eq. 2.22"
+
+
+class Leapfrog(Splitting):
+    """Leapfrog: velocities live half a step before the positions.
+
+        v(t+Δt/2) = v(t−Δt/2) + Δt F(t)/m           kick
+        r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift
+
+    A run opens with half a kick backwards and closes with half a kick forwards, so that velocities, energies and files
+    always show v(t) beside r(t); the positions are those of velocity Verlet.
+
+    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
+    """
+
+    name = "leapfrog"
+    opening = (Kick(-0.5),)
+    letters = (Kick(1.0), Drift(1.0))
+    closing = (Kick(0.5),)
+    source = "R. W. Hockney, J. W. Eastwood, Computer Simulation Using Particles (1981), 4-3-1"

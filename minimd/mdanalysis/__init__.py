@@ -1,0 +1,5 @@
+"""The bridge to MDAnalysis: files of minimd as universes, structure and diffusion from them."""
+
+from minimd.mdanalysis.universe import Diffusion, RadialDistribution, diffusion_coefficient, mean_square_displacement, radial_distribution, universe
+
+__all__ = ["Diffusion", "RadialDistribution", "diffusion_coefficient", "mean_square_displacement", "radial_distribution", "universe"]

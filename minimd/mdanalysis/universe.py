@@ -1,0 +1,164 @@
+"""minimd files as universes of MDAnalysis, and its analyses.
+
+MDAnalysis holds positions and velocities in float32, in Å and Å/ps, and knows a cell by lengths and angles alone. Reduced numbers
+pass unchanged, 1 σ as 1 Å and 1 τ as 1 ps.
+"""
+
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import MDAnalysis
+import numpy as np
+from MDAnalysis.analysis.msd import EinsteinMSD
+from MDAnalysis.analysis.rdf import InterRDF
+from MDAnalysis.guesser.tables import SYMB2Z
+from MDAnalysis.lib.mdamath import triclinic_box, triclinic_vectors
+from numpy.typing import NDArray
+
+from minimd.files.h5md_writer import read_file
+from minimd.files.mdanalysis_writer import quiet
+from minimd.structure.cell import Cell
+from minimd.structure.units import ASE
+
+VERSION = MDAnalysis.__version__
+RDF_FRAMES, RDF_DISTANCES = 50, 1e7  # at most, so that g(r) takes half a second
+MSD_FRAMES, MSD_ATOMS = 200, 400  # at most
+FIT_FROM, FIT_TO = 0.1, 0.5  # of the duration: behind the ballistic start, before few pairs of frames are left
+CM2_PER_S = 1e-4  # per Å²/ps
+
+
+def universe(path: str | Path) -> MDAnalysis.Universe:
+    """A minimd file as an MDAnalysis universe: masses, types, names, elements where labels are symbols, bonds, all frames.
+
+    MDAnalysis places a cell with its first vector along x and the second in the xy plane. Where the cell of the file lies
+    otherwise, its periodic distances are wrong until positions are turned likewise, as radial_distribution does.
+
+    Raises
+    ------
+    FileNotFoundError, OSError, ValueError : as minimd.h5md.read_file.
+    """
+    system = read_file(path).system
+    labels = [str(label) for label in system.species]
+    with quiet():
+        made = MDAnalysis.Universe.empty(len(system), trajectory=False)
+        made.add_TopologyAttr("masses", system.masses)
+        made.add_TopologyAttr("types", labels)
+        made.add_TopologyAttr("names", labels)
+        if any(label in SYMB2Z for label in labels):
+            made.add_TopologyAttr("elements", [label if label in SYMB2Z else "" for label in labels])
+        if len(system.bonds):
+            made.add_TopologyAttr("bonds", [tuple(bond) for bond in system.bonds.tolist()])
+        made.load_new(str(path), format="H5MD")
+    return made
+
+
+class RadialDistribution(NamedTuple):
+    """g(r) of all atoms.  r : (B,) [length of the file].  g : (B,) dimensionless."""
+
+    r: NDArray[np.float64]
+    g: NDArray[np.float64]
+
+
+def radial_distribution(path: str | Path, n_bins: int = 200) -> RadialDistribution:
+    """g(r) by MDAnalysis' InterRDF, up to half the smallest height of the cell, from evenly chosen frames and atoms.
+
+    Bonded pairs count like all others. Distances are measured from some atoms to all if all would take too long.
+
+    Raises
+    ------
+    ValueError : if the cell is not periodic in all directions, or there is one atom only.  And as universe.
+    """
+    system = read_file(path).system
+    if not system.cell.pbc.all() or len(system) < 2:
+        raise ValueError(f"g(r) needs two atoms and a cell periodic in all directions; {str(path)!r} holds {system!r}")
+    r_max = float(system.cell.heights.min() / 2.0) * system.units.to_angstrom
+    width = r_max / n_bins
+    with quiet():
+        made = universe(path)
+        made.trajectory.add_transformations(_turned(system.cell, system.units.to_angstrom))
+        stride = ceil(len(made.trajectory) / RDF_FRAMES)
+        some = _every(made, RDF_DISTANCES * stride / len(made.trajectory) / len(system))
+        # From one bin on, so that no atom is its own neighbor; the others of N atoms are N − 1.
+        result = InterRDF(some, made.atoms, nbins=n_bins - 1, range=(width, r_max)).run(step=stride).results
+        made.trajectory.close()
+    return RadialDistribution(result.bins / system.units.to_angstrom, result.rdf * len(system) / (len(system) - 1))
+
+
+def _every(made: MDAnalysis.Universe, n_atoms: float) -> MDAnalysis.AtomGroup:
+    """About so many atoms, evenly chosen."""
+    return made.atoms[:: max(1, ceil(len(made.atoms) / max(1.0, n_atoms)))]
+
+
+def _turned(cell: Cell, to_angstrom: float) -> Any:
+    """Transformation of frames into the reduced lattice as MDAnalysis places it; all periodic distances stay."""
+    dimensions = triclinic_box(*(cell.lattice * to_angstrom))
+    vectors, inverse = triclinic_vectors(dimensions, dtype=np.float64), cell.inverse / to_angstrom
+
+    def turn(ts: Any) -> Any:
+        fractions = ts.positions.astype(np.float64) @ inverse
+        ts.positions = (fractions - np.floor(fractions)) @ vectors
+        ts.dimensions = dimensions
+        return ts
+
+    return turn
+
+
+@dataclass(frozen=True)
+class Diffusion:
+    """Self-diffusion by Einstein's relation ⟨|r(t) − r(0)|²⟩ → 6 D t. str() is the sentence for people.
+
+    Attributes
+    ----------
+    coefficient : D [Å²/ps, or σ²/τ].  cm2_per_s : the same in cm²/s, None in reduced units.
+    window : lags of the straight-line fit [ps or τ].  lags, displacements : (T,) [ps or τ], (T,) mean squares [Å² or σ²].
+    """
+
+    coefficient: float
+    cm2_per_s: float | None
+    window: tuple[float, float]
+    lags: NDArray[np.float64]
+    displacements: NDArray[np.float64]
+
+    def __str__(self) -> str:
+        unit, time = ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")
+        absolute = "" if self.cm2_per_s is None else f" = {self.cm2_per_s:.4g} cm²/s"
+        return f"D = {self.coefficient:.4g} {unit}{absolute}, from lags of {self.window[0]:.4g} to {self.window[1]:.4g} {time}"
+
+
+def mean_square_displacement(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
+
+    Frames and atoms are evenly chosen where there are many.
+
+    Raises
+    ------
+    ValueError : if there is one frame only.  And as universe.
+    """
+    with quiet():
+        made = universe(path)
+        if len(made.trajectory) < 2:
+            raise ValueError(f"a displacement needs at least 2 frames; {str(path)!r} holds {len(made.trajectory)}")
+        result = EinsteinMSD(_every(made, MSD_ATOMS), fft=False).run(step=ceil(len(made.trajectory) / MSD_FRAMES)).results
+        made.trajectory.close()
+    return np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.timeseries)
+
+
+def diffusion_coefficient(path: str | Path, window: tuple[float, float] | None = None) -> Diffusion:
+    """D from the mean-square displacement, a straight line fitted within a window of lags.
+
+    window : [ps, or τ]; from a tenth to half of the duration if not given.
+
+    Raises
+    ------
+    ValueError : if the window holds fewer than three lags.  And as mean_square_displacement.
+    """
+    lags, squares = mean_square_displacement(path)
+    start, end = window or (FIT_FROM * lags[-1], FIT_TO * lags[-1])
+    chosen = (lags >= start) & (lags <= end)
+    if chosen.sum() < 3:
+        raise ValueError(f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {chosen.sum()} of {len(lags)}")
+    coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
+    absolute = coefficient * CM2_PER_S if read_file(path).system.units is ASE else None
+    return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares)

@@ -1,0 +1,1 @@
+"""Downhill to a minimum of the potential energy."""

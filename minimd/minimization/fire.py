@@ -1,0 +1,235 @@
+"""FIRE, the fast inertial relaxation engine: downhill with inertia, and a stop whenever the way leads uphill.
+
+    P = F·v > 0 for some steps    Δt ← 1.1 Δt,  α ← 0.99 α
+    P ≤ 0                         Δt ← ½ Δt,  α ← ¼,  half a step back,  v ← 0
+    always                        v ← v + Δt F,   v ← (1 − α) v + α |v| F/|F|,   r ← r + Δt v
+
+with all masses 1, E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006), in the form of J. Guénolé et al., Comput. Mater. Sci. 175,
+109584 (2020), which keeps the half step back and the step of symplectic Euler. Two things are added. Units of time are not known
+here, so that Δt is limited by the largest curvature κ = |ΔF|/|Δr|, from a few power iterations now and then. And no atom moves farther than a given
+length in a step, which leads out of overlaps, however large their forces.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiled.kernels import kernel
+from minimd.constraints.constraint_set import Rigidity, nearest_images
+from minimd.forces.forces import Forces
+from minimd.neighbors.queries import closest_pair
+from minimd.structure.errors import ConstraintError, NonFiniteError
+from minimd.structure.observables import longest
+
+Array = NDArray[np.float64]
+
+DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99  # Guénolé et al., table 2
+FIRST, LONGEST = 0.3, 1.0  # √κ Δt at the start, and at most; symplectic Euler blows up at 2, and κ may be seen too small
+PROBE = 1e-3  # of the longest step: displacements that try the curvature
+PROBES, PROBE_EVERY = 5, 50  # displacements, each along the change of the forces in the one before; steps between two such series
+FIRST_SERIES = 4  # of them
+FALLING = 0.9  # the largest force must fall by this factor in a step of steepest descent
+LARGEST = 1e100  # of a force: larger ones are scaled down, all alike, so that their squares are numbers
+PUSHES = 100  # of pairs whose forces are infinite
+REFUSALS = 50  # steps in a row that constraints may refuse, each shorter than the one before
+
+
+@kernel
+def largest_component(vectors):
+    """max |x|, of (N, 3); infinite if one of them is not finite."""
+    largest = 0.0
+    for i in range(vectors.shape[0]):
+        for c in range(3):
+            x = abs(vectors[i, c])
+            if not np.isfinite(x):
+                return np.inf
+            largest = max(largest, x)
+    return largest
+
+
+@kernel
+def overlap(first, second):
+    """Σ a·b of two (N, 3) arrays."""
+    total = 0.0
+    for i in range(first.shape[0]):
+        total += first[i, 0] * second[i, 0] + first[i, 1] * second[i, 1] + first[i, 2] * second[i, 2]
+    return total
+
+
+@kernel
+def steer(velocities, forces, timestep, mixing, most):
+    """v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|; then all v are shortened alike so that Δt |v_i| ≤ most. (N, 3) both."""
+    v2, f2 = 0.0, 0.0
+    for i in range(velocities.shape[0]):
+        for c in range(3):
+            velocities[i, c] += timestep * forces[i, c]
+            v2 += velocities[i, c] * velocities[i, c]
+            f2 += forces[i, c] * forces[i, c]
+    along = mixing * np.sqrt(v2 / f2) if f2 > 0.0 else 0.0
+    for i in range(velocities.shape[0]):
+        for c in range(3):
+            velocities[i, c] = (1.0 - mixing) * velocities[i, c] + along * forces[i, c]
+    stride = timestep * longest(velocities)[1]
+    if stride > most:
+        for i in range(velocities.shape[0]):
+            for c in range(3):
+                velocities[i, c] *= most / stride
+
+
+class Descent:
+    """A way down, made in place on the positions of the system of some forces.
+
+    Attributes
+    ----------
+    n_steps : made so far.  largest_force : the longest force on an atom that constraints leave [energy/length].
+    stop_requested : set it to True to end after the present step.
+    """
+
+    def __init__(self, forces: Forces, rigidity: Rigidity, max_step_length: float) -> None:
+        self._engine, self._rigidity, self._longest = forces, rigidity, max_step_length
+        self._system, self._positions = forces.system, forces.system.positions
+        self._forces = np.zeros_like(self._positions)
+        self._velocities = np.zeros_like(self._positions)
+        self._curvature = 0.0
+        self._probe = _random_like(self._positions)
+        self._tolerance, self._max_steps = 0.0, 0
+        self.n_steps, self.largest_force, self.stop_requested = 0, 0.0, False
+
+    def begin(self) -> float:
+        """Put lengths right and evaluate the forces; return the largest one, infinite if atoms had to be pushed apart first.
+
+        Raises
+        ------
+        NonFiniteError : for two atoms on one spot, and where forces are not finite for another reason.
+        ConstraintError : if the lengths cannot be put right.
+        """
+        bonds = self._rigidity.bonds
+        if bonds is not None and bonds.violation(self._positions).max() > bonds.tolerance:
+            bonds.project_positions(self._positions)
+        n_pushes = self._evaluate()
+        return np.inf if n_pushes else self.largest_force
+
+    def run(self, tolerance: float, max_steps: int, tell: Callable[[int], None]) -> None:
+        """Go down until no force is longer than the tolerance, or after max_steps.  tell : is told how many steps are made.
+
+        Raises
+        ------
+        As begin.
+        """
+        self._max_steps, self._tolerance, self._tell = max_steps, tolerance, tell
+        self._steepest()
+        self._fire()
+
+    def _goes_on(self) -> bool:
+        return self.largest_force > self._tolerance and self.n_steps < self._max_steps and not self.stop_requested
+
+    def _steepest(self) -> None:
+        """Steepest descent with the atom of the largest force moved by the longest step, as long as that makes the force fall."""
+        while self._goes_on():
+            before, forces, largest = self._positions.copy(), self._forces.copy(), self.largest_force
+            if self._moved(self._forces * (self._longest / largest), 1.0):
+                self._evaluate()
+                self._count()
+                if self.largest_force < FALLING * largest:
+                    continue
+            self._positions[:], self._forces[:], self.largest_force = before, forces, largest
+            return
+
+    def _fire(self) -> None:
+        timestep, mixing, downhill, refused = self._first_timestep(), MIXING, 0, 0
+        while self._goes_on():
+            if overlap(self._forces, self._velocities) > 0.0:
+                downhill += 1
+                if downhill > DELAY:
+                    timestep, mixing = timestep * FASTER, mixing * LESS_MIXING
+            elif self._velocities.any():
+                self._moved(self._velocities.copy(), -0.5 * timestep)
+                timestep, mixing, downhill = timestep * SLOWER, MIXING, 0
+                self._velocities[:] = 0.0
+            timestep = min(timestep, LONGEST / np.sqrt(self._curvature))
+            steer(self._velocities, self._forces, timestep, mixing, self._longest)
+            if self._moved(self._velocities, timestep):
+                self._evaluate()
+                self._count()
+                if self.n_steps % PROBE_EVERY == 0:
+                    self._try_curvature()
+                refused = 0
+            else:
+                timestep, refused = timestep * SLOWER, refused + 1
+                self._velocities[:] = 0.0
+                if refused > REFUSALS:
+                    raise ConstraintError(f"no step of the minimization keeps the constraints; the closest pair is {closest_pair(self._system)}")
+
+    def _first_timestep(self) -> float:
+        """A part of 1/√κ."""
+        if not self._goes_on():
+            return 0.0
+        for _ in range(FIRST_SERIES):
+            self._try_curvature()
+        return FIRST / np.sqrt(self._curvature)
+
+    def _try_curvature(self) -> None:
+        """κ from power iterations, which go on where the last series ended; at least so large that a first step is no longer than the longest."""
+        before, forces, largest, shown = self._positions.copy(), self._forces.copy(), self.largest_force, 0.0
+        for _ in range(PROBES):
+            self._rigidity.project(self._probe, before)
+            if not self._probe.any():  # no curvature at all
+                self._probe = _random_like(before)
+                break
+            steps = self._probe * (PROBE * self._longest / longest(self._probe)[1])
+            self._positions[:] = before + steps
+            self._evaluate()
+            self._probe = forces - self._forces
+            shown = np.sqrt(overlap(self._probe, self._probe) / overlap(steps, steps))
+        self._positions[:], self._forces[:], self.largest_force = before, forces, largest
+        self._curvature = max(shown, largest / self._longest)
+
+    def _count(self) -> None:
+        self.n_steps += 1
+        self._tell(self.n_steps)
+
+    def _moved(self, velocities: Array, duration: float) -> bool:
+        """Move all atoms, velocities being changed as constraints demand; False, and nothing moved, if they cannot be kept."""
+        bonds = self._rigidity.bonds
+        if bonds is None:
+            self._positions += duration * velocities
+            return True
+        before = self._positions.copy()
+        try:
+            bonds.drift(self._positions, velocities, duration)
+            bonds.project_velocities(velocities, self._positions)
+            return True
+        except ConstraintError:
+            self._positions[:] = before
+            return False
+
+    def _evaluate(self) -> int:
+        """Forces that constraints leave, of finite squares, and the largest of them; how many pairs had to be pushed apart for that."""
+        n_pushes = 0
+        while not np.isfinite(largest := largest_component(self._engine.compute())):
+            n_pushes += 1
+            self._push_apart(n_pushes)
+        self._forces[:] = self._engine.forces * min(1.0, LARGEST / max(largest, 1.0))
+        self._rigidity.project(self._forces, self._positions)
+        self.largest_force = longest(self._forces)[1]
+        return n_pushes
+
+    def _push_apart(self, n_pushes: int) -> None:
+        """Move the closest pair, whose forces are infinite, apart along the line that joins it, by half the longest step each."""
+        pair = closest_pair(self._system)
+        if pair is None or pair.distance > self._longest or n_pushes > PUSHES or not np.isfinite(self._positions).all():
+            raise NonFiniteError(f"forces are not finite; the closest pair is {pair}")
+        if pair.distance == 0.0:
+            raise NonFiniteError(f"atoms {pair.first} and {pair.second} lie on one spot: no force tells where they should go; move or remove one")
+        i, j = pair.first, pair.second
+        arm = self._positions[j] - self._positions[i] + nearest_images(self._system, np.array([[i, j]]))[0]
+        velocities = np.zeros_like(self._positions)
+        velocities[i], velocities[j] = -arm / pair.distance, arm / pair.distance
+        self._rigidity.project(velocities, self._positions)
+        if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):
+            raise NonFiniteError(f"forces are not finite; the closest pair is {pair}, and constraints hold it there")
+
+
+def _random_like(positions: Array) -> Array:
+    return np.random.default_rng(1).standard_normal(positions.shape)

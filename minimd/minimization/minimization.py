@@ -1,0 +1,142 @@
+"""Minimization: down the potential energy to the nearest minimum, from any start in which no two atoms lie on one spot."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, isfinite
+from numbers import Integral, Real
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from minimd.constraints.constraint_set import Constraint, Rigidity
+from minimd.forces.forces import Forces, Potential
+from minimd.minimization.fire import Descent
+from minimd.potentials.pair_loop import TOTALS
+from minimd.structure.console import Progress, stop_on_interrupt
+from minimd.structure.errors import Interrupted
+from minimd.structure.system import System
+
+if TYPE_CHECKING:
+    import ase
+
+FORCE_TOLERANCE = 1e-6  # [energy/length], in reduced units and in eV/Å
+MAX_STEPS = 10_000
+MAX_STEP_LENGTH = 0.1  # [length], in σ and in Å
+
+
+@dataclass(frozen=True)
+class Minimization:
+    """What a minimization did. Print it.
+
+    Attributes
+    ----------
+    system : System, where it ended.  converged : whether largest_force is within the tolerance.
+    n_steps : made.  n_evaluations : of the forces.
+    largest_force, largest_force_before : the longest of the forces on single atoms, without the part that constraints take [energy/length].
+    potential_energy, potential_energy_before : U [energy]; infinite where it could not be told.
+    force_tolerance : the one asked for [energy/length].
+    """
+
+    system: System
+    converged: bool
+    n_steps: int
+    n_evaluations: int
+    largest_force: float
+    largest_force_before: float
+    potential_energy: float
+    potential_energy_before: float
+    force_tolerance: float
+
+    def __str__(self) -> str:
+        units = self.system.units
+        unit = f"{units.energy}/{units.length}"
+        return (
+            f"minimization   {'converged' if self.converged else 'not converged'} after {self.n_steps} steps\n"
+            f"energy         {self.potential_energy_before:.10g} -> {self.potential_energy:.10g} {units.energy}\n"
+            f"largest force  {self.largest_force_before:.3g} -> {self.largest_force:.3g} {unit}, tolerance {self.force_tolerance:.3g}"
+        )
+
+
+def minimize(
+    system: "System | ase.Atoms",
+    potentials: Potential | Sequence[Potential],
+    constraints: Constraint | Sequence[Constraint] | None = None,
+    *,
+    force_tolerance: float = FORCE_TOLERANCE,
+    max_steps: int = MAX_STEPS,
+    max_step_length: float = MAX_STEP_LENGTH,
+    progress: bool | None = None,
+) -> Minimization:
+    """A minimum of the potential energy near the given state, by FIRE; the system that is given stays as it is.
+
+    No step moves an atom farther than max_step_length, so that atoms far too close to each other find their way out, whatever
+    their forces. Two atoms on exactly one spot are refused: no force tells where they should go, and nearly always one of them is
+    there twice. A start where all forces vanish stays as it is, even if it is no minimum: shake a crystal whose symmetry should break.
+    Constraints are kept, fixed atoms stay; velocities stay too, but for what constraints forbid in the new place.
+
+    Parameters
+    ----------
+    system, potentials, constraints : as for Simulation.
+    force_tolerance : converged when no atom feels a longer force [energy/length]. Where the force jumps at the cutoff (truncation
+        "shifted" or "truncated"), there may be no place where all forces vanish, and the search ends with max_steps.
+    max_steps : at most; the result tells whether they sufficed.
+    max_step_length : longest way of an atom in a step [length].
+    progress : as for Simulation.run.
+
+    Raises
+    ------
+    NonFiniteError : for two atoms on one spot, or forces that are not finite though no atoms are close.
+    ConstraintError : if constraints cannot be kept.  TypeError, ValueError : as Simulation.
+    KeyboardInterrupt : after Ctrl-C; its attribute result is the Minimization so far.
+
+    E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006); J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020).
+    """
+    system = system.copy() if isinstance(system, System) else System.from_ase(system)
+    rigidity = Rigidity(system, system.constraints if constraints is None else constraints)
+    forces = Forces(system, potentials)
+    return minimized(forces, rigidity, force_tolerance, max_steps, max_step_length, progress)
+
+
+def minimized(
+    forces: Forces, rigidity: Rigidity, force_tolerance: float, max_steps: int, max_step_length: float, progress: bool | None
+) -> Minimization:
+    """Minimize the system of some forces in place; see minimize."""
+    _check(force_tolerance, max_steps, max_step_length)
+    system = forces.system
+    evaluated = forces.n_evaluations
+    energy_before = _potential_energy(forces)
+    rigidity.fit(system)
+    descent = Descent(forces, rigidity.with_equal_masses(system), max_step_length)
+    with Progress(max_steps, "minimizing", progress) as bar, stop_on_interrupt(descent):
+        largest_before = descent.begin()
+        descent.run(force_tolerance, max_steps, bar.advance_to)
+    rigidity.project(system.velocities, system.positions)
+    result = Minimization(
+        system=system,
+        converged=descent.largest_force <= force_tolerance,
+        n_steps=descent.n_steps,
+        n_evaluations=forces.n_evaluations - evaluated + 1,
+        largest_force=descent.largest_force,
+        largest_force_before=largest_before,
+        potential_energy=_potential_energy(forces),
+        potential_energy_before=energy_before,
+        force_tolerance=float(force_tolerance),
+    )
+    if descent.stop_requested and not result.converged:
+        raise Interrupted(f"stopped after step {result.n_steps} of the minimization", result)
+    return result
+
+
+def _potential_energy(forces: Forces) -> float:
+    with np.errstate(all="ignore"):
+        forces.compute(TOTALS)
+        energy = forces.potential_energy
+    return energy if isfinite(energy) else inf
+
+
+def _check(force_tolerance: float, max_steps: int, max_step_length: float) -> None:
+    for name, value in (("force_tolerance", force_tolerance), ("max_step_length", max_step_length)):
+        if not (isinstance(value, Real) and isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} must be positive and finite; {name} = {value!r}")
+    if not isinstance(max_steps, Integral) or isinstance(max_steps, bool) or max_steps < 0:
+        raise ValueError(f"max_steps must be a whole number, at least 0; max_steps = {max_steps!r}")

@@ -1,0 +1,102 @@
+"""Neighbors for others to use: the list in ASE's form, the closest pair."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.neighbors.pair_list import PairList
+from minimd.structure.system import LARGEST, System
+
+QUANTITIES = "ijdDS"
+
+
+def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArray, ...] | NDArray:
+    """Neighbors within a cutoff, each pair in both directions, sorted by the first atom.
+
+    Parameters
+    ----------
+    quantities : any of the letters of ASE's neighbor_list, in any order:
+        i, j : (P,) int, the two atoms;  d : (P,) distance [length];  D : (P, 3) r_j − r_i + S · cell [length];
+        S : (P, 3) int, lattice vectors of system.cell to add to r_j.
+    cutoff : [length], > 0 and finite.
+
+    Raises
+    ------
+    ValueError : for an unknown letter or a cutoff that is not positive and finite.
+    """
+    if not set(quantities) <= set(QUANTITIES):
+        raise ValueError(f"quantities must be letters of {QUANTITIES!r}; quantities = {quantities!r}")
+    if not (np.isfinite(cutoff) and cutoff > 0.0):
+        raise ValueError(f"cutoff must be positive and finite; cutoff = {cutoff}")
+    found = _all_directions(system, cutoff)
+    answer = tuple(found[quantity] for quantity in quantities)
+    return answer if len(answer) > 1 else answer[0]
+
+
+def _all_directions(system: System, cutoff: float) -> dict[str, NDArray]:
+    cell, positions = system.cell, system.positions
+    pair_list = PairList(len(system), cutoff, 0.0, np.zeros((0, 2), dtype=np.int64))
+    pair_list.update(positions, cell)
+    pairs, order = pair_list.pairs, pair_list.order
+    first = np.repeat(np.arange(len(system)), np.diff(pairs.start))
+    steps = (pair_list.offsets @ cell.inverse)[pairs.second] - (pair_list.offsets @ cell.inverse)[first]
+    if cell.is_periodic:
+        steps = steps + (pairs.translations @ cell.inverse)[pairs.image]
+    shifts = np.rint(steps).astype(np.int64) @ cell.reduction
+    i, j = order[first], order[pairs.second]
+    i, j, shifts = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([shifts, -shifts])
+    by_first = np.lexsort((*shifts.T, j, i))
+    i, j, shifts = i[by_first], j[by_first], shifts[by_first]
+    vectors = positions[j] - positions[i] + shifts @ cell.vectors
+    return {"i": i, "j": j, "d": np.linalg.norm(vectors, axis=1), "D": vectors, "S": shifts}
+
+
+BEYOND = 1.0 + 1e-9  # of a distance, to find the pair that has it
+
+
+class ClosestPair(NamedTuple):
+    """Atoms first and second, distance apart [length] through the nearest image."""
+
+    first: int
+    second: int
+    distance: float
+
+    def __str__(self) -> str:
+        return f"atoms {self.first} and {self.second}, {self.distance:.3g} apart"
+
+
+def closest_pair(system: System) -> ClosestPair | None:
+    """The two atoms that are closest to each other; None for a single atom in an open cell or where no distance is finite.
+
+    Atoms in one cell first, in N log N however unevenly they lie; what is closer through an image is then
+    searched within that distance of the faces.
+    """
+    known, cell = np.flatnonzero((np.abs(system.positions) <= LARGEST).all(axis=1)), system.cell
+    if known.size == 0 or (known.size == 1 and not cell.is_periodic):
+        return None
+    fractional = np.einsum("ij,jk->ik", system.positions[known], cell.inverse)
+    fractional = np.where(cell.pbc, fractional - np.floor(fractional), fractional)
+    here = fractional @ cell.lattice
+    best = _closest_of(here)
+    reach = BEYOND * min(best.distance, float(np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf)))  # an atom and its own image
+    from_faces = (np.minimum(fractional, 1.0 - fractional) * cell.heights)[:, cell.pbc]
+    near = np.flatnonzero((from_faces <= reach).any(axis=1))
+    if near.size and reach > 0.0:
+        i, j, d = neighbor_list("ijd", System(here[near], cell=cell), reach)
+        if d.min(initial=np.inf) < best.distance:
+            p = int(np.argmin(d))
+            best = ClosestPair(int(near[i[p]]), int(near[j[p]]), float(d[p]))
+    return ClosestPair(int(known[best.first]), int(known[best.second]), best.distance)
+
+
+def _closest_of(positions: NDArray[np.float64]) -> ClosestPair:
+    """Without images; a distance of infinity for one atom."""
+    if len(positions) == 1:
+        return ClosestPair(0, 0, np.inf)
+    from scipy.spatial import KDTree
+
+    distances, partners = KDTree(positions).query(positions, k=2)
+    i = int(np.argmin(distances[:, 1]))
+    j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
+    return ClosestPair(min(i, j), max(i, j), float(distances[i, 1]))

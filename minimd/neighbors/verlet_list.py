@@ -1,0 +1,120 @@
+"""When a list of neighbors must be built anew: the one rule for all lists."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiled.kernels import kernel
+from minimd.structure.cell import Cell
+from minimd.structure.errors import NonFiniteError
+
+DEFAULT_SKIN = 0.12  # of the cutoff, where nothing is known about the speed of the atoms
+LEAST_SKIN = 0.02  # of the cutoff
+SKINS = np.geomspace(LEAST_SKIN, 1.0, 100)  # of the cutoff, to choose from
+STEP_COST = (16.0, 3.0)  # ns per atom: a constant, and per atom in a cube as wide as the list reaches
+BUILD_COST = (40.0, 5.0)  # ns per atom, likewise
+
+
+def best_skin(cutoff: float, density: float, stride: float) -> float:
+    """The skin that makes a step cheapest [length].
+
+        cost(s) = step(c) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / stride steps between two builds
+
+    cutoff : r_c [length].  density : ρ [1/length³].  stride : how far the fastest atom moves in a step [length].
+    The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat.
+    """
+    if not stride > 0.0:
+        return DEFAULT_SKIN * cutoff
+    skins = SKINS * cutoff
+    crowd = density * (cutoff + skins) ** 3
+    builds = np.minimum(1.0, 2.0 * stride / skins)  # in each step
+    cost = STEP_COST[0] + STEP_COST[1] * crowd + (BUILD_COST[0] + BUILD_COST[1] * crowd) * builds
+    return float(skins[np.argmin(cost)])
+
+
+class ListWithSkin(ABC):
+    """A list kept for as long as no atom can have come into reach unseen.
+
+    All pairs within cutoff + skin are listed; a pair beyond that needs one of its atoms to move more than skin/2 before it
+    can come within the cutoff. The displacements that count are true ones: an atom moved by a lattice vector has moved.
+
+    Parameters
+    ----------
+    cutoff : [length].
+    skin : [length], ≥ 0.
+    excluded : (P, 2) int, pairs whose nearest image is left out.
+    """
+
+    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
+        self.cutoff, self.skin = cutoff, skin
+        self.n_builds = 0
+        self._excluded_start, self._excluded = partners(excluded, n_atoms)
+        self._cell: Cell | None = None
+        self._built_at = np.empty((0, 3))
+
+    @abstractmethod
+    def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
+        """List what is within cutoff + skin."""
+
+    @property
+    def has_excluded(self) -> bool:
+        """True if a pair is left out."""
+        return self._excluded.size > 0
+
+    def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
+        """Build the list anew if it can miss a pair; True if it was built.
+
+        Raises
+        ------
+        NonFiniteError : if a position is not finite.
+        """
+        if self._cell is not None and cell.same_as(self._cell) and not self._moved_too_far(positions):
+            return False
+        if self._built_at.shape != positions.shape:
+            self._built_at = np.empty_like(positions)
+        self._cell = None  # no list until the new one is whole
+        n_bad, first = copy_finite(positions, self._built_at)
+        if n_bad:
+            raise NonFiniteError(f"positions of {n_bad} atoms are not finite, the first is atom {first}")
+        self._build(positions, cell)
+        self._cell, self.n_builds = cell, self.n_builds + 1
+        return True
+
+    def _moved_too_far(self, positions: NDArray[np.float64]) -> bool:
+        if self.cutoff == np.inf:
+            return not np.isfinite(positions).all()
+        return bool(any_moved(positions, self._built_at, 0.25 * self.skin**2))
+
+
+@kernel
+def any_moved(positions, reference, limit2):
+    """True if an atom is farther than the square root of limit2 from where it was, or nowhere (NaN)."""
+    for i in range(positions.shape[0]):
+        dx = positions[i, 0] - reference[i, 0]
+        dy = positions[i, 1] - reference[i, 1]
+        dz = positions[i, 2] - reference[i, 2]
+        if not dx * dx + dy * dy + dz * dz <= limit2:
+            return True
+    return False
+
+
+@kernel
+def copy_finite(positions, copy):
+    """Copy positions, (N, 3); returns how many atoms have one that is not finite, and the first of them."""
+    n_bad, first = 0, -1
+    for i in range(positions.shape[0]):
+        copy[i, 0], copy[i, 1], copy[i, 2] = positions[i, 0], positions[i, 1], positions[i, 2]
+        if not np.isfinite(positions[i, 0] + positions[i, 1] + positions[i, 2]):
+            first = i if n_bad == 0 else first
+            n_bad += 1
+    return n_bad, first
+
+
+def partners(pairs: NDArray[np.int64], n_atoms: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs as a table: the partners of atom a are values[start[a] : start[a + 1]]."""
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    start = np.zeros(n_atoms + 1, dtype=np.int64)
+    np.cumsum(np.bincount(both[:, 0], minlength=n_atoms), out=start[1:])
+    return start, np.ascontiguousarray(both[:, 1])

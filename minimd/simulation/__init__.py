@@ -1,0 +1,1 @@
+"""The face of minimd: runs, equilibration, minimization, report."""

@@ -1,0 +1,79 @@
+"""ASE's constraints as minimd's, and back."""
+
+import numpy as np
+from ase import Atoms
+from ase.constraints import FixAtoms, FixBondLengths, FixCom, FixConstraint, FixLinearTriatomic
+from ase.geometry import find_mic
+from numpy.typing import NDArray
+
+from minimd.constraints.constraint_set import Constraint, FixedAtoms, lengths_of
+from minimd.constraints.distance import TOLERANCE, DistanceConstraints
+from minimd.structure.system import System
+
+Pairs = tuple[NDArray[np.int64], NDArray[np.float64]]
+UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCom"
+
+
+def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
+    """The constraints of atoms: lengths, linear molecules and fixed atoms. FixCom asks for nothing that a System keeps: see fixes_center.
+
+    Raises
+    ------
+    ValueError : for a constraint of another kind, by name.
+    """
+    lengths: list[Pairs] = []
+    tolerances: list[float] = []
+    fixed: list[int] = []
+    for constraint in atoms.constraints:
+        if isinstance(constraint, FixBondLengths):
+            lengths.append(_bonds(atoms, constraint))
+            tolerances.append(float(constraint.tolerance))
+        elif isinstance(constraint, FixLinearTriatomic):
+            lengths.append(_rods(atoms, constraint))
+        elif isinstance(constraint, FixAtoms):
+            fixed.extend(np.arange(len(atoms))[constraint.index])
+        elif type(constraint) is not FixCom:
+            name = type(constraint).__name__
+            raise ValueError(f"atoms.constraints may hold {UNDERSTOOD}; it holds {name}: remove it, or use ASE's dynamics")
+    if fixed and fixes_center(atoms):
+        raise ValueError("atoms.constraints holds FixCom beside FixAtoms: with fixed atoms the center of mass does not stay by itself; remove one")
+    answer: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
+    if lengths:
+        pairs, values = (np.concatenate(part) for part in zip(*lengths, strict=True))
+        answer.append(DistanceConstraints(pairs, values, min(tolerances, default=TOLERANCE)))
+    return tuple(answer)
+
+
+def ases_constraints_of(system: System) -> list[FixConstraint]:
+    """The constraints of a system for an ase.Atoms: FixAtoms, and FixBondLengths with the lengths; ASE has one solver of its own."""
+    answer: list[FixConstraint] = []
+    for constraint in system.constraints:
+        if isinstance(constraint, FixedAtoms):
+            answer.append(FixAtoms(indices=constraint.atoms))
+        else:
+            lengths = lengths_of(system, constraint)
+            answer.append(FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths.copy()))
+    return answer
+
+
+def fixes_center(atoms: Atoms) -> bool:
+    """Whether the center of mass is held: minimd conserves momentum, so that it is enough to begin with none."""
+    return any(isinstance(constraint, FixCom) for constraint in atoms.constraints)
+
+
+def _bonds(atoms: Atoms, constraint: FixBondLengths) -> Pairs:
+    pairs = np.asarray(constraint.pairs, dtype=np.int64)
+    return pairs, _distances(atoms, pairs) if constraint.bondlengths is None else np.asarray(constraint.bondlengths, dtype=float)
+
+
+def _rods(atoms: Atoms, constraint: FixLinearTriatomic) -> Pairs:
+    """Both arms of each molecule and the distance of its ends, which is the sum of the arms."""
+    triples = np.asarray(constraint.triples, dtype=np.int64)
+    arms = np.concatenate([triples[:, [0, 1]], triples[:, [1, 2]]])
+    lengths = _distances(atoms, arms)
+    return np.concatenate([arms, triples[:, [0, 2]]]), np.concatenate([lengths, lengths.reshape(2, -1).sum(axis=0)])
+
+
+def _distances(atoms: Atoms, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Distances to the nearest image [Å]."""
+    return find_mic(atoms.positions[pairs[:, 1]] - atoms.positions[pairs[:, 0]], atoms.cell, atoms.pbc)[1]

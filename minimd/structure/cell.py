@@ -1,0 +1,212 @@
+"""The simulation cell: any three lattice vectors, each direction periodic or open, and the images they make."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.compiled.kernels import kernel, scalar
+
+FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
+SIZES = (1e-75, 1e75)  # of lattice vectors [length]: their fourth powers are still numbers
+SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Lattice vectors and periodicity, checked, with the reduced lattice that searches use. Made by Cell.of; never changed.
+
+    Attributes
+    ----------
+    vectors : (3, 3) array [length]; rows are the lattice vectors as the user gave them, zeros where there is none.
+    pbc : (3,) bool; direction k repeats with vectors[k].
+    lattice : (3, 3) array [length]; the same lattice from its shortest vectors; an open direction holds a unit vector
+        perpendicular to the periodic ones, whatever vectors says there.
+    reduction : (3, 3) int; lattice = reduction @ vectors on periodic rows, zero on open ones.
+    inverse : (3, 3) array [1/length]; positions @ inverse are fractional coordinates in lattice.
+    heights : (3,) array [length]; distance of the two faces across each direction of lattice.
+    """
+
+    vectors: NDArray[np.float64]
+    pbc: NDArray[np.bool_]
+    lattice: NDArray[np.float64] = field(init=False)
+    reduction: NDArray[np.int64] = field(init=False)
+    inverse: NDArray[np.float64] = field(init=False)
+    heights: NDArray[np.float64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        _check_independent(self.vectors, self.pbc)
+        lattice, reduction = _reduced(self.vectors, self.pbc)
+        inverse = np.linalg.inv(lattice)
+        set_field = object.__setattr__
+        set_field(self, "lattice", np.ascontiguousarray(lattice))
+        set_field(self, "reduction", reduction)
+        set_field(self, "inverse", np.ascontiguousarray(inverse))
+        set_field(self, "heights", 1.0 / np.linalg.norm(inverse, axis=0))
+        for array in (self.vectors, self.pbc, self.lattice, self.reduction, self.inverse, self.heights):
+            array.setflags(write=False)
+
+    @classmethod
+    def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> "Cell":
+        """A cell from one length, three lengths or a (3, 3) array of rows; pbc defaults to True where a vector is given.
+
+        Raises
+        ------
+        ValueError : if the shape is another, a number is not finite, a periodic direction has no vector, or the
+            periodic vectors are linearly dependent.
+        """
+        matrix = _as_matrix(vectors)
+        given = np.any(matrix != 0.0, axis=1)
+        periodic = given if pbc is None else np.array(np.broadcast_to(np.asarray(pbc, dtype=bool), 3))
+        if np.any(periodic & ~given):
+            direction = int(np.flatnonzero(periodic & ~given)[0])
+            raise ValueError(f"pbc[{direction}] is True but cell[{direction}] is zero; give a lattice vector or set pbc to False there")
+        return cls(matrix, periodic)
+
+    @property
+    def is_periodic(self) -> bool:
+        """True if any direction repeats."""
+        return bool(self.pbc.any())
+
+    @property
+    def volume(self) -> float | None:
+        """Volume of the cell [length³]; None unless all three directions are periodic."""
+        return float(abs(np.linalg.det(self.vectors))) if self.pbc.all() else None
+
+    @property
+    def safe_distance2(self) -> float:
+        """Squared length below which a vector is certainly its own minimum image: (half the smallest height)² [length²]."""
+        return float((0.5 * self.heights[self.pbc].min()) ** 2) if self.is_periodic else np.inf
+
+    def wrapped(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions moved by lattice vectors into the cell spanned by vectors, in its periodic directions; a new array."""
+        full = np.where(self.pbc[:, None], self.vectors, self.lattice)
+        cells = np.floor(positions @ np.linalg.inv(full))
+        return positions - np.where(self.pbc, cells, 0.0) @ full
+
+    def same_as(self, other: "Cell") -> bool:
+        """True if vectors and periodicity are equal to the last bit."""
+        return self is other or (np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc))
+
+
+@scalar
+def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
+    """Integers (a, b, c) for which d + (a, b, c) · lattice is shortest.
+
+    Rounding the fractional coordinates is right for vectors shorter than half the smallest height; longer ones are
+    compared with their 26 neighbors, which suffices in a reduced lattice.
+    """
+    a = -np.rint(dx * inverse[0, 0] + dy * inverse[1, 0] + dz * inverse[2, 0]) if pbc[0] else 0.0
+    b = -np.rint(dx * inverse[0, 1] + dy * inverse[1, 1] + dz * inverse[2, 1]) if pbc[1] else 0.0
+    c = -np.rint(dx * inverse[0, 2] + dy * inverse[1, 2] + dz * inverse[2, 2]) if pbc[2] else 0.0
+    shortest2 = _length2(dx, dy, dz, a, b, c, lattice)
+    if shortest2 <= safe_distance2:
+        return a, b, c
+    best = (a, b, c)
+    for i in range(-int(pbc[0]), int(pbc[0]) + 1):
+        for j in range(-int(pbc[1]), int(pbc[1]) + 1):
+            for k in range(-int(pbc[2]), int(pbc[2]) + 1):
+                length2 = _length2(dx, dy, dz, a + i, b + j, c + k, lattice)
+                if length2 < shortest2:
+                    shortest2 = length2
+                    best = (a + i, b + j, c + k)
+    return best
+
+
+@scalar
+def _length2(dx, dy, dz, a, b, c, lattice):
+    x = dx + a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
+    y = dy + a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
+    z = dz + a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
+    return x * x + y * y + z * z
+
+
+@kernel
+def minimum_image_translations(positions, first, second, lattice, inverse, pbc, safe_distance2, translations):
+    """translations[p] = the lattice vector that makes r_j − r_i + translation shortest, for fixed pairs (i, j) = (first, second)[p].
+
+    positions : (N, 3) [length].  first, second : (P,) int.
+    translations : (P, 3) [length], lattice vectors, such as zeros or those of a moment ago; kept where they are still certainly right.
+    """
+    for p in range(first.size):
+        i, j = first[p], second[p]
+        dx = positions[j, 0] - positions[i, 0]
+        dy = positions[j, 1] - positions[i, 1]
+        dz = positions[j, 2] - positions[i, 2]
+        x, y, z = dx + translations[p, 0], dy + translations[p, 1], dz + translations[p, 2]
+        if x * x + y * y + z * z <= safe_distance2:
+            continue
+        a, b, c = minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2)
+        for k in range(3):
+            translations[p, k] = a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]
+
+
+def _as_matrix(vectors: ArrayLike | None) -> NDArray[np.float64]:
+    if vectors is None:
+        return np.zeros((3, 3))
+    array = np.array(vectors, dtype=np.float64)
+    if array.ndim == 0 or array.shape == (3,):
+        if (array < 0.0).any():
+            raise ValueError(f"lengths of a cell must not be negative; cell = {array.tolist()}")
+        array = np.diag(np.broadcast_to(array, 3)).copy()
+    if array.shape != (3, 3):
+        raise ValueError(f"cell must be one length, three lengths or a (3, 3) array of rows; its shape is {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"cell must be finite; cell = {array.tolist()}")
+    return array
+
+
+def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> None:
+    rows = vectors[pbc]
+    if rows.size == 0:
+        return
+    largest = np.abs(rows).max(axis=1)
+    if largest.min() < SIZES[0] or largest.max() > SIZES[1]:
+        raise ValueError(f"lattice vectors must be between {SIZES[0]:g} and {SIZES[1]:g} long; take other units: they are {rows.tolist()}")
+    unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
+        raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}")
+
+
+def _reduced(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Minkowski-reduced periodic rows, completed to three dimensions; and the integers that make them from vectors."""
+    periodic = np.flatnonzero(pbc)
+    steps = np.eye(len(periodic), dtype=np.int64)
+    while _shorten_once(steps, vectors[periodic]):
+        pass
+    lattice, reduction = np.zeros((3, 3)), np.zeros((3, 3), dtype=np.int64)
+    reduction[np.ix_(periodic, periodic)] = steps
+    lattice[periodic] = steps @ vectors[periodic]
+    return _completed(lattice, pbc), reduction
+
+
+def _shorten_once(steps: NDArray[np.int64], rows: NDArray[np.float64]) -> bool:
+    """Replace one vector of steps @ rows by a shorter one of the same lattice; False if there is none."""
+    current = steps @ rows
+    length2 = (current**2).sum(axis=1)
+    for i in np.argsort(-length2):
+        for candidate in _neighbors(i, steps, current, length2):
+            if ((candidate @ rows) ** 2).sum() < SHORTER * length2[i]:
+                steps[i] = candidate
+                return True
+    return False
+
+
+def _neighbors(i: int, steps: NDArray[np.int64], current: NDArray[np.float64], length2: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+    """Vector i plus the others: once by the rounded projection (Gauss), then by all of −1, 0, 1 (Minkowski's conditions)."""
+    others = [j for j in range(len(steps)) if j != i]
+    gauss = [steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j] for j in others]
+    near = [steps[i].copy()]
+    for j in others:
+        near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]
+    return gauss + near
+
+
+def _completed(lattice: NDArray[np.float64], pbc: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Open rows filled with unit vectors perpendicular to the periodic ones and to each other."""
+    complete = lattice.copy()
+    rank = int(pbc.sum())
+    if rank < 3:
+        _, _, directions = np.linalg.svd(lattice[pbc]) if rank else (None, None, np.eye(3))
+        complete[~pbc] = directions[rank:]
+    return complete

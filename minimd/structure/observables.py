@@ -1,0 +1,131 @@
+"""What can be measured on a state: energies, temperature, pressure, linear and angular momentum.
+
+Sums are compiled: they need no memory, and no threads of BLAS, which would spin for a while on the cores that the forces need.
+"""
+
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiled.kernels import kernel
+from minimd.integrators.splitting.splitting import kinetic_energy as kinetic_energy_of
+
+Array = NDArray[np.float64]
+
+
+def kinetic_energy(velocities: Array, masses: Array) -> float:
+    """K = Σ ½ m v² [energy].  velocities : (N, 3).  masses : (N,)."""
+    return float(kinetic_energy_of(np.ascontiguousarray(velocities), masses))
+
+
+def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True) -> int:
+    """3N − 3 − n_constraints where the total momentum is a constant, else 3N − n_constraints; a single atom keeps its three.
+
+    n_atoms : those that are not held fixed.
+
+    Raises
+    ------
+    ValueError : if none is left.
+    """
+    n_dof = 3 * n_atoms - (3 if n_atoms > 1 and conserves_momentum else 0) - n_constraints
+    if n_dof <= 0:
+        raise ValueError(f"no degree of freedom is left for {n_atoms} atoms with {n_constraints} constraints")
+    return n_dof
+
+
+def temperature(velocities: Array, masses: Array, k_B: float = 1.0, n_dof: int | None = None) -> float:  # noqa: N803
+    """Kinetic temperature T = 2K / (n_dof k_B), for total momentum zero; n_dof is 3N − 3 if not given, see degrees_of_freedom.
+
+    Raises
+    ------
+    ValueError : if no degree of freedom is left.
+    """
+    return 2.0 * kinetic_energy(velocities, masses) / ((n_dof or degrees_of_freedom(len(masses))) * k_B)
+
+
+def pressure(kinetic: float, virial: Array, volume: float) -> float:
+    """P = (2K + tr W) / 3V [energy/length³], with W = Σ f r_ij ⊗ r_ij, (3, 3).
+
+    M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 2.60-2.61.
+    """
+    return (2.0 * kinetic + float(np.trace(virial))) / (3.0 * volume)
+
+
+@kernel
+def _momentum(velocities, masses):
+    px = py = pz = 0.0
+    for i in range(masses.size):
+        px += masses[i] * velocities[i, 0]
+        py += masses[i] * velocities[i, 1]
+        pz += masses[i] * velocities[i, 2]
+    return px, py, pz
+
+
+@kernel
+def _absolute_momentum(velocities, masses):
+    total = 0.0
+    for i in range(masses.size):
+        total += masses[i] * sqrt(velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
+    return total
+
+
+@kernel
+def longest(vectors):
+    """Index and length of the longest of (N, 3) vectors; the first that is not finite, if there is one, is infinitely long."""
+    where, longest2 = 0, -1.0
+    for i in range(vectors.shape[0]):
+        length2 = vectors[i, 0] ** 2 + vectors[i, 1] ** 2 + vectors[i, 2] ** 2
+        if not length2 < np.inf:
+            return i, np.inf
+        if length2 > longest2:
+            where, longest2 = i, length2
+    return where, sqrt(longest2)
+
+
+@kernel
+def _angular_momentum(positions, velocities, masses):
+    lx = ly = lz = 0.0
+    for i in range(masses.size):
+        x, y, z = positions[i]
+        vx, vy, vz = velocities[i]
+        lx += masses[i] * (y * vz - z * vy)
+        ly += masses[i] * (z * vx - x * vz)
+        lz += masses[i] * (x * vy - y * vx)
+    return lx, ly, lz
+
+
+@kernel
+def _absolute_angular_momentum(positions, velocities, masses, center):
+    total = 0.0
+    for i in range(masses.size):
+        arm2 = (positions[i, 0] - center[0]) ** 2 + (positions[i, 1] - center[1]) ** 2 + (positions[i, 2] - center[2]) ** 2
+        speed2 = velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2
+        total += masses[i] * sqrt(arm2 * speed2)
+    return total
+
+
+def momentum(velocities: Array, masses: Array) -> Array:
+    """P = Σ m v [mass length/time], (3,)."""
+    return np.array(_momentum(velocities, masses))
+
+
+def absolute_momentum(velocities: Array, masses: Array) -> float:
+    """Σ |m v| [mass length/time]: the scale against which a change of the total momentum is seen."""
+    return _absolute_momentum(velocities, masses)
+
+
+def largest_speed(velocities: Array) -> float:
+    """max |v| [length/time]."""
+    return longest(velocities)[1]
+
+
+def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
+    """Σ m |r − r_cm| |v| [mass length²/time]: the scale against which a change of the angular momentum is seen."""
+    center = momentum(positions, masses) / masses.sum()  # Σ m r: the same sum
+    return _absolute_angular_momentum(positions, velocities, masses, center)
+
+
+def angular_momentum(positions: Array, velocities: Array, masses: Array) -> Array:
+    """L = Σ m r × v about the origin [mass length²/time], (3,); a constant only where nothing is periodic."""
+    return np.array(_angular_momentum(positions, velocities, masses))

@@ -1,0 +1,224 @@
+"""The state of a scene: checked once, here, and trusted everywhere afterwards."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.structure import units as unit_systems
+from minimd.structure.cell import Cell
+from minimd.structure.units import UnitSystem
+
+if TYPE_CHECKING:
+    import ase
+
+READ_ONLY = ("masses", "species_names", "species_index", "bonds", "units")
+LARGEST = 1e75  # of positions and velocities: their fourth powers are still numbers
+
+
+class System:
+    """N atoms: where they are, how fast, how heavy, of which species, in which cell, bonded how.
+
+    Parameters
+    ----------
+    positions : (N, 3) [length]. Never wrapped into the cell, here or later.
+    masses : (N,) or one number [mass]; 1 in reduced units if not given.
+    velocities : (N, 3) [length/time]; zero if not given.
+    cell : one length, three lengths, or (3, 3) rows = lattice vectors [length]; None for no cell.
+    pbc : one bool or three; True where a lattice vector is given, if not said otherwise.
+    species : N labels (str or int); all alike if not given.
+    bonds : (B, 2) int, pairs of bonded atoms.
+    units : minimd.units.LJ (reduced, default) or minimd.units.ASE (eV, Å, u).
+    constraints : DistanceConstraints and FixedAtoms that a Simulation keeps if it is not given others.
+
+    Attributes
+    ----------
+    The same names hold the checked arrays, of float64 and of the user's atom order; positions and velocities may be
+    changed in place, cell may be replaced, the others are read-only. species_names is the tuple of
+    distinct labels, species_index (N,) the index of each atom's label in it.
+
+    Raises
+    ------
+    ValueError : if a shape does not fit, a number is not finite, a mass is not positive, a bond names a missing atom,
+        one atom twice or one pair twice, or a periodic direction has no lattice vector.
+    """
+
+    def __init__(
+        self,
+        positions: ArrayLike,
+        *,
+        masses: ArrayLike | None = None,
+        velocities: ArrayLike | None = None,
+        cell: "ArrayLike | Cell | None" = None,
+        pbc: ArrayLike | None = None,
+        species: Sequence[str] | Sequence[int] | NDArray | None = None,
+        bonds: ArrayLike | None = None,
+        units: UnitSystem = unit_systems.LJ,
+        constraints: Sequence[Any] = (),
+    ) -> None:
+        if not isinstance(units, UnitSystem):
+            raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {units!r}")
+        self.units, self.constraints = units, tuple(constraints)
+        self.positions = _vectors("positions", positions)
+        self.masses = _masses(masses, len(self.positions), units)
+        self.velocities = np.zeros_like(self.positions) if velocities is None else _vectors("velocities", velocities, len(self))
+        if isinstance(cell, Cell) and pbc is not None:
+            raise ValueError("pbc is part of a Cell; give pbc only beside lattice vectors")
+        self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
+        self.species_names, self.species_index = _species(species, len(self))
+        self.bonds = _bonds(bonds, len(self))
+        for fixed in (self.masses, self.species_index, self.bonds):
+            fixed.setflags(write=False)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Positions and velocities are copied into the arrays that a running simulation works on; what is read-only stays."""
+        if name in ("positions", "velocities") and name in self.__dict__:
+            self.__dict__[name][:] = _vectors(name, value, len(self))
+        elif name in READ_ONLY and name in self.__dict__:
+            raise AttributeError(f"{name} of a System cannot be changed; make a new System")
+        elif name == "cell" and not isinstance(value, Cell):
+            raise TypeError(f"the cell of a System can be replaced by a Cell, such as Cell.of(10.0); got {value!r}")
+        else:
+            super().__setattr__(name, value)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __repr__(self) -> str:
+        names = ", ".join(str(name) for name in self.species_names)
+        return f"System({len(self)} atoms of {names}; {len(self.bonds)} bonds; periodic {self.cell.pbc.tolist()}; {self.units.name} units)"
+
+    @property
+    def species(self) -> NDArray:
+        """Label of each atom, (N,)."""
+        return np.array(self.species_names)[self.species_index]
+
+    @property
+    def volume(self) -> float | None:
+        """Volume of the cell [length³]; None unless all three directions are periodic."""
+        return self.cell.volume
+
+    def copy(self) -> "System":
+        """An independent copy."""
+        return System(
+            self.positions,
+            masses=self.masses,
+            velocities=self.velocities,
+            cell=self.cell,
+            species=self.species,
+            bonds=self.bonds,
+            units=self.units,
+            constraints=self.constraints,
+        )
+
+    @classmethod
+    def from_ase(cls, atoms: "ase.Atoms", bonds: ArrayLike | None = None) -> "System":
+        """A system in ASE's units from an ase.Atoms: see minimd.ase.system_from_atoms."""
+        from minimd.structure.ase_atoms import system_from_atoms
+
+        return system_from_atoms(atoms, bonds)
+
+    def to_ase(self) -> "ase.Atoms":
+        """An ase.Atoms with the same positions, momenta, masses, cell, species and constraints: see minimd.ase.atoms_from_system."""
+        from minimd.structure.ase_atoms import atoms_from_system
+
+        return atoms_from_system(self)
+
+
+def _numbers(name: str, values: ArrayLike, expected: str) -> NDArray[np.float64]:
+    try:
+        if np.ma.is_masked(values) or np.iscomplexobj(values):
+            raise ValueError("some are masked" if np.ma.is_masked(values) else "they are complex")
+        return np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be {expected}: {error}") from None
+
+
+def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArray[np.float64]:
+    """A fresh contiguous (N, 3) float64 array, or a sentence about what is wrong with it."""
+    array = _numbers(name, values, "an (N, 3) array of numbers")
+    if array.ndim != 2 or array.shape[1] != 3 or array.shape[0] == 0:
+        raise ValueError(f"{name} must be an (N, 3) array with N > 0; its shape is {array.shape}")
+    if n_atoms is not None and len(array) != n_atoms:
+        raise ValueError(f"{name} must have one row for each of the {n_atoms} atoms; it has {len(array)}")
+    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+    if bad.size:
+        raise ValueError(f"{name} must be finite; {name}[{bad[0]}] = {array[bad[0]].tolist()}" + _and_others(bad))
+    if np.abs(array).max() > LARGEST:
+        raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {np.abs(array).max():g}: take other units")
+    return array
+
+
+def _masses(masses: ArrayLike | None, n_atoms: int, units: UnitSystem) -> NDArray[np.float64]:
+    if masses is None:
+        if units is not unit_systems.LJ:
+            raise ValueError(f"masses must be given in {units.name} units; only reduced units have a default, 1")
+        return np.ones(n_atoms)
+    array = _numbers("masses", masses, "one number, or one for each atom")
+    if array.ndim == 0:
+        array = np.full(n_atoms, float(array))
+    if array.shape != (n_atoms,):
+        raise ValueError(f"masses must be one number or {n_atoms}, one for each atom; their shape is {array.shape}")
+    bad = np.flatnonzero(~(np.isfinite(array) & (array > 0.0)))
+    if bad.size:
+        raise ValueError(f"masses must be positive and finite; masses[{bad[0]}] = {array[bad[0]]}" + _and_others(bad))
+    return array
+
+
+def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, NDArray[np.int64]]:
+    if species is None:
+        return ("X",), np.zeros(n_atoms, dtype=np.int64)
+    labels = np.asarray(species, dtype=object)
+    if labels.shape != (n_atoms,):
+        raise ValueError(f"species must be {n_atoms} labels, one for each atom; their shape is {labels.shape}")
+    if not any(all(isinstance(label, kind) and not isinstance(label, bool) for label in labels) for kind in (str, (int, np.integer))):
+        raise ValueError(f"species must be all strings or all whole numbers; they are {labels[:3].tolist()} ...")
+    names, index = np.unique(labels.tolist(), return_inverse=True)
+    return tuple(names.tolist()), index.astype(np.int64)
+
+
+def _bonds(bonds: ArrayLike | None, n_atoms: int) -> NDArray[np.int64]:
+    if bonds is None:
+        return np.zeros((0, 2), dtype=np.int64)
+    return checked_pairs("bonds", bonds, n_atoms)
+
+
+def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int) -> NDArray[np.int64]:
+    """Pairs of atoms as a (P, 2) int array.
+
+    Raises
+    ------
+    ValueError : if the shape is another, an atom is missing, paired with itself, or a pair comes twice.
+    """
+    try:
+        array = np.array(pairs)
+    except ValueError as error:
+        raise ValueError(f"{name} must be a (B, 2) array of atom indices: {error}") from None
+    if array.size == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != 2 or not np.issubdtype(array.dtype, np.integer):
+        raise ValueError(f"{name} must be a (B, 2) array of atom indices; its shape is {array.shape}, its type {array.dtype}")
+    missing = np.flatnonzero(((array < 0) | (array >= n_atoms)).any(axis=1))
+    if missing.size:
+        raise ValueError(f"{name} must name atoms 0 to {n_atoms - 1}; {name}[{missing[0]}] = {array[missing[0]].tolist()}")
+    same = np.flatnonzero(array[:, 0] == array[:, 1])
+    if same.size:
+        raise ValueError(f"{name} must join two different atoms; {name}[{same[0]}] = {array[same[0]].tolist()}")
+    _, first, counts = np.unique(np.sort(array, axis=1), axis=0, return_index=True, return_counts=True)
+    if np.any(counts > 1):
+        twice = int(first[counts > 1][0])
+        raise ValueError(f"{name} must name each pair once; {name}[{twice}] = {array[twice].tolist()} comes {counts.max()} times")
+    return array.astype(np.int64)
+
+
+def _and_others(bad: NDArray) -> str:
+    return f", and {bad.size - 1} more" if bad.size > 1 else ""
+
+
+def number_density(system: System, thickness: float) -> float:
+    """N / V [1/length³]; in open directions the width of the scene counts, or a thickness [length] if that is more."""
+    cell = system.cell
+    fractional = np.einsum("ij,jk->ik", system.positions, cell.inverse)  # not @: see observables
+    widths = np.where(cell.pbc, cell.heights, np.maximum(thickness, np.ptp(fractional, axis=0) * cell.heights))
+    return len(system) / float(widths.prod())

@@ -1,0 +1,50 @@
+"""Velocities for a start: Maxwell-Boltzmann's, without drift of the whole, at a temperature exactly."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.structure.observables import momentum, temperature
+
+Array = NDArray[np.float64]
+
+
+def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int | None = None) -> Array:  # noqa: N803
+    """Normally distributed velocities, (N, 3), with total momentum zero and kinetic temperature exactly the target.
+
+    Each component has variance k_B T/m before the mean motion is removed and the rest rescaled.
+    masses : (N,).  target : T ≥ 0 [temperature].  seed : of numpy's PCG64; None for a new draw each time.
+
+    Raises
+    ------
+    ValueError : if the target is negative or not finite.
+    """
+    _check(target)
+    draw = np.random.default_rng(seed).standard_normal((len(masses), 3))
+    velocities = draw * np.sqrt(k_B * target / masses)[:, None]
+    if len(masses) > 1:
+        velocities = without_momentum(velocities, masses)
+    return rescaled(velocities, masses, target, k_B) if target > 0.0 else velocities
+
+
+def without_momentum(velocities: Array, masses: Array) -> Array:
+    """Velocities relative to the center of mass, (N, 3)."""
+    return velocities - momentum(velocities, masses) / masses.sum()
+
+
+def rescaled(velocities: Array, masses: Array, target: float, k_B: float = 1.0, n_dof: int | None = None) -> Array:  # noqa: N803
+    """Velocities times √(T_target/T): kinetic temperature exactly the target, (N, 3).  n_dof : 3N − 3 if not given.
+
+    Raises
+    ------
+    ValueError : if the target is negative or not finite, or nothing moves.
+    """
+    _check(target)
+    now = temperature(velocities, masses, k_B, n_dof)
+    if now == 0.0:
+        raise ValueError("velocities are all zero and cannot be rescaled; draw them with set_temperature")
+    return velocities * np.sqrt(target / now)
+
+
+def _check(target: float) -> None:
+    if not (np.isfinite(target) and target >= 0.0):
+        raise ValueError(f"temperature must be finite and not negative; temperature = {target}")

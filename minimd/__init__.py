@@ -1,6 +1,7 @@
 """minimd: a molecular-dynamics mini-engine. Fast, exact, and small enough to read in an afternoon."""
 
 from minimd import integrators
+from minimd.compiled.machine import version
 from minimd.constraints.constraint_set import FixedAtoms
 from minimd.diagnosis.report import Report
 from minimd.diagnosis.reversibility import Reversibility

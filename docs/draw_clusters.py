@@ -11,7 +11,7 @@ import minimd as md
 from minimd.neighbors import chunks
 from minimd.neighbors.cluster_list import ClusterList
 from minimd.forces.cluster_loop import COPY_BITS, LANES, LANES_FROM
-from minimd.compiled.threads import team_of
+from minimd.compiled.threads import thread_pool
 
 CUTOFF, SKIN = 2.5, 0.3
 THICKNESS = 8.0**0.5  # at one atom per square, columns are as wide as eight atoms are high
@@ -35,7 +35,7 @@ def layer():
 def cluster_list(system):
     """The list, with two chunks although there are so few atoms."""
     chunks.ATOMS_IN_A_CHUNK = len(system) // 2
-    found = ClusterList(len(system), CUTOFF, SKIN, np.zeros((0, 2), dtype=np.int64), False, team_of(1))
+    found = ClusterList(len(system), CUTOFF, SKIN, np.zeros((0, 2), dtype=np.int64), False, thread_pool(1))
     found.update(system.positions, system.cell)
     return found
 

@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import minimd as md
+from minimd.constraints import ConstraintSolver
 
 n_beads, timestep = 200, 0.05
 n_steps = 4000  # one round: n_beads / timestep
@@ -33,7 +34,7 @@ figure, panels = plt.subplots(1, 2, figsize=(10, 4.5), layout="constrained", sha
 squeezed = positions * [-0.008, 0.008, 0.0]
 rigid = md.DistanceConstraints(pairs)
 for velocities in (along, squeezed):
-    rigid.on(positions, np.ones(n_beads)).project_velocities(velocities, positions)
+    ConstraintSolver(rigid, positions, np.ones(n_beads)).project_velocities(velocities, positions)
 for panel, (name, velocities) in zip(panels, {"runs along itself": along, "is squeezed": squeezed}.items(), strict=True):
     system = md.System(positions, velocities=velocities, constraints=[rigid])
     ring = md.Simulation(system, [], md.VelocityVerlet(timestep))

@@ -2,7 +2,6 @@
 
 from minimd import integrators
 from minimd.compiled.machine import version
-from minimd.constraints.constraint_set import FixedAtoms
 from minimd.diagnosis.report import Report
 from minimd.diagnosis.reversibility import Reversibility
 from minimd.diagnosis.shadow_energy import shadow_energy
@@ -17,6 +16,7 @@ from minimd.replay import replay
 from minimd.simulation.simulation import Simulation
 from minimd.structure import units
 from minimd.structure.cell import Cell
+from minimd.structure.constraints import FixedAtoms
 from minimd.structure.errors import ConstraintError, ConvergenceError, NonFiniteError
 from minimd.structure.system import System
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from minimd.diagnosis.crash_report import SUFFIX, Autopsy
+from minimd.diagnosis.crash_report import SUFFIX, CrashReport
 from minimd.forces.forces import Potential
 from minimd.neighbors.queries import closest_pair
 from minimd.simulation.simulation import Simulation
 from minimd.structure.errors import ConstraintError, NonFiniteError
 
 if TYPE_CHECKING:
-    from minimd.files.crash_file import AutopsyFile
+    from minimd.files.crash_file import CrashFile
 
 PATIENCE = 20  # steps behind the failure, should it not come again: rounding is not the same
 LAST_ROWS, STRIDE = 12, 10  # of the table: the last ones all, of the others every tenth
@@ -48,13 +48,13 @@ class Replay:
     Attributes
     ----------
     rows : a Row of each step that could be made.  ending : what ended it, in words.  failed_at : step, or None if it did not fail again.
-    findings : Autopsy of the first failure.  trajectory, picture : files, or None where none was written.
+    findings : CrashReport of the first failure.  trajectory, picture : files, or None where none was written.
     """
 
     rows: list[Row]
     ending: str
     failed_at: int | None
-    findings: Autopsy
+    findings: CrashReport
     trajectory: Path | None
     picture: Path | None
 
@@ -84,7 +84,7 @@ def replay(
 
     Parameters
     ----------
-    file : .autopsy.h5md of a run that failed: system, method and constraints are in it.
+    file : .crash.h5md of a run that failed: system, method and constraints are in it.
     potentials : those of the run; if not given, those of the scene that is stored in the file.
     trajectory, picture : where to write the steps and a picture of them; True for names after the file, False for none.
     overwrite : replace files that exist.
@@ -94,9 +94,9 @@ def replay(
     FileNotFoundError, OSError, ValueError : for a file that is none, for one without a scene if no potentials are given, or for
         outputs that exist or cannot be written.
     """
-    from minimd.files.crash_file import read_autopsy
+    from minimd.files.crash_file import read_crash_report
 
-    past = read_autopsy(file)
+    past = read_crash_report(file)
     frames, drawing = _output(trajectory, Path(file), ".replay.h5md", overwrite), _output(picture, Path(file), ".replay.png", overwrite)
     simulation = _simulation(past, _potentials(past, file) if potentials is None else potentials)
     rows: list[Row] = []
@@ -120,7 +120,7 @@ def _output(wanted: str | Path | bool, file: Path, suffix: str, overwrite: bool)
     return path
 
 
-def _potentials(past: "AutopsyFile", file: str | Path) -> list[Potential]:
+def _potentials(past: "CrashFile", file: str | Path) -> list[Potential]:
     """Those of the scene in the file."""
     if not past.scene:
         raise ValueError(
@@ -132,14 +132,14 @@ def _potentials(past: "AutopsyFile", file: str | Path) -> list[Potential]:
     return parse_scene(past.scene, Path(file)).potentials()
 
 
-def _simulation(past: "AutopsyFile", potentials: Potential | Sequence[Potential]) -> Simulation:
+def _simulation(past: "CrashFile", potentials: Potential | Sequence[Potential]) -> Simulation:
     simulation = Simulation(past.system, potentials, past.method, precision=past.precision, skin=past.skin)
     simulation.go_to(past.start)
     simulation.noise_shift = past.noise_shift
     return simulation
 
 
-def _run(simulation: Simulation, findings: Autopsy, trajectory: Path | None, rows: list[Row]) -> tuple[int | None, str]:
+def _run(simulation: Simulation, findings: CrashReport, trajectory: Path | None, rows: list[Row]) -> tuple[int | None, str]:
     """Make the steps; returns at which it failed, and a sentence."""
     files = () if trajectory is None else trajectory
     n_steps = findings.step - simulation.step + PATIENCE
@@ -151,11 +151,11 @@ def _run(simulation: Simulation, findings: Autopsy, trajectory: Path | None, row
             store_forces=True,
             overwrite=True,
             observers=[lambda now: rows.append(_row(now))],
-            autopsy=False,
+            crash_report=False,
             progress=False,
         )
     except (NonFiniteError, ConstraintError) as error:
-        found = error.autopsy
+        found = error.crash_report
         step = findings.step if found is None else found.step
         again = "again" if step == findings.step else f"at another step than the first time ({findings.step}): rounding differs"
         return step, f"failed {again}: {error}"

@@ -40,7 +40,7 @@ class OBABO(md.LangevinBAOAB):
     """Two contacts with the bath in a step. G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007)."""
 
     name = "langevin-obabo"
-    letters = (Thermalize(0.5), Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(0.5))
+    substeps = (Thermalize(0.5), Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(0.5))
 
 
 def simulation(method, seed=3):

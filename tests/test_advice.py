@@ -36,35 +36,35 @@ def test_the_limit_holds_for_other_methods(method):
 
 @pytest.mark.parametrize("method", EXPLICIT, ids=lambda method: method.name)
 def test_an_oscillator_stays_bounded_below_the_limit_and_not_above(method):
-    limit = stability_limit(method.row())
+    limit = stability_limit(method.sequence())
     for h in np.linspace(0.05, 0.999, 20) * limit:
         assert np.abs(oscillator_path(method, h, 1000).q).max() < 100.0
     assert not np.abs(oscillator_path(method, 1.001 * limit, 4000).q).max() < 1000.0  # slowly for blanes-moan-rkn-4, e^0.002 in a step
 
 
 def test_limits_that_are_known():
-    assert stability_limit(md.VelocityVerlet.row()) == pytest.approx(2.0, abs=1e-14)  # rounding
+    assert stability_limit(md.VelocityVerlet.sequence()) == pytest.approx(2.0, abs=1e-14)  # rounding
     for method in THERMOSTATS.values():
-        assert stability_limit(method.row()) == pytest.approx(2.0, abs=1e-14)  # rounding; contacts with the bath left out
-    twice = repeated(md.VelocityVerlet.row(), (0.5, 0.5))  # tr M touches −2 at h = 2√2, where nothing happens
+        assert stability_limit(method.sequence()) == pytest.approx(2.0, abs=1e-14)  # rounding; contacts with the bath left out
+    twice = repeated(md.VelocityVerlet.sequence(), (0.5, 0.5))  # tr M touches −2 at h = 2√2, where nothing happens
     assert stability_limit(twice) == pytest.approx(4.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("method", EXPLICIT, ids=lambda method: method.name)
 def test_the_energy_of_an_oscillator_swings_as_told(method):
-    h = 0.4 * stability_limit(method.row())
+    h = 0.4 * stability_limit(method.sequence())
     path = oscillator_path(method, h, 20_000)
     energies = 0.5 * (path.q**2 + path.v**2)
     swing = (energies.max() - energies.min()) / (energies.max() + energies.min())
-    assert energy_oscillation(method.row(), h) == pytest.approx(swing, rel=2e-3)  # the path does not meet the axes exactly
+    assert energy_oscillation(method.sequence(), h) == pytest.approx(swing, rel=2e-3)  # the path does not meet the axes exactly
 
 
 def test_verlet_makes_twenty_steps_a_period_and_the_energy_swings_by_an_80th():
     advice = md.advise_timestep(*diatomic())
     assert advice.period / advice.recommended == pytest.approx(20.0, rel=1e-3)
     h = advice.frequency * advice.recommended
-    assert energy_oscillation(md.VelocityVerlet.row(), h) == pytest.approx(1.0 / 80.0, rel=1e-9)
-    assert energy_oscillation(md.VelocityVerlet.row(), h) == pytest.approx(h**2 / (8.0 - h**2), rel=1e-9)
+    assert energy_oscillation(md.VelocityVerlet.sequence(), h) == pytest.approx(1.0 / 80.0, rel=1e-9)
+    assert energy_oscillation(md.VelocityVerlet.sequence(), h) == pytest.approx(h**2 / (8.0 - h**2), rel=1e-9)
     euler = md.advise_timestep(*diatomic(), method=md.integrators.SE1)
     assert euler.recommended * euler.frequency / 2.0 == pytest.approx(1.0 / 80.0, rel=1e-6)  # symplectic Euler: h/2
 

@@ -73,9 +73,9 @@ def worst(residuals, row, order):
 
 
 def shifted(row, first, second, amount):
-    """The row with some duration moved from one letter to another of the same kind: the sums stay one."""
+    """The row with some duration moved from one substep to another of the same kind: the sums stay one."""
     change = {first: amount, second: -amount}
-    return tuple(type(letter)(letter.coefficient + change.get(k, 0.0)) for k, letter in enumerate(row))
+    return tuple(type(substep)(substep.coefficient + change.get(k, 0.0)) for k, substep in enumerate(row))
 
 
 def test_answered_orders_are_those_of_the_papers():
@@ -86,17 +86,17 @@ def test_answered_orders_are_those_of_the_papers():
 def test_order_conditions_hold_to_rounding(method):
     """For q″ = f(q) all of them; for every T(p) + V(q) too, but for McLachlan and Atela's last one."""
     separable = 3 if method is McLachlanAtela4 else ORDERS[method.name]
-    assert worst(nystrom_residuals, method.row(), ORDERS[method.name]) < 2e-15  # rounding, measured 3e-16
-    assert worst(separable_residuals, method.row(), separable) < 2e-15
-    assert separable_order(method.row()) == separable
-    assert worst(nystrom_residuals, method.row(), ORDERS[method.name] + 1) > 1e-5
-    assert worst(separable_residuals, method.row(), separable + 1) > 1e-6
+    assert worst(nystrom_residuals, method.sequence(), ORDERS[method.name]) < 2e-15  # rounding, measured 3e-16
+    assert worst(separable_residuals, method.sequence(), separable) < 2e-15
+    assert separable_order(method.sequence()) == separable
+    assert worst(nystrom_residuals, method.sequence(), ORDERS[method.name] + 1) > 1e-5
+    assert worst(separable_residuals, method.sequence(), separable + 1) > 1e-6
 
 
 @pytest.mark.parametrize("method", HIGHER)
 def test_one_wrong_digit_breaks_an_order_condition(method):
     """Two stages of the same kind, one longer and one shorter by 10⁻¹²: the sums are right, the order is lost."""
-    row = method.row()
+    row = method.sequence()
     for k in range(len(row) - 2):
         wrong = shifted(row, k, k + 2, 1e-12)
         assert worst(nystrom_residuals, wrong, ORDERS[method.name]) > 1e-14
@@ -104,7 +104,7 @@ def test_one_wrong_digit_breaks_an_order_condition(method):
 
 @pytest.mark.parametrize("method", [method for method in HIGHER if method.is_symmetric])
 def test_one_wrong_digit_in_the_table_breaks_an_order_condition_though_the_row_stays_symmetric(method):
-    row = method.row()
+    row = method.sequence()
     n = len(row)
     for k in range(n // 2 - 1):
         wrong = shifted(shifted(row, k, k + 2, 1e-12), n - 1 - k, n - 3 - k, 1e-12)
@@ -113,9 +113,9 @@ def test_one_wrong_digit_in_the_table_breaks_an_order_condition_though_the_row_s
 
 
 def test_conditions_are_as_many_as_theory_counts():
-    """Dimensions of the free Lie algebra of two letters (Witt), and numbers of special Nyström trees."""
+    """Dimensions of the free Lie algebra of two substeps (Witt), and numbers of special Nyström trees."""
     assert [len(lyndon_words(k)) for k in range(1, 9)] == [2, 1, 2, 3, 6, 9, 18, 30]
-    assert [len(nystrom_residuals(SE1.row(), k)) - (k == 1) for k in range(1, 9)] == [1, 1, 2, 3, 6, 10, 20, 36]
+    assert [len(nystrom_residuals(SE1.sequence(), k)) - (k == 1) for k in range(1, 9)] == [1, 1, 2, 3, 6, 10, 20, 36]
 
 
 def test_word_coefficients_are_those_of_a_product_of_exponentials():
@@ -127,14 +127,14 @@ def test_word_coefficients_are_those_of_a_product_of_exponentials():
 
 
 def exact_residuals(row, order):
-    """The conditions of an order in rational numbers, the slow way: all words of a product of exponentials, letter by letter."""
+    """The conditions of an order in rational numbers, the slow way: all words of a product of exponentials, substep by substep."""
     series = {(): Fraction(1)}
-    for letter in row:
+    for substep in row:
         product = dict.fromkeys(series, Fraction(0))
         for word, value in series.items():
             for k in range(order - len(word) + 1):
-                longer = (*word, *k * [type(letter)])
-                product[longer] = product.get(longer, 0) + value * Fraction(letter.coefficient) ** k / factorial(k)
+                longer = (*word, *k * [type(substep)])
+                product[longer] = product.get(longer, 0) + value * Fraction(substep.coefficient) ** k / factorial(k)
         series = product
     return [float(series.get(word, 0) - Fraction(1, factorial(order))) for word in lyndon_words(order)]
 
@@ -142,13 +142,13 @@ def exact_residuals(row, order):
 @pytest.mark.parametrize("method", [method for method in HIGHER if method.order < 6])
 def test_order_conditions_in_rational_numbers_are_those_in_floating_point(method):
     for order in range(1, 6):
-        assert separable_residuals(method.row(), order) == pytest.approx(exact_residuals(method.row(), order), abs=4e-16)
+        assert separable_residuals(method.sequence(), order) == pytest.approx(exact_residuals(method.sequence(), order), abs=4e-16)
 
 
 def test_fourteen_digits_of_the_pefrl_constants_are_proved():
     """λ hardly enters the conditions, for its two kicks are close: only exact arithmetic sees its last digits."""
-    assert max(map(abs, exact_residuals(PEFRL.row(), 3))) < 1e-16
-    wrong = shifted(shifted(PEFRL.row(), 1, 3, 1e-14), 7, 5, 1e-14)
+    assert max(map(abs, exact_residuals(PEFRL.sequence(), 3))) < 1e-16
+    wrong = shifted(shifted(PEFRL.sequence(), 1, 3, 1e-14), 7, 5, 1e-14)
     assert max(map(abs, exact_residuals(wrong, 3))) > 2e-16
 
 
@@ -170,16 +170,16 @@ def test_kicks_and_drifts_of_the_same_duration_are_not_the_same():
     """Or SE1 would be its own mirror image, and velocity Verlet would be position Verlet."""
     assert Kick(0.5) != Drift(0.5)
     assert not SE1.is_symmetric
-    assert VelocityVerlet.row() != PositionVerlet.row()
+    assert VelocityVerlet.sequence() != PositionVerlet.sequence()
 
 
 def test_flows_are_objects_that_one_composes():
     """The last one acts first, as in a formula; equal neighbors become one."""
-    assert compose(Drift(1.0), Kick(1.0)).row() == SE1.row()
-    assert compose(Kick(0.5), Drift(0.25), Drift(0.75), Kick(0.5)).row() == VelocityVerlet.row()
-    assert compose(Kick(1.0), SE1, weights=[1.0, 1.0]).row() == (Kick(1.0), Drift(1.0), Kick(1.0))
+    assert compose(Drift(1.0), Kick(1.0)).sequence() == SE1.sequence()
+    assert compose(Kick(0.5), Drift(0.25), Drift(0.75), Kick(0.5)).sequence() == VelocityVerlet.sequence()
+    assert compose(Kick(1.0), SE1, weights=[1.0, 1.0]).sequence() == (Kick(1.0), Drift(1.0), Kick(1.0))
     assert compose(Kick(1.0), SE1, weights=[1.0, 1.0]).order == 0  # two kicks in one step
-    assert compose(Leapfrog).row() == VelocityVerlet.row()
+    assert compose(Leapfrog).sequence() == VelocityVerlet.sequence()
 
 
 def test_a_composition_refuses_what_it_does_not_know():
@@ -197,9 +197,9 @@ def test_candy_rozmus_is_the_triple_jump_over_position_verlet():
     """Forest and Ruth: drifts θ/2, (1 − θ)/2, kicks θ, 1 − 2θ, with θ = 1/(2 − ∛2)."""
     forest_ruth = [G / 2, G, (1 - G) / 2, 1 - 2 * G, (1 - G) / 2, G, G / 2]
     yoshida = compose(*3 * [PositionVerlet], weights=TRIPLE_JUMP)
-    for row in (CandyRozmus4.row(), yoshida.row()):
-        assert [type(letter) for letter in row] == 3 * [Drift, Kick] + [Drift]
-        assert [letter.coefficient for letter in row] == pytest.approx(forest_ruth, abs=4e-16)
+    for row in (CandyRozmus4.sequence(), yoshida.sequence()):
+        assert [type(substep) for substep in row] == 3 * [Drift, Kick] + [Drift]
+        assert [substep.coefficient for substep in row] == pytest.approx(forest_ruth, abs=4e-16)
 
 
 def test_higher_order_comes_from_lower_order_by_composition():
@@ -264,7 +264,7 @@ def test_every_method_runs_the_melt(method):
 
 
 def test_a_composition_runs_in_a_simulation():
-    weights = [letter.coefficient for letter in Yoshida6.letters if isinstance(letter, Drift)]
+    weights = [substep.coefficient for substep in Yoshida6.substeps if isinstance(substep, Drift)]
     methods = compose(*7 * [VelocityVerlet], weights=weights), Yoshida6
     composed, named = (md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.7), method(0.002)) for method in methods)
     composed.run(20)
@@ -276,4 +276,4 @@ def test_rows_merge_scale_and_drop_what_lasts_no_time():
     assert merged((Kick(0.5), Drift(0.0), Kick(0.5))) == (Kick(1.0),)
     assert merged((Kick(0.5), Drift(0.25), Drift(-0.25), Kick(0.5), Drift(1.0))) == (Kick(1.0), Drift(1.0))
     assert scaled((Kick(0.5), Drift(1.0)), -2.0) == (Kick(-1.0), Drift(-2.0))
-    assert len(KahanLi8.row()) == 35
+    assert len(KahanLi8.sequence()) == 35

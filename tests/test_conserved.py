@@ -212,9 +212,9 @@ def test_verlet_and_symplectic_euler_are_stable_up_to_two_exactly(method):
 def stability_limit(method):
     """ωΔt where half the trace of the step, a polynomial in (ωΔt)², first leaves [−1, 1]."""
     (a, b), (c, d) = matrix = [[Polynomial([1.0]), Polynomial([0.0])], [Polynomial([0.0]), Polynomial([1.0])]]
-    for letter in method.row():
-        weight = letter.coefficient
-        if isinstance(letter, Kick):  # v Δt −= weight (ωΔt)² q
+    for substep in method.sequence():
+        weight = substep.coefficient
+        if isinstance(substep, Kick):  # v Δt −= weight (ωΔt)² q
             matrix = (a, b), (c - Polynomial([0.0, weight]) * a, d - Polynomial([0.0, weight]) * b)
         else:
             matrix = (a + weight * c, b + weight * d), (c, d)

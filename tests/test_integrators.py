@@ -57,7 +57,7 @@ def test_measured_order_is_the_answered_order(method):
 @pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_kicks_and_drifts_of_a_step_each_add_up_to_one(method):
     for kind in (Kick, Drift):
-        assert sum(letter.coefficient for letter in method.letters if isinstance(letter, kind)) == pytest.approx(1.0, abs=1e-15)
+        assert sum(substep.coefficient for substep in method.substeps if isinstance(substep, kind)) == pytest.approx(1.0, abs=1e-15)
 
 
 def returned(method, dt=0.02, n_steps=400):
@@ -97,7 +97,7 @@ def test_the_adjoint_undoes_a_step_when_time_runs_backwards(method):
 
 @pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_the_adjoint_of_the_adjoint_is_the_method(method):
-    assert adjoint(adjoint(method)).row() == method.row()
+    assert adjoint(adjoint(method)).sequence() == method.sequence()
     assert adjoint(method).order == method.order
 
 
@@ -186,7 +186,7 @@ def test_a_long_run_evaluates_forces_as_often_as_answered_and_one_is_looked_at(m
     s = state([1, 0, 0], [0, 1, 0])
     method(0.01).advance(s, forces, 50)
     assert 50 * method.stages <= len(looks) <= 50 * method.stages + 1
-    if isinstance((method.letters + method.closing)[-1], Kick):
+    if isinstance((method.substeps + method.closing)[-1], Kick):
         assert looks == [False] * (len(looks) - 1) + [True]
 
 
@@ -206,7 +206,7 @@ def test_a_new_method_is_a_row_of_coefficients():
 
     class Ruth3(Splitting):
         name = "ruth-3"
-        letters = (Kick(7 / 24), Drift(2 / 3), Kick(3 / 4), Drift(-2 / 3), Kick(-1 / 24), Drift(1.0))
+        substeps = (Kick(7 / 24), Drift(2 / 3), Kick(3 / 4), Drift(-2 / 3), Kick(-1 / 24), Drift(1.0))
         source = "R. D. Ruth, IEEE Trans. Nucl. Sci. 30, 2669 (1983)"
 
     assert Ruth3.order == 3
@@ -225,14 +225,14 @@ def test_verlet_is_the_composition_of_symplectic_euler_with_its_adjoint(composed
     for _ in range(100):
         inner(0.005).advance(apart, kepler, 1)
         outer(0.005).advance(apart, kepler, 1)
-    assert composed.row() == method.row()
+    assert composed.sequence() == method.sequence()
     assert np.array_equal([merged.positions, merged.velocities], [named.positions, named.velocities])
     assert apart.positions == pytest.approx(named.positions, abs=1e-13)
 
 
 def test_symplectic_euler_methods_are_adjoint_to_each_other_and_not_symmetric():
-    assert adjoint(SE1).row() == SE2.row()
-    assert adjoint(SE2).row() == SE1.row()
+    assert adjoint(SE1).sequence() == SE2.sequence()
+    assert adjoint(SE2).sequence() == SE1.sequence()
     assert not SE1.is_symmetric
     assert not SE2.is_symmetric
     assert (SE1.order, SE2.order, compose(SE2, SE1).order) == (1, 1, 2)

@@ -5,6 +5,7 @@ import pytest
 from rigid_scenes import SCENES
 
 import minimd as md
+from minimd.constraints.solver import ConstraintSolver
 from minimd.integrators import SPLITTINGS
 from minimd.structure.cell import Cell
 from minimd.structure.lattice import crystal
@@ -279,7 +280,7 @@ def test_lengths_are_kept_to_rounding_over_100_000_steps(name):
     n_steps, timestep = (20_000, 0.002) if name == "sheet" else (100_000, 0.01)
     masses = np.asarray(masses, dtype=float)
     positions = positions - masses @ positions / masses.sum()
-    bonds = md.DistanceConstraints(pairs, solver="newton").on(positions, 1.0 / masses)
+    bonds = ConstraintSolver(md.DistanceConstraints(pairs, solver="newton"), positions, 1.0 / masses)
     velocities = np.random.default_rng(2).normal(size=positions.shape)
     velocities -= masses @ velocities / masses.sum()
     bonds.project_velocities(velocities, positions)

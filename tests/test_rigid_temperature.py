@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import minimd as md
+from minimd.constraints.solver import ConstraintSolver
 from minimd.integrators import State
 
 pytestmark = pytest.mark.slow
@@ -33,7 +34,7 @@ def test_free_rigid_molecules_have_the_temperature_of_the_bath_at_any_timestep(n
     n, size = 2000, len(shape)
     positions, pairs = np.tile(shape, (n, 1)), np.concatenate([np.array(pairs) + size * k for k in range(n)])
     m = np.tile(masses, n)
-    bonds = md.DistanceConstraints(pairs).on(positions, 1.0 / m)
+    bonds = ConstraintSolver(md.DistanceConstraints(pairs), positions, 1.0 / m)
     velocities = np.random.default_rng(1).normal(size=positions.shape) / np.sqrt(m)[:, None]
     bonds.project_velocities(velocities, positions)
     state = State(positions, velocities, np.zeros_like(positions), 1.0 / m, constraints=bonds)

@@ -12,7 +12,7 @@ import pytest
 from cluster_scenes import atoms_in_a_chunk
 
 from minimd.compiled.kernels import shared_kernel
-from minimd.compiled.threads import MOST_SHARES, PHASES, Member, Team, begin, finish_and_take, take, team_of, wait
+from minimd.compiled.threads import MOST_SHARES, PHASES, ThreadPool, Worker, begin, finish_and_take, take, thread_pool, wait
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.clusters import make_columns, sort_into_clusters
 from minimd.neighbors.domains import cut_into_chunks
@@ -54,33 +54,33 @@ def is_complete(done):
 @pytest.fixture
 def no_helpers(monkeypatch):
     """Helpers that sleep until the event is set, then do what they should."""
-    awake, help_as_it_should = threading.Event(), Team._help
+    awake, help_as_it_should = threading.Event(), ThreadPool._help
 
     def oversleep(self, thread, wake):
         awake.wait()
         help_as_it_should(self, thread, wake)
 
-    monkeypatch.setattr(Team, "_help", oversleep)
+    monkeypatch.setattr(ThreadPool, "_help", oversleep)
     return awake
 
 
 @pytest.mark.parametrize("n_threads", range(1, 9))
 @pytest.mark.parametrize("n", [1, 2, 3, 7, 8, 9, 64, 1000, MOST_SHARES])
 def test_each_share_is_done_once_in_each_phase(n_threads, n):
-    team = team_of(n_threads)
+    team = thread_pool(n_threads)
     for n_phases in (1, 3, PHASES - 1):
         assert is_complete(counted(team, n, n_phases))
 
 
 @pytest.mark.parametrize("n_threads", [1, 2, 4])
 def test_tasks_follow_each_other_thousands_of_times(n_threads):
-    team, rng = team_of(n_threads), np.random.default_rng(1)
+    team, rng = thread_pool(n_threads), np.random.default_rng(1)
     for n in rng.integers(1, 20, 4000):
         assert is_complete(counted(team, int(n)))
 
 
 def test_helpers_help():
-    team, until = Team(2), time.monotonic() + PATIENT
+    team, until = ThreadPool(2), time.monotonic() + PATIENT
     while time.monotonic() < until:
         done = counted(team, MOST_SHARES)
         if done[0].any() and done[1].any():
@@ -89,7 +89,7 @@ def test_helpers_help():
 
 
 def test_helpers_that_never_come_hold_nobody_up(no_helpers):
-    team = Team(4)
+    team = ThreadPool(4)
     for n in (1, 5, 100):
         done = counted(team, n)
         assert is_complete(done)
@@ -98,7 +98,7 @@ def test_helpers_that_never_come_hold_nobody_up(no_helpers):
 
 
 def test_helpers_that_come_late_join(no_helpers):
-    team = Team(3)
+    team = ThreadPool(3)
     assert is_complete(counted(team, 10))
     no_helpers.set()
     until, helped = time.monotonic() + PATIENT, False
@@ -110,8 +110,8 @@ def test_helpers_that_come_late_join(no_helpers):
 
 
 def test_helpers_that_died_hold_nobody_up(monkeypatch):
-    monkeypatch.setattr(Team, "_help", lambda self, thread, wake: None)
-    team = Team(3)
+    monkeypatch.setattr(ThreadPool, "_help", lambda self, thread, wake: None)
+    team = ThreadPool(3)
     for helper in team._helpers:
         helper.join()
     assert is_complete(counted(team, 10))
@@ -119,11 +119,11 @@ def test_helpers_that_died_hold_nobody_up(monkeypatch):
 
 @pytest.mark.parametrize("n", [1, 4, MOST_SHARES])
 def test_a_helper_that_comes_after_its_task_finds_nothing_to_do(n):
-    team = Team(1)
+    team = ThreadPool(1)
     for _ in range(3):
         done, early = np.zeros((2, N_PHASES, n), dtype=np.int64), np.zeros(2, dtype=np.int64)
         team.run(count_shares, n, done, early)
-        late = Member(team._counters, 1, 2)
+        late = Worker(team._counters, 1, 2)
         for task in range(team._n_tasks + 1):
             count_shares(late, task, n, done, early)
         assert is_complete(done)
@@ -136,7 +136,7 @@ def test_an_interrupt_before_the_kernel_leaves_the_team_usable():
             raise KeyboardInterrupt
         count_shares(me, task, *arguments)
 
-    team = Team(3)
+    team = ThreadPool(3)
     for _ in range(50):
         done, early = np.zeros((3, N_PHASES, 5), dtype=np.int64), np.zeros(3, dtype=np.int64)
         with pytest.raises(KeyboardInterrupt):
@@ -146,7 +146,7 @@ def test_an_interrupt_before_the_kernel_leaves_the_team_usable():
 
 
 def test_two_threads_of_python_take_turns_with_one_team():
-    team = team_of(2)
+    team = thread_pool(2)
 
     def many(n):
         return all(is_complete(counted(team, n)) for _ in range(500))
@@ -157,9 +157,9 @@ def test_two_threads_of_python_take_turns_with_one_team():
 
 def test_no_more_threads_work_than_the_team_has():
     for n_threads in (1, 3):
-        assert len(team_of(n_threads)._helpers) == n_threads - 1
-        assert team_of(n_threads) is team_of(n_threads)
-    assert all(helper.daemon for helper in team_of(3)._helpers)
+        assert len(thread_pool(n_threads)._helpers) == n_threads - 1
+        assert thread_pool(n_threads) is thread_pool(n_threads)
+    assert all(helper.daemon for helper in thread_pool(3)._helpers)
 
 
 @pytest.mark.parametrize("n", [100, 3000, 8000])
@@ -167,7 +167,7 @@ def test_chunks_are_never_more_than_a_team_can_share_out(n):
     """A thread of atoms, each of them its own column."""
     positions, cell = np.arange(n)[:, None] * np.array([1.1, 0.0, 0.0]), Cell.of(None)
     columns = make_columns(cell, positions, 2.0)
-    clusters = sort_into_clusters(positions, cell, columns, Buffers(), team_of(2))
+    clusters = sort_into_clusters(positions, cell, columns, Buffers(), thread_pool(2))
     with atoms_in_a_chunk(1):
         chunks = cut_into_chunks(clusters, columns, n, cell.pbc)
     assert len(chunks.column) - 1 == min(MOST_SHARES, columns.counts[0] // columns.reach[0])

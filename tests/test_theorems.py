@@ -81,7 +81,7 @@ def test_the_adjoint_undoes_a_step_with_time_reversed(method):
     y = DRIVEN.begin(TWISTED_START)
     back = adjoint(method).on(DRIVEN)(0.5, method.on(DRIVEN)(0.3, y, 0.2), -0.2)
     assert np.abs(back - y).max() < 1e-14  # rounding
-    assert adjoint(adjoint(method)).row() == method.row()
+    assert adjoint(adjoint(method)).sequence() == method.sequence()
 
 
 def there_and_back(method, problem, start, h=0.1, t0=0.3):

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.constraints.constraint_set import images_of_length, lengths_of
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
 from minimd.files.h5md_writer import H5MDContents, read_file
 from minimd.integrators import DistanceConstraints
 from minimd.mdanalysis.universe import VERSION, diffusion_coefficient, radial_distribution, universe
 from minimd.structure import observables
+from minimd.structure.images import images_of_length, lengths_of
 from minimd.structure.system import System
 
 SINGLE = 6e-8  # 2⁻²⁴, rounding of a velocity to float32, and so at most this part of Σ|mv|
@@ -131,8 +131,12 @@ def length_error(system: System) -> float:
     scale = float(np.abs(system.positions).max())
     for one in system.constraints:
         if isinstance(one, DistanceConstraints):
-            lengths = lengths_of(system, one)
-            bonds = system.positions[one.pairs[:, 1]] - system.positions[one.pairs[:, 0]] + images_of_length(system, one.pairs, lengths)
+            lengths = lengths_of(system.positions, system.cell, one)
+            bonds = (
+                system.positions[one.pairs[:, 1]]
+                - system.positions[one.pairs[:, 0]]
+                + images_of_length(system.positions, system.cell, one.pairs, lengths)
+            )
             return float(np.abs(np.linalg.norm(bonds, axis=1) - lengths).max()) / scale
     return 0.0
 

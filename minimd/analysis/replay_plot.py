@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from minimd.diagnosis.crash_report import Autopsy
+from minimd.diagnosis.crash_report import CrashReport
 from minimd.structure.units import UnitSystem
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ COLORS = ("#1f5fa8", "#1b7f5c", "#c8501e", "#5b3f99")
 WIDE = 50.0  # largest over smallest from which an axis is logarithmic
 
 
-def plot_replay(rows: "Sequence[Row]", findings: Autopsy, units: UnitSystem, picture: Path) -> None:
+def plot_replay(rows: "Sequence[Row]", findings: CrashReport, units: UnitSystem, picture: Path) -> None:
     """Draw energy, distance of the closest pair, largest force and largest speed against the step.
 
     Raises

@@ -8,7 +8,11 @@ from minimd.ase.calculator import Calculator
 from minimd.ase.dynamics import VelocityVerlet
 from minimd.ase.foreign import ForcesFromCalculator
 from minimd.files.ase_writer import ASEWriter
-from minimd.structure.ase_atoms import atomic_mass, atoms_from_system, system_from_atoms, system_from_file
+from minimd.files.structure_file import atomic_mass, system_from_file
+from minimd.structure.ase_atoms import atoms_from_system
+from minimd.structure.system import System
+
+system_from_atoms = System.from_ase
 
 __all__ = [
     "ASEWriter",

@@ -15,8 +15,9 @@ from minimd.forces.options import Options
 from minimd.forces.terms import Potential
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.pair_loop import PER_ATOM, TOTALS
-from minimd.structure.ase_atoms import cell_of, same_labels, same_scene, unchecked_system, volume_of
+from minimd.structure.ase_atoms import cell_of, same_labels, same_scene, system_arguments, volume_of
 from minimd.structure.errors import NonFiniteError
+from minimd.structure.system import System
 
 
 class Calculator(ASECalculator):
@@ -95,7 +96,7 @@ class Calculator(ASECalculator):
             forces = self._plan[1]
             forces.system.positions[:], forces.system.cell = atoms.positions, cell_of(atoms)
             return forces
-        forces = Forces(unchecked_system(atoms, self.bonds), self.potentials, self.options)
+        forces = Forces(System(**system_arguments(atoms, self.bonds, constraints=False)), self.potentials, self.options)
         self._plan = atoms, forces
         return forces
 

@@ -11,7 +11,8 @@ from minimd import integrators
 from minimd.ase.calculator import Calculator
 from minimd.forces.terms import Potential
 from minimd.simulation.simulation import Simulation
-from minimd.structure.ase_atoms import cell_of, same_scene, system_from_atoms
+from minimd.structure.ase_atoms import cell_of, same_scene
+from minimd.structure.system import System
 
 
 class VelocityVerlet(MolecularDynamics):
@@ -89,7 +90,7 @@ class VelocityVerlet(MolecularDynamics):
         if not isinstance(calculator, Calculator):
             name = type(calculator).__name__
             raise TypeError(f"the calculator of atoms must be a minimd.ase.Calculator; it is {name}: use ase.md.verlet.VelocityVerlet")
-        system, method = system_from_atoms(atoms, calculator.bonds), integrators.VelocityVerlet(self.dt)
+        system, method = System.from_ase(atoms, calculator.bonds), integrators.VelocityVerlet(self.dt)
         options = calculator.options
         self._simulation = Simulation(system, calculator.potentials, method, threads=options.threads, precision=options.precision, skin=options.skin)
         self._made_for = atoms.copy()

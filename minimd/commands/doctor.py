@@ -12,7 +12,7 @@ import numpy as np
 import minimd as md
 from minimd.compiled import kernels as compiling
 from minimd.compiled.machine import MISSING, available_cores, processor_name, version
-from minimd.compiled.threads import begin, finish_and_take, take, team_of, wait
+from minimd.compiled.threads import begin, finish_and_take, take, thread_pool, wait
 from minimd.forces.cluster_loop import LANES
 from minimd.structure.lattice import constant_from_density, crystal
 
@@ -125,7 +125,7 @@ def same_bits() -> Finding:
 
 def _microseconds_of_a_task() -> float:
     """A task of two shares and no work, on all cores whose threads are awake; the median."""
-    team, seconds = team_of(available_cores()), []
+    team, seconds = thread_pool(available_cores()), []
     for _ in range(TASKS_TIMED):
         started = perf_counter()
         team.run(_nothing, 2)

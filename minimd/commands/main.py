@@ -53,7 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     resume.add_argument("--steps", type=_number_of_steps, metavar="N", help="how many more steps; up to the end of the scene if not given")
     resume.add_argument("--scene", metavar="TOML", help="take the potentials from this scene file, instead of the one stored in the run")
     replay = commands.add_parser("replay", help="see a failed run fail again", description="Make the last steps of a failed run again, one by one.")
-    replay.add_argument("file", type=Path, help="file (.autopsy.h5md) that the run left")
+    replay.add_argument("file", type=Path, help="file (.crash.h5md) that the run left")
     replay.add_argument("--scene", metavar="TOML", help="take the potentials from this scene file, instead of the one stored in the run")
     replay.add_argument("--out", type=Path, metavar="FILE", help="trajectory of the steps (.h5md); the picture lies beside it")
     replay.add_argument("--overwrite", action="store_true", help="replace files that exist")
@@ -102,14 +102,14 @@ def _resume(arguments: argparse.Namespace) -> int:
 
 
 def _replay(arguments: argparse.Namespace) -> int:
-    from minimd.files.crash_file import read_autopsy
+    from minimd.files.crash_file import read_crash_report
     from minimd.replay import replay
     from minimd.scene import load_scene
 
     potentials = None if arguments.scene is None else load_scene(arguments.scene).potentials()
     out, picture = (True, True) if arguments.out is None else (arguments.out, arguments.out.with_suffix(".png"))
     with _silence(arguments.quiet):
-        print(read_autopsy(arguments.file).findings, flush=True)
+        print(read_crash_report(arguments.file).findings, flush=True)
         seen = replay(arguments.file, potentials, trajectory=out, picture=picture, overwrite=arguments.overwrite)
         print(seen)
         print(f"written        {', '.join(str(file) for file in (seen.trajectory, seen.picture) if file)}")

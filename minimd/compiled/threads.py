@@ -40,7 +40,7 @@ HAS_AFFINITY = hasattr(os, "sched_setaffinity")
 _let_others_run = types.ExternalFunction("SwitchToThread" if os.name == "nt" else "sched_yield", types.int32())
 
 
-class Member(NamedTuple):
+class Worker(NamedTuple):
     """One of a team. counters : shared.  thread : its number; 0 is the caller.  n_threads : of the team."""
 
     counters: Any
@@ -48,7 +48,7 @@ class Member(NamedTuple):
     n_threads: int
 
 
-class Team:
+class ThreadPool:
     """The calling thread and n_threads − 1 helpers."""
 
     def __init__(self, n_threads: int) -> None:
@@ -78,7 +78,7 @@ class Team:
                 if wake.locked():
                     wake.release()
             try:
-                kernel(Member(self._counters, 0, self.n_threads), self._n_tasks, *arguments)
+                kernel(Worker(self._counters, 0, self.n_threads), self._n_tasks, *arguments)
             finally:
                 self._task = ()
 
@@ -93,7 +93,7 @@ class Team:
                         os.sched_setaffinity(helper.native_id, cores - {core} or cores)
 
     def _help(self, thread: int, wake: threading.Lock) -> None:
-        me = Member(self._counters, thread, self.n_threads)
+        me = Worker(self._counters, thread, self.n_threads)
         while True:
             wake.acquire()
             current = self._task
@@ -106,13 +106,13 @@ class Team:
 
 
 @functools.cache
-def team_of(n_threads: int) -> Team:
+def thread_pool(n_threads: int) -> ThreadPool:
     """The team of so many threads; all simulations of a process share it."""
-    return Team(n_threads)
+    return ThreadPool(n_threads)
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=team_of.cache_clear)  # a child process has none of its parent's threads
+    os.register_at_fork(after_in_child=thread_pool.cache_clear)  # a child process has none of its parent's threads
 
 
 @scalar

@@ -2,59 +2,26 @@
 
 import warnings
 from collections.abc import Sequence
-from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from minimd.constraints.distance import DistanceConstraints, RigidBonds
-from minimd.integrators.splitting.splitting import State
-from minimd.structure.cell import minimum_image_translations
+from minimd.constraints.solver import ConstraintSolver
+from minimd.structure.console import outside_minimd
+from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
+from minimd.structure.images import images_of_length, nearest_images
 from minimd.structure.observables import degrees_of_freedom
 from minimd.structure.system import System
 
 TOLD = 1e-8  # violations of a start, relative, that are put right with a word; smaller ones without
 
 
-class FixedAtoms:
-    """Atoms that stay where they are.
-
-    Parameters
-    ----------
-    atoms : indices, none if empty, or one bool for each atom.
-
-    Raises
-    ------
-    ValueError : for anything else; from a Simulation, for atoms that it does not have, or another number of bools.
-    """
-
-    def __init__(self, atoms: ArrayLike) -> None:
-        chosen = np.asarray(atoms) if np.size(atoms) else np.empty(0, dtype=np.int64)
-        self._n_bools = chosen.size if chosen.dtype == bool else None
-        self.atoms = np.flatnonzero(chosen) if chosen.dtype == bool else np.unique(chosen)
-        if chosen.ndim != 1 or not np.issubdtype(self.atoms.dtype, np.integer) or self.atoms.min(initial=0) < 0:
-            raise ValueError(f"fixed atoms must be a list of indices, counted from 0, or one bool for each atom; got {atoms!r}")
-
-    def __repr__(self) -> str:
-        return f"FixedAtoms({len(self.atoms)} atoms)"
-
-    def check_size(self, n_atoms: int) -> None:
-        """ValueError unless so many atoms can be meant."""
-        if self._n_bools not in (None, n_atoms):
-            raise ValueError(f"fixed atoms must be given as indices, or as one bool for each of {n_atoms} atoms; got {self._n_bools} bools")
-        if self.atoms.max(initial=-1) >= n_atoms:
-            raise ValueError(f"fixed atoms must be among 0 to {n_atoms - 1}; they name atom {self.atoms.max()}")
-
-
-Constraint = DistanceConstraints | FixedAtoms
-
-
-class Rigidity:
+class ConstraintSet:
     """The constraints of one simulation.
 
     Attributes
     ----------
-    inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : RigidBonds, or None.  n_constraints, n_fixed : int.
+    inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : ConstraintSolver, or None.  n_constraints, n_fixed : int.
     kept : the same constraints with the lengths that are kept, at most one of each kind.
     """
 
@@ -88,14 +55,18 @@ class Rigidity:
             inverse_masses[constraint.atoms] = 0.0
         return inverse_masses
 
-    def _rigid_bonds(self, system: System) -> RigidBonds | None:
+    def _rigid_bonds(self, system: System) -> ConstraintSolver | None:
         if self._distances is None:
             return None
         if self._distances.pairs.max() >= len(system):
             raise ValueError(f"constraints must name atoms 0 to {len(system) - 1}; they name atom {self._distances.pairs.max()}")
         pairs, lengths = self._distances.pairs, self._distances.lengths
-        images = nearest_images(system, pairs) if lengths is None else images_of_length(system, pairs, lengths)
-        return self._distances.on(system.positions, self.inverse_masses, images, self._threads)
+        images = (
+            nearest_images(system.positions, system.cell, pairs)
+            if lengths is None
+            else images_of_length(system.positions, system.cell, pairs, lengths)
+        )
+        return ConstraintSolver(self._distances, system.positions, self.inverse_masses, images, self._threads)
 
     def degrees_of_freedom(self, conserves_momentum: bool) -> int:
         """Of the atoms that move; see observables. Raises ValueError if none is left."""
@@ -112,17 +83,17 @@ class Rigidity:
         if not off.any():
             return
         offsets = self.bonds.offsets.copy()
-        offsets[off] = images_of_length(system, self.bonds.pairs[off], self.bonds.lengths[off])
+        offsets[off] = images_of_length(system.positions, system.cell, self.bonds.pairs[off], self.bonds.lengths[off])
         if not np.array_equal(offsets, self.bonds.offsets):
             known = DistanceConstraints(self.bonds.pairs, self.bonds.lengths, self._distances.tolerance, self._distances.solver)
             iterations = self.bonds.iterations
-            self.bonds = known.on(system.positions, self.inverse_masses, offsets, self._threads)
+            self.bonds = ConstraintSolver(known, system.positions, self.inverse_masses, offsets, self._threads)
             self.bonds.iterations = iterations
 
-    def with_equal_masses(self, system: System) -> "Rigidity":
+    def with_equal_masses(self, system: System) -> "ConstraintSet":
         """The same constraints, with their present lengths, on atoms of mass 1: projections are then the shortest ones, whoever is heavy."""
         light = System(system.positions, masses=1.0, cell=system.cell, units=system.units)
-        return Rigidity(light, self.kept, self._threads)
+        return ConstraintSet(light, self.kept, self._threads)
 
     def project(self, velocities: NDArray[np.float64], positions: NDArray[np.float64]) -> None:
         """Velocities that constraints allow, (N, 3) both."""
@@ -130,10 +101,9 @@ class Rigidity:
         if self.bonds is not None:
             self.bonds.project_velocities(velocities, positions)
 
-    def begin(self, system: System, state: State) -> None:
+    def begin(self, system: System) -> None:
         """Put positions and velocities that violate a constraint right, with a warning that says how far they were off."""
         self.fit(system)
-        state.constraints = self.bonds
         system.velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is None:
             return
@@ -147,33 +117,5 @@ class Rigidity:
             warnings.warn(
                 f"the start was projected onto the constraints: lengths were off by {0.5 * off:.1e} of themselves, "
                 f"velocities along bonds by {turned:.1e} of the speed",
-                stacklevel=4,
+                stacklevel=outside_minimd(),
             )
-
-
-def lengths_of(system: System, constraints: DistanceConstraints) -> NDArray[np.float64]:
-    """(K,) [length], as given; else the distances in the system, to the nearest image."""
-    if constraints.lengths is not None:
-        return constraints.lengths
-    i, j = constraints.pairs.T
-    return np.linalg.norm(system.positions[j] - system.positions[i] + nearest_images(system, constraints.pairs), axis=1)
-
-
-def nearest_images(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(K, 3) lattice vectors [length] that make r_j − r_i of each pair shortest."""
-    translations, cell = np.zeros((len(pairs), 3)), system.cell
-    if cell.is_periodic:
-        first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
-        minimum_image_translations(system.positions, first, second, cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations)
-    return translations
-
-
-def images_of_length(system: System, pairs: NDArray[np.int64], lengths: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(K, 3) lattice vectors [length] that bring |r_j − r_i| of each pair next to its length: those of the nearest images, up to half the cell."""
-    translations, cell = nearest_images(system, pairs), system.cell
-    for k in np.flatnonzero(lengths**2 >= cell.safe_distance2):
-        nearest = system.positions[pairs[k, 1]] - system.positions[pairs[k, 0]] + translations[k]
-        reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0).astype(int)
-        others = np.array(list(product(*(range(-n, n + 1) for n in reach)))) @ cell.lattice
-        translations[k] += others[np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))]
-    return translations

@@ -20,7 +20,7 @@ ALIKE = 1e-12  # masses and squared lengths that differ by this fraction are the
 
 
 class Whole(Protocol):
-    """What a group needs to know of all constraints, in the order of the user: see constraints.RigidBonds."""
+    """What a group needs to know of all constraints, in the order of the user: see constraints.ConstraintSolver."""
 
     pairs: Ints
     lengths: Array

@@ -11,7 +11,7 @@ from numba.core import types
 from numba.extending import overload
 
 from minimd.compiled.kernels import shared_kernel
-from minimd.compiled.threads import MOST_SHARES, Team, begin, finish_and_take, take, team_of, wait
+from minimd.compiled.threads import MOST_SHARES, ThreadPool, begin, finish_and_take, take, thread_pool, wait
 
 CONSTRAINTS_IN_A_SHARE = 500  # at least: a share of work must be worth handing out
 
@@ -21,7 +21,7 @@ class Crew:
 
     def __init__(self, n_components: int, n_constraints: int, most_threads: int) -> None:
         self.n_components, n_shares = n_components, max(1, min(n_components, n_constraints // CONSTRAINTS_IN_A_SHARE, MOST_SHARES))
-        self._team: Team = team_of(min(most_threads, n_shares))
+        self._team: ThreadPool = thread_pool(min(most_threads, n_shares))
         self._answers = np.zeros(n_shares, dtype=np.int64)
 
     def run(self, solver: tuple, *arguments: Any) -> int:

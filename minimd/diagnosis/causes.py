@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.constraints.distance import DistanceConstraints
 from minimd.diagnosis.contacts import Contact, contacts
 from minimd.integrators.splitting.linear_stability import stability_limit
-from minimd.integrators.splitting.substeps import Row
+from minimd.integrators.splitting.substeps import Substeps
 from minimd.neighbors.queries import closest_pair
+from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.observables import kinetic_energy
 from minimd.structure.system import System
 
@@ -43,7 +43,7 @@ class Evidence(NamedTuple):
     potentials: Sequence[Any]
     inverse_masses: NDArray[np.float64]
     timestep: float
-    row: Row
+    row: Substeps
     start: Moment
     is_first: bool
     constraint: tuple[int, int] | None

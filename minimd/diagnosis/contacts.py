@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.constraints.constraint_set import nearest_images
 from minimd.potentials.bonded import BondPotential
 from minimd.potentials.law import evaluate_law, is_user_law
 from minimd.potentials.laws import HarmonicLaw, LennardJonesLaw
 from minimd.potentials.pair import PairPotential
 from minimd.structure.bond_graph import pairs_by_bonds_apart
+from minimd.structure.images import nearest_images
 from minimd.structure.system import System
 
 NEAREST = 16  # neighbors of each atom that are looked at
@@ -127,7 +127,7 @@ def _nearest(system: System, atoms: list[int]) -> Iterator[Pair]:
 
 
 def _distances(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
-    vectors = system.positions[pairs[:, 1]] - system.positions[pairs[:, 0]] + nearest_images(system, pairs)
+    vectors = system.positions[pairs[:, 1]] - system.positions[pairs[:, 0]] + nearest_images(system.positions, system.cell, pairs)
     return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
 
 

@@ -19,11 +19,11 @@ from minimd.structure.system import System
 if TYPE_CHECKING:
     from minimd.simulation.simulation import Simulation
 
-SUFFIX = ".autopsy.h5md"
+SUFFIX = ".crash.h5md"
 
 
 @dataclass(frozen=True)
-class Autopsy:
+class CrashReport:
     """The findings. str() is the text for people.
 
     Attributes
@@ -58,7 +58,7 @@ class Autopsy:
         return {**found, "closest": None if self.closest is None else [int(self.closest[0]), int(self.closest[1]), float(self.closest[2])]}
 
     @classmethod
-    def of(cls, found: dict[str, Any]) -> "Autopsy":
+    def of(cls, found: dict[str, Any]) -> "CrashReport":
         """The reverse of asdict."""
         pair = None if found["pair"] is None else Contact(**found["pair"])
         return cls(**{**found, "pair": pair, "closest": None if found["closest"] is None else ClosestPair(*found["closest"])})
@@ -99,7 +99,7 @@ class Failure(NamedTuple):
     is_first: bool
 
 
-def examine(system: System, acting: Acting, method: Splitting, failure: Failure) -> Autopsy:
+def examine(system: System, acting: Acting, method: Splitting, failure: Failure) -> CrashReport:
     """Find the likely cause of a failure.  system : in the last good state."""
     force, speeds, closest = _lengths(acting.forces), _lengths(system.velocities), closest_pair(system)
     pushed, fastest = int(np.argmax(np.where(np.isfinite(force), force, np.inf))), int(np.argmax(speeds))
@@ -107,9 +107,9 @@ def examine(system: System, acting: Acting, method: Splitting, failure: Failure)
     near = () if closest is None else (int(closest.first), int(closest.second))
     suspects = [pushed, fastest, *near, *(failure.constraint or ()), *map(int, bad)]
     found = contacts(system, acting.potentials, acting.inverse_masses, suspects) + _limitless(failure.at, system, acting, suspects)
-    known = (system, acting.potentials, acting.inverse_masses, method.timestep, method.row(), failure.start, failure.is_first)
+    known = (system, acting.potentials, acting.inverse_masses, method.timestep, method.sequence(), failure.start, failure.is_first)
     judged = verdict(Evidence(*known, failure.constraint, found))
-    return Autopsy(
+    return CrashReport(
         fault=failure.fault,
         step=failure.step,
         last_good_step=failure.last_good_step,
@@ -136,41 +136,41 @@ def _limitless(positions: NDArray[np.float64] | None, system: System, acting: Ac
     return [one for one in contacts(moved, acting.potentials, acting.inverse_masses, atoms) if not one.is_finite]
 
 
-def place_of(autopsy: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
+def place_of(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
     """Where the findings about a run go: where they were asked to, beside its first trajectory if True, nowhere if there is none.
 
     Raises ValueError for one of the trajectories, which it would replace.
     """
     several = [trajectories] if isinstance(trajectories, (str, Path)) else list(trajectories)
-    if isinstance(autopsy, bool):
-        return Path(several[0]).with_suffix(SUFFIX) if autopsy and several else None
-    if Path(autopsy).resolve() in [Path(file).resolve() for file in several]:
-        raise ValueError(f"autopsy must be a file of its own; {str(autopsy)!r} is a trajectory of the run: choose another name")
-    return Path(autopsy)
+    if isinstance(crash_report, bool):
+        return Path(several[0]).with_suffix(SUFFIX) if crash_report and several else None
+    if Path(crash_report).resolve() in [Path(file).resolve() for file in several]:
+        raise ValueError(f"crash_report must be a file of its own; {str(crash_report)!r} is a trajectory of the run: choose another name")
+    return Path(crash_report)
 
 
 @contextmanager
 def left_at(path: Path | None, simulation: "Simulation", overwrite: bool) -> Iterator[None]:
-    """If a simulation fails, leave the file of its autopsy, and name it in the error."""
+    """If a simulation fails, leave the file of its crash report, and name it in the error."""
     try:
         yield
     except (NonFiniteError, ConstraintError) as error:
-        if path is not None and error.autopsy is not None:
+        if path is not None and error.crash_report is not None:
             error.args = (f"{error}. {_left(error, path, simulation, overwrite)}",)
         raise
 
 
 def _left(error: NonFiniteError | ConstraintError, path: Path, simulation: "Simulation", overwrite: bool) -> str:
     """Write the file; returns what can be said of it."""
-    from minimd.files.crash_file import free_name, write_autopsy
+    from minimd.files.crash_file import free_name, write_crash_report
 
     file = free_name(path, overwrite)
     try:
-        write_autopsy(file, simulation, error.autopsy)
+        write_crash_report(file, simulation, error.crash_report)
     except Exception as reason:  # whatever it is: the failure itself must be heard
-        return f"No autopsy was written: {reason}"
+        return f"No crash report was written: {reason}"
     error.file = file
-    return f"Autopsy in {file}; look again with: minimd replay {file}, or, in a script, minimd.replay(file, potentials)"
+    return f"Crash report in {file}; look again with: minimd replay {file}, or, in a script, minimd.replay(file, potentials)"
 
 
 def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -82,7 +82,7 @@ def runaway(system: System, timestep: float, first: Mapping[str, float], now: Ma
     return None
 
 
-def autopsy(system: System, fault: str, step: int, timestep: float, last_good_step: int) -> str:
+def failure_sentence(system: System, fault: str, step: int, timestep: float, last_good_step: int) -> str:
     """The fault with its circumstances, one sentence for an error; system is in the last good state."""
     units, pair = system.units, closest_pair(system)
     return (
@@ -107,7 +107,7 @@ def unstable_bond(system: System, bond: StiffBond | None, method: Splitting) -> 
     """That a time step is longer than a harmonic bond allows, in a sentence; None if it is not. Other forces may allow still less."""
     if bond is None:
         return None
-    limit = stability_limit(method.row()) / sqrt(bond.square)
+    limit = stability_limit(method.sequence()) / sqrt(bond.square)
     if abs(method.timestep) <= limit:
         return None
     units = system.units

@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.constraints.constraint_set import Rigidity, nearest_images
+from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import BondPotential, HarmonicBond
+from minimd.structure.images import nearest_images
 from minimd.structure.system import System
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ class StiffBond(NamedTuple):
     square: float
 
 
-def stiffest_bond(system: System, potentials: Sequence[Any], rigidity: Rigidity) -> StiffBond | None:
+def stiffest_bond(system: System, potentials: Sequence[Any], rigidity: ConstraintSet) -> StiffBond | None:
     """The harmonic bond with the highest frequency of its own, ω² = k/μ; None if there is none that can stretch.
 
     Beside other bonds, and where nothing is compressed, the stiffest mode is faster still: ω² is a lower bound of its square.
@@ -38,7 +39,7 @@ def stiffest_bond(system: System, potentials: Sequence[Any], rigidity: Rigidity)
     return max(found, key=lambda bond: bond.square, default=None)
 
 
-def _stiffest_of(system: System, potential: HarmonicBond, rigidity: Rigidity) -> StiffBond | None:
+def _stiffest_of(system: System, potential: HarmonicBond, rigidity: ConstraintSet) -> StiffBond | None:
     pairs = bonded_pairs(system, potential)
     if not len(pairs):
         return None
@@ -72,7 +73,7 @@ class Curvature:
     n_evaluations : of the forces so far.  displacement : of the atom that is moved most [length].
     """
 
-    def __init__(self, forces: Forces, rigidity: Rigidity) -> None:
+    def __init__(self, forces: Forces, rigidity: ConstraintSet) -> None:
         self._forces, self._rigidity, self._system = forces, rigidity, forces.system
         rigidity.fit(self._system)
         self._root = np.sqrt(rigidity.inverse_masses)[:, None]
@@ -133,7 +134,7 @@ class Curvature:
         return modes
 
     def _arms(self, pairs: NDArray[np.int64]) -> Array:
-        return self._start[pairs[:, 1]] - self._start[pairs[:, 0]] + nearest_images(self._system, pairs)
+        return self._start[pairs[:, 1]] - self._start[pairs[:, 0]] + nearest_images(self._system.positions, self._system.cell, pairs)
 
     def _forces_at(self, steps: Array, length: float) -> Array:
         try:

@@ -10,10 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import compile_clock
-from minimd.constraints.constraint_set import Constraint
 from minimd.diagnosis.causes import Moment
 from minimd.diagnosis.crash_report import Acting, Failure, examine
-from minimd.diagnosis.faults import RUNAWAY, autopsy, broken_constraint, fault_at_start, fault_of, largest_acceleration, runaway, unstable_bond
+from minimd.diagnosis.faults import (
+    RUNAWAY,
+    broken_constraint,
+    fault_at_start,
+    fault_of,
+    largest_acceleration,
+    runaway,
+    unstable_bond,
+)
 from minimd.diagnosis.hessian import stiffest_bond
 from minimd.engine.engine import Motion
 from minimd.forces.forces import Potential
@@ -22,6 +29,7 @@ from minimd.integrators.splitting.splitting import Splitting
 from minimd.potentials.pair_loop import PER_ATOM
 from minimd.structure import observables
 from minimd.structure.console import outside_minimd
+from minimd.structure.constraints import Constraint
 from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.system import System
 
@@ -123,7 +131,8 @@ class Dynamics(Motion):
         self._moments, self._first_step, self._reason, self._before = [], self.step, None, None
         self._state.forces_are_current = False
         self._share_energy()
-        self._rigidity.begin(self.system, self._state)
+        self._rigidity.begin(self.system)
+        self._state.constraints = self._rigidity.bonds
         self._warn_of_timestep()
         self._forces.fit_skin(observables.largest_speed(self.velocities) * abs(self.method.timestep))
         self._look()
@@ -188,9 +197,9 @@ class Dynamics(Motion):
         return runaway(self.system, self.method.timestep, self._first, now) if self._first else None
 
     def _failure(self, fault: str, step: int, at: NDArray[np.float64] | None = None) -> NonFiniteError | ConstraintError:
-        """The error for a run that failed in a step, with its autopsy; the system is in the last good state.  at : (N, 3), that of the failure."""
+        """The error for a run that failed in a step, with its crash report; the system is in the last good state.  at : (N, 3), of the failure."""
         reason, here = self._reason, (step, self.method.timestep, self.step)
-        error: NonFiniteError | ConstraintError = NonFiniteError(autopsy(self.system, fault, *here))
+        error: NonFiniteError | ConstraintError = NonFiniteError(failure_sentence(self.system, fault, *here))
         if isinstance(reason, ConstraintError):
             error, fault = ConstraintError(broken_constraint(self.system, reason, *here)), str(reason)
         moments = self._moments or [self.moment]
@@ -200,6 +209,6 @@ class Dynamics(Motion):
         with suppress(Exception):  # whatever terms of the user's own raise: what is broken must not hide that it is
             self._forces.compute(PER_ATOM)
             acting = Acting(self._forces.potentials, self.forces, self._forces.energies, self._rigidity.inverse_masses)
-            error.autopsy = examine(self.system, acting, self.method, failure)
-            error.args = (f"{error}. Likely cause: {error.autopsy.cause}",)
+            error.crash_report = examine(self.system, acting, self.method, failure)
+            error.args = (f"{error}. Likely cause: {error.crash_report.cause}",)
         return error

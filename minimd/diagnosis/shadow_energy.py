@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from minimd.integrators.splitting.substeps import Row
+from minimd.integrators.splitting.substeps import Substeps
 from minimd.integrators.splitting.verlet import PositionVerlet, VelocityVerlet
 
 if TYPE_CHECKING:
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from minimd.simulation.simulation import Simulation
 
 NUDGE = 0.05  # of a step by which atoms are moved along their velocities to see the forces change
-COEFFICIENTS: dict[Row, tuple[float, float]] = {  # of v·(∇²U) v and of F·M⁻¹F
-    VelocityVerlet.row(): (1.0 / 12.0, -1.0 / 24.0),
-    PositionVerlet.row(): (-1.0 / 24.0, 1.0 / 12.0),
+COEFFICIENTS: dict[Substeps, tuple[float, float]] = {  # of v·(∇²U) v and of F·M⁻¹F
+    VelocityVerlet.sequence(): (1.0 / 12.0, -1.0 / 24.0),
+    PositionVerlet.sequence(): (-1.0 / 24.0, 1.0 / 12.0),
 }
 
 
@@ -58,7 +58,7 @@ def motion_curvature(simulation: "Dynamics") -> float:
 
 def correction(simulation: "Dynamics", bend: float) -> float:
     """H̃ − H [energy], from v·(∇²U) v and the forces of the last evaluation."""
-    of_motion, of_forces = COEFFICIENTS[simulation.method.row()]
+    of_motion, of_forces = COEFFICIENTS[simulation.method.sequence()]
     squares = float(np.einsum("ij,ij,i->", simulation.forces, simulation.forces, simulation.inverse_masses))
     return simulation.method.timestep**2 * (of_motion * bend + of_forces * squares)
 
@@ -76,7 +76,7 @@ def check_has_shadow(simulation: "Dynamics") -> None:
     method = simulation.method
     if method.is_thermostat:
         raise ValueError(f"there is no shadow energy with a thermostat, which takes energy and gives it; the method is {method.name}")
-    if method.row() not in COEFFICIENTS:
+    if method.sequence() not in COEFFICIENTS:
         raise ValueError(f"the shadow energy is known of velocity-verlet, leapfrog and position-verlet; the method is {method.name}")
     if simulation.rigid_bonds is not None:
         raise ValueError("the shadow energy is known without rigid bonds only; leave the constraints out, or do not ask for it")

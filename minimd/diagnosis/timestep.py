@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.constraints.constraint_set import Constraint, Rigidity
+from minimd.constraints.constraint_set import ConstraintSet
 from minimd.diagnosis.hessian import Curvature, bonded_pairs, stiffest_bond
 from minimd.forces.forces import Forces, Potential
 from minimd.integrators.splitting.linear_stability import accurate_step, stability_limit
@@ -16,6 +16,7 @@ from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.verlet import VelocityVerlet
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import BondPotential
+from minimd.structure.constraints import Constraint
 from minimd.structure.errors import NonFiniteError
 from minimd.structure.system import System
 from minimd.structure.units import UnitSystem
@@ -113,12 +114,12 @@ def advise_timestep(
     if not (isinstance(method, Splitting) or (isinstance(method, type) and issubclass(method, Splitting))):
         raise TypeError(f"method must be a splitting, such as VelocityVerlet or VelocityVerlet(0.005); got {method!r}")
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
-    rigidity = Rigidity(system, system.constraints if constraints is None else constraints)
+    rigidity = ConstraintSet(system, system.constraints if constraints is None else constraints)
     forces = Forces(system, potentials)
     curvature = Curvature(forces, rigidity)
     square, mode = _stiffest_mode(curvature, system, forces.potentials, rigidity)
     frequency = float(np.sqrt(max(square, 0.0)))
-    row, shares = method.row(), np.einsum("ij,ij->i", mode, mode)
+    row, shares = method.sequence(), np.einsum("ij,ij->i", mode, mode)
     atoms = [int(i) for i in np.argsort(-shares, kind="stable")[:SHOWN_ATOMS] if shares[i] >= SHOWN_SHARE]
     return StepAdvice(
         frequency=frequency,
@@ -136,7 +137,9 @@ def advise_timestep(
     )
 
 
-def _stiffest_mode(curvature: Curvature, system: System, potentials: Sequence[Potential], rigidity: Rigidity) -> tuple[float, NDArray[np.float64]]:
+def _stiffest_mode(
+    curvature: Curvature, system: System, potentials: Sequence[Potential], rigidity: ConstraintSet
+) -> tuple[float, NDArray[np.float64]]:
     """ω² and the mode, (N, 3) mass-weighted; or what is wrong with the state."""
     if curvature.is_finite():
         square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, rigidity)))

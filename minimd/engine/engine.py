@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.constraints.constraint_set import Constraint, Rigidity
-from minimd.constraints.distance import RigidBonds
+from minimd.constraints.constraint_set import ConstraintSet
+from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.causes import Moment
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting, State
 from minimd.potentials.pair_loop import FORCES, TOTALS
 from minimd.structure.console import outside_minimd
+from minimd.structure.constraints import Constraint
 from minimd.structure.system import System
 from minimd.structure.velocities import maxwell_boltzmann, rescaled
 
@@ -39,7 +40,7 @@ class Motion:
         self.time = 0.0
         self._forces = Forces(self.system, potentials, options)
         _warn_of_dropped(self._system.constraints, constraints)
-        self._rigidity = Rigidity(self.system, self.system.constraints if constraints is None else constraints, options.most_threads)
+        self._rigidity = ConstraintSet(self.system, self.system.constraints if constraints is None else constraints, options.most_threads)
         self.system.constraints = self._rigidity.kept
         self._state = State(self.system.positions, self.system.velocities, self._forces.forces, self._rigidity.inverse_masses)
         self._state.constraints = self._rigidity.bonds
@@ -116,7 +117,7 @@ class Motion:
         self._restore(moment[2:])
 
     @property
-    def rigid_bonds(self) -> RigidBonds | None:
+    def rigid_bonds(self) -> ConstraintSolver | None:
         """Lengths that are held, as they are kept in a run; None without."""
         return self._rigidity.bonds
 

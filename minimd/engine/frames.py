@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from minimd.constraints.distance import RigidBonds
+from minimd.constraints.solver import ConstraintSolver
 from minimd.engine.record import Frame
 from minimd.structure import observables
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from minimd.simulation.simulation import Simulation
 
 
-def observe(simulation: "Simulation", virial: Any, potential_energy: float, bonds: RigidBonds | None) -> Frame:
+def observe(simulation: "Simulation", virial: Any, potential_energy: float, bonds: ConstraintSolver | None) -> Frame:
     """The present state with its observables.
 
     virial : (3, 3) [energy], of forces and constraints.  bonds : lengths that are held fixed.

@@ -1,7 +1,7 @@
 """The file that a failed run leaves: an H5MD file with the last good state, an earlier one, and what it takes to go there again.
 
 frames               the earlier state and the last good one, with forces and observables; the restart is the last good one
-minimd/autopsy       findings, method, options and potentials in words, as JSON
+minimd/crash_report       findings, method, options and potentials in words, as JSON
     positions ...    the earlier state to the last bit
 """
 
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from minimd.diagnosis.causes import Moment
-from minimd.diagnosis.crash_report import SUFFIX, Autopsy
+from minimd.diagnosis.crash_report import SUFFIX, CrashReport
 from minimd.files.h5md_schema import opened
 from minimd.files.h5md_writer import H5MDWriter, read_file
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class AutopsyFile:
+class CrashFile:
     """What such a file holds.
 
-    findings : Autopsy.  system : System in the earlier state, with its constraints.  start : that state.  method : as it was.
+    findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.  method : as it was.
     precision, skin, noise_shift : of the simulation.  potentials : in words.  scene, title : texts; the scene is empty if the run came from a script.
     """
 
-    findings: Autopsy
+    findings: CrashReport
     system: System
     start: Moment
     method: Splitting
@@ -54,14 +54,14 @@ def free_name(path: Path, overwrite: bool) -> Path:
     return found
 
 
-def write_autopsy(path: Path, simulation: "Simulation", findings: Autopsy) -> None:
+def write_crash_report(path: Path, simulation: "Simulation", findings: CrashReport) -> None:
     """Write the file of a simulation that has just failed and stands in its last good state, where it is left.
 
     Raises
     ------
     OSError : if it cannot be written.
     """
-    part = path.with_name(f"{path.name}.part")  # so that nothing half written stands where somebody looks for an autopsy
+    part = path.with_name(f"{path.name}.part")  # so that nothing half written stands where somebody looks for a crash report
     try:
         _write(part, simulation, findings)
         os.replace(part, path)
@@ -69,7 +69,7 @@ def write_autopsy(path: Path, simulation: "Simulation", findings: Autopsy) -> No
         part.unlink(missing_ok=True)
 
 
-def _write(path: Path, simulation: "Simulation", findings: Autopsy) -> None:
+def _write(path: Path, simulation: "Simulation", findings: CrashReport) -> None:
     last, start = simulation.moment, simulation.failed_from or simulation.moment
     writer = H5MDWriter(path, simulation, store_forces=True)
     try:
@@ -80,7 +80,7 @@ def _write(path: Path, simulation: "Simulation", findings: Autopsy) -> None:
         simulation.go_to(last)
         writer.close(completed=False)
     with opened(path, "r+") as h5:
-        group = h5.create_group("minimd/autopsy")
+        group = h5.create_group("minimd/crash_report")
         group["positions"], group["velocities"] = start.positions, start.velocities
         group.attrs.update({"step": np.int64(start.step), "time": np.float64(start.time), "heat": np.float64(start.heat)})
         group["findings"] = json.dumps(findings.asdict())
@@ -100,7 +100,7 @@ def _description(simulation: "Simulation") -> dict[str, Any]:
     }
 
 
-def read_autopsy(path: str | Path) -> AutopsyFile:
+def read_crash_report(path: str | Path) -> CrashFile:
     """What the file of a failed run holds.
 
     Raises
@@ -109,9 +109,9 @@ def read_autopsy(path: str | Path) -> AutopsyFile:
     """
     contents = read_file(path)
     with opened(path, "r") as h5:
-        if "minimd/autopsy/simulation" not in h5:
-            raise ValueError(f"file {str(path)!r} holds no autopsy; give the .autopsy.h5md file of a run that failed")
-        group = h5["minimd/autopsy"]
+        if "minimd/crash_report/simulation" not in h5:
+            raise ValueError(f"file {str(path)!r} holds no crash report; give the .crash.h5md file of a run that failed")
+        group = h5["minimd/crash_report"]
         told, findings = (json.loads(group[name].asstr()[()]) for name in ("simulation", "findings"))
         at = group.attrs
         start = Moment(int(at["step"]), float(at["time"]), group["positions"][:], group["velocities"][:], float(at["heat"]))
@@ -122,8 +122,8 @@ def read_autopsy(path: str | Path) -> AutopsyFile:
         )
     system = contents.system
     system.positions[:], system.velocities[:] = start.positions, start.velocities
-    return AutopsyFile(
-        findings=Autopsy.of(findings),
+    return CrashFile(
+        findings=CrashReport.of(findings),
         system=system,
         start=start,
         method=methods[told["method"]](**told["parameters"]),

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
-from minimd.constraints.constraint_set import Constraint, FixedAtoms
-from minimd.constraints.distance import ROUNDINGS, DistanceConstraints
+from minimd.constraints.solver import ROUNDINGS
+from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 
 NAME = "constraints"
 BYTES = 24  # of a pair with its length; more than a fixed atom takes

@@ -7,7 +7,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel, shared_kernel, without_cache
-from minimd.compiled.threads import begin, finish_and_take, take, team_of, wait
+from minimd.compiled.threads import begin, finish_and_take, take, thread_pool, wait
 from minimd.forces.cluster_loop import BLOCK, LANES, SHARES, ByLane, ForceSums, Sums, add_cluster_forces
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws, check_single_precision, skin_for
@@ -64,7 +64,7 @@ class ClusteredPairs:
     """Laws on all pairs within their cutoffs, eight at a time, found with one cluster list."""
 
     def __init__(self, system: System, laws: PairLaws, options: Options, stride: float = 0.0) -> None:
-        self._team = team_of(max(1, min(options.most_threads, len(system) // ATOMS_IN_A_CHUNK)))
+        self._team = thread_pool(max(1, min(options.most_threads, len(system) // ATOMS_IN_A_CHUNK)))
         self._is_mixed = options.precision == "mixed"
         if self._is_mixed:
             check_single_precision(laws)
@@ -113,7 +113,7 @@ class ClusteredPairs:
         np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The list, for the report."""
         n = min(self._team.n_threads, self.list.n_chunks) if self.list.n_builds else self._team.n_threads
         threads = f"{n} thread{'s' if n > 1 else ''}"

@@ -175,7 +175,7 @@ class Forces:
     @property
     def pair_search(self) -> str:
         """Which lists this scene got, in words."""
-        return ", ".join(term.words for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs))) or "no list"
+        return ", ".join(term.summary for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs))) or "no list"
 
     def skipped(self) -> list[str]:
         """What this scene lacks and therefore does not pay for, in words."""

@@ -16,8 +16,9 @@ from minimd.potentials.laws import Scaled
 from minimd.potentials.pair import PairPotential
 from minimd.potentials.pair_loop import FORCES, fixed_pairs, pair_loop_for
 from minimd.potentials.parameters import ByPair, BySpecies, SameForAll, from_table
+from minimd.structure.bond_graph import checked_groups, checked_pairs
 from minimd.structure.cell import minimum_image_translations
-from minimd.structure.system import System, checked_pairs, number_density
+from minimd.structure.system import System, number_density
 
 ALL_PAIRS_UP_TO = 100  # atoms: below, an open scene is faster without a list that has to be rebuilt
 MOST_PAIRS = 2**30  # 8 bytes each
@@ -75,7 +76,7 @@ class ListedPairs:
         self._local = (np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((n, 6)))
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The list, for the report."""
         return "all pairs" if self._in_users_order else f"pair list (skin {self.list.skin:.3g})"
 
@@ -118,9 +119,7 @@ class Angles:
     """Harmonic angles, each arm taken at its nearest image."""
 
     def __init__(self, system: System, potential: HarmonicAngle) -> None:
-        triples = potential.triples
-        for pair in (triples[:, [0, 1]], triples[:, [1, 2]], triples[:, [0, 2]]):
-            _check_atoms("triples", triples, pair, len(system))
+        triples = checked_groups("triples", potential.triples, 3, len(system))
         first, middle, last = (np.ascontiguousarray(triples[:, k]) for k in range(3))
         self._triples = Triples(first, middle, last, np.zeros((len(triples), 3)), np.zeros((len(triples), 3)))
         self._k, self._angle = potential.k, potential.angle
@@ -218,9 +217,3 @@ def _check_size(system: System, cutoff: float, skin: float) -> None:
         if number > most:
             hint = f"reduce the cutoff ({cutoff:g})" if skin < cutoff else f"reduce the skin ({skin:g})"
             raise ValueError(f"pair lists hold up to {most:.1e} {name}, this scene needs about {number:.1e}: {hint}")
-
-
-def _check_atoms(name: str, groups: NDArray[np.int64], pair: NDArray[np.int64], n_atoms: int) -> None:
-    wrong = np.flatnonzero(((pair < 0) | (pair >= n_atoms)).any(axis=1) | (pair[:, 0] == pair[:, 1]))
-    if wrong.size:
-        raise ValueError(f"{name} must name different atoms from 0 to {n_atoms - 1}; {name}[{wrong[0]}] = {groups[wrong[0]].tolist()}")

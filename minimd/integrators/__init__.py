@@ -13,7 +13,8 @@ from minimd.integrators.splitting.compositions import (
     Suzuki4,
     Yoshida6,
 )
-from minimd.constraints.distance import DistanceConstraints, RigidBonds
+from minimd.structure.constraints import DistanceConstraints
+from minimd.constraints.solver import ConstraintSolver
 from minimd.integrators.ode.drivers import run_steps, run_until
 from minimd.integrators.dae.hessenberg import Hessenberg1, Hessenberg2, Hessenberg3
 from minimd.integrators.manifold.holonomic import Holonomic
@@ -91,7 +92,7 @@ __all__ = [
     "PositionVerlet",
     "RadauIIA2",
     "RadauIIA3",
-    "RigidBonds",
+    "ConstraintSolver",
     "RungeKutta",
     "Ruth3",
     "SecondOrder",

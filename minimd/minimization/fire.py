@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel
-from minimd.constraints.constraint_set import Rigidity, nearest_images
+from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces
 from minimd.neighbors.queries import closest_pair
 from minimd.structure.errors import ConstraintError, NonFiniteError
+from minimd.structure.images import nearest_images
 from minimd.structure.observables import longest
 
 Array = NDArray[np.float64]
@@ -86,7 +87,7 @@ class Descent:
     stop_requested : set it to True to end after the present step.
     """
 
-    def __init__(self, forces: Forces, rigidity: Rigidity, max_step_length: float) -> None:
+    def __init__(self, forces: Forces, rigidity: ConstraintSet, max_step_length: float) -> None:
         self._engine, self._rigidity, self._longest = forces, rigidity, max_step_length
         self._system, self._positions = forces.system, forces.system.positions
         self._forces = np.zeros_like(self._positions)
@@ -223,7 +224,7 @@ class Descent:
         if pair.distance == 0.0:
             raise NonFiniteError(f"atoms {pair.first} and {pair.second} lie on one spot: no force tells where they should go; move or remove one")
         i, j = pair.first, pair.second
-        arm = self._positions[j] - self._positions[i] + nearest_images(self._system, np.array([[i, j]]))[0]
+        arm = self._positions[j] - self._positions[i] + nearest_images(self._system.positions, self._system.cell, np.array([[i, j]]))[0]
         velocities = np.zeros_like(self._positions)
         velocities[i], velocities[j] = -arm / pair.distance, arm / pair.distance
         self._rigidity.project(velocities, self._positions)

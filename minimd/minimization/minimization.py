@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from minimd.constraints.constraint_set import Constraint, Rigidity
+from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces, Potential
 from minimd.minimization.fire import Descent
 from minimd.potentials.pair_loop import TOTALS
 from minimd.structure.console import Progress, stop_on_interrupt
+from minimd.structure.constraints import Constraint
 from minimd.structure.errors import Interrupted
 from minimd.structure.system import System
 
@@ -92,13 +93,13 @@ def minimize(
     E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006); J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020).
     """
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
-    rigidity = Rigidity(system, system.constraints if constraints is None else constraints)
+    rigidity = ConstraintSet(system, system.constraints if constraints is None else constraints)
     forces = Forces(system, potentials)
     return minimized(forces, rigidity, force_tolerance, max_steps, max_step_length, progress)
 
 
 def minimized(
-    forces: Forces, rigidity: Rigidity, force_tolerance: float, max_steps: int, max_step_length: float, progress: bool | None
+    forces: Forces, rigidity: ConstraintSet, force_tolerance: float, max_steps: int, max_step_length: float, progress: bool | None
 ) -> Minimization:
     """Minimize the system of some forces in place; see minimize."""
     _check(force_tolerance, max_steps, max_step_length)

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel, scalar, shared_kernel
 from minimd.compiled.simd import broadcast, convert, load, store
-from minimd.compiled.threads import Team, begin, finish_and_take, take, wait
+from minimd.compiled.threads import ThreadPool, begin, finish_and_take, take, wait
 from minimd.forces.cluster_loop import BLOCK, COPY_BITS, LANES, Rows
 from minimd.neighbors.buffers import SPARE, Buffers
 from minimd.neighbors.cluster_search import exclude_pairs, find_rows, make_work
 from minimd.neighbors.clusters import Clusters, make_columns, sort_into_clusters
 from minimd.neighbors.domains import Chunks, Copies, cut_into_chunks, fill_copies, sort_copies
-from minimd.neighbors.verlet_list import ListWithSkin
+from minimd.neighbors.verlet_list import VerletList
 from minimd.structure.cell import Cell
 
 ENTRIES_GUESSED = 12  # for each atom, at first
@@ -37,14 +37,14 @@ class Memory(NamedTuple):
     forces: Any
 
 
-class ClusterList(ListWithSkin):
+class ClusterList(VerletList):
     """Clusters with an atom within cutoff + skin of each atom.
 
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
     Parameters
     ----------
-    cutoff, skin, excluded : see ListWithSkin.  is_mixed : whether the pair arithmetic is float32.  team : who builds it.
+    cutoff, skin, excluded : see VerletList.  is_mixed : whether the pair arithmetic is float32.  team : who builds it.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class ClusterList(ListWithSkin):
     rows: Rows
     memory: Memory
 
-    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_mixed: bool, team: Team) -> None:
+    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_mixed: bool, team: ThreadPool) -> None:
         super().__init__(n_atoms, cutoff, skin, excluded)
         self._team, self._is_mixed = team, is_mixed
         self._columns_of: Cell | None = None

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel, scalar, shared_kernel
-from minimd.compiled.threads import MOST_SHARES, Team, begin, finish_and_take, take, wait
+from minimd.compiled.threads import MOST_SHARES, ThreadPool, begin, finish_and_take, take, wait
 from minimd.forces.cluster_loop import BLOCK, LANES
 from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
 from minimd.neighbors.buffers import Buffers
@@ -76,7 +76,7 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Co
     return Columns(counts, needed.astype(np.int64), WIDER * reach / cell.heights[2], origin, extent)
 
 
-def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Columns, memory: Buffers, team: Team) -> Clusters:
+def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Columns, memory: Buffers, team: ThreadPool) -> Clusters:
     """The clusters of all columns, the second lattice direction running faster than the first."""
     n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
     many, bins, triples = (n,), (n_bins + 1,), (n, 3)

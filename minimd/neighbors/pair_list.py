@@ -5,19 +5,19 @@ from numpy.typing import NDArray
 
 from minimd.neighbors.binning import make_grid, sort_into_bins
 from minimd.neighbors.search import find_pairs, forward_bins, image_table
-from minimd.neighbors.verlet_list import ListWithSkin
+from minimd.neighbors.verlet_list import VerletList
 from minimd.potentials.pair_loop import Pairs
 from minimd.structure.cell import Cell
 
 SPARE = 1.2  # room for this much more than the pairs that were found
 
 
-class PairList(ListWithSkin):
+class PairList(VerletList):
     """All pairs within cutoff + skin, in any cell, all images of them; built in linear time.
 
     Parameters
     ----------
-    cutoff, skin, excluded : see ListWithSkin; an infinite cutoff lists all pairs, in open scenes.
+    cutoff, skin, excluded : see VerletList; an infinite cutoff lists all pairs, in open scenes.
 
     Attributes
     ----------

@@ -33,7 +33,7 @@ def best_skin(cutoff: float, density: float, stride: float) -> float:
     return float(skins[np.argmin(cost)])
 
 
-class ListWithSkin(ABC):
+class VerletList(ABC):
     """A list kept for as long as no atom can have come into reach unseen.
 
     All pairs within cutoff + skin are listed; a pair beyond that needs one of its atoms to move more than skin/2 before it

@@ -127,7 +127,7 @@ class Scene:
         structure, unit_system = self.sections.structure, self.units
         lattice, element, mass = structure.lattice or "", structure.element, 1.0
         if unit_system is units.ASE:
-            from minimd.structure.ase_atoms import atomic_mass
+            from minimd.files.structure_file import atomic_mass
 
             mass = atomic_mass(element or "")
         edge = structure.lattice_constant or constant_from_density(lattice, structure.density or 0.0, mass)
@@ -137,7 +137,7 @@ class Scene:
 
     def _from_file(self) -> System:
         structure, reduced = self.sections.structure, self.units is units.LJ
-        from minimd.structure.ase_atoms import system_from_file
+        from minimd.files.structure_file import system_from_file
 
         read = system_from_file(self.path.parent / (structure.file or ""), structure.cell, structure.pbc)
         return System(

@@ -27,7 +27,7 @@ def kept(files: Sequence[Path], end: int) -> Iterator[None]:
         message = f"{_words(error)}; what was written before is kept in {', '.join(map(str, written))}"
         hint = _how_to_go_on(written, end) if isinstance(error, KeyboardInterrupt) else ""
         failure = type(error)(message + hint)
-        failure.__dict__.update(error.__dict__)  # such as the autopsy
+        failure.__dict__.update(error.__dict__)  # such as the crash report
         raise failure from None
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from minimd.constraints.constraint_set import FixedAtoms
 from minimd.diagnosis.crash_report import place_of
 from minimd.files.h5md_writer import H5MDContents, H5MDWriter, annotate, read_file
 from minimd.files.trajectory import checked_output
@@ -16,6 +15,7 @@ from minimd.scene.document import Scene, parse_scene
 from minimd.scene.ending import kept, nothing_written
 from minimd.simulation.simulation import Observer, Simulation
 from minimd.structure import units
+from minimd.structure.constraints import FixedAtoms
 from minimd.structure.errors import ConstraintError, NonFiniteError
 
 Tell = Callable[[str], None]
@@ -64,7 +64,7 @@ def run_scene(
             overwrite=overwrite,
             observers=[_scene_keeper(scene, files)],
             progress=progress,
-            autopsy=place or False,
+            crash_report=place or False,
         )
     tell(str(simulation.report()))
     if picture is not None:
@@ -136,7 +136,7 @@ def _append(file: Path, simulation: Simulation, steps: int, every: int, progress
     writer, completed = H5MDWriter.append_to(file, simulation), False
     try:
         observers = [lambda run: writer.write(run.frame())]
-        simulation.run(steps, every=every, observers=observers, progress=progress, autopsy=place_of(True, file) or False)
+        simulation.run(steps, every=every, observers=observers, progress=progress, crash_report=place_of(True, file) or False)
         completed = True
     finally:
         writer.close(completed)
@@ -167,7 +167,7 @@ def _scene_keeper(scene: Scene, files: Sequence[Path]) -> Observer:
 
 @contextmanager
 def scene_kept(scene: Scene) -> Iterator[None]:
-    """Put the scene into the autopsy of a run that fails, so that it can be replayed."""
+    """Put the scene into the crash report of a run that fails, so that it can be replayed."""
     try:
         yield
     except (NonFiniteError, ConstraintError) as error:
@@ -201,7 +201,7 @@ def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: 
     tell(str(found))
 
 
-def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell, autopsy: Path | None = None) -> None:
+def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell, crash_report: Path | None = None) -> None:
     """Run the equilibration of the scene, if it has one."""
     plan = scene.sections.equilibration
     target = (plan and plan.temperature) or scene.sections.dynamics.temperature
@@ -209,7 +209,7 @@ def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tel
         return
     tell(f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {plan.rescale_every}")
     with nothing_written(" of the equilibration"):
-        simulation.equilibrate(plan.steps, target, every=plan.rescale_every, progress=progress, autopsy=autopsy)
+        simulation.equilibrate(plan.steps, target, every=plan.rescale_every, progress=progress, crash_report=crash_report)
 
 
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:

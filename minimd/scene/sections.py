@@ -5,14 +5,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
-from minimd.constraints.constraint_set import Constraint, FixedAtoms
-from minimd.constraints.distance import SOLVERS, TOLERANCE, DistanceConstraints
 from minimd.integrators import SPLITTINGS, THERMOSTATS
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones
 from minimd.potentials.mixing import MIXING
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.scene.section import Dimension, Section, one_of, reading_of
+from minimd.structure.constraints import SOLVERS, TOLERANCE, Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.lattice import BASES
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from minimd.constraints.constraint_set import Constraint
 from minimd.diagnosis.crash_report import left_at, place_of
 from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.report import Cost, Report, conservation_report
@@ -23,6 +22,7 @@ from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
 from minimd.structure.console import Progress, stop_on_interrupt
+from minimd.structure.constraints import Constraint
 from minimd.structure.system import System
 
 if TYPE_CHECKING:
@@ -71,11 +71,13 @@ class Simulation(Dynamics):
         self.reversibility: Reversibility | None = None
         self._is_running = False
 
-    def equilibrate(self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None, autopsy: str | Path | None = None) -> None:
+    def equilibrate(
+        self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None, crash_report: str | Path | None = None
+    ) -> None:
         """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again.
 
         The noise of a thermostat is that of steps before the start, other ones for each equilibration of this simulation.
-        autopsy : a file to leave if it fails, as that of run.
+        crash_report : a file to leave if it fails, as that of run.
 
         Raises
         ------
@@ -86,7 +88,7 @@ class Simulation(Dynamics):
             self._equilibrated += n_steps
             self.noise_shift = -self._equilibrated - self.step
             try:
-                with self._uncounted(), left_at(place_of(autopsy or False, ()), self, False):
+                with self._uncounted(), left_at(place_of(crash_report or False, ()), self, False):
                     self._equilibrate(n_steps, temperature, every, progress)
             finally:
                 self.noise_shift = 0
@@ -132,7 +134,7 @@ class Simulation(Dynamics):
         overwrite: bool = False,
         observers: Sequence[Observer] = (),
         progress: bool | None = None,
-        autopsy: str | Path | bool = True,
+        crash_report: str | Path | bool = True,
     ) -> Record:
         """Make n_steps steps and observe the first state and every few steps after it.
 
@@ -144,20 +146,20 @@ class Simulation(Dynamics):
         overwrite : replace files that exist.
         observers : functions called with this simulation at each observation.
         progress : show a progress bar; if not given, on a terminal only.
-        autopsy : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere (False).
+        crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere (False).
             The file holds the last good state and what minimd.replay needs; where one stands that may not be replaced, it gets a number.
 
         Raises
         ------
         NonFiniteError, ConstraintError : if the run blows up. The message names step, atoms and pair, the likely cause, and the file of
-            the autopsy; sim.system holds the last good state.
+            the crash report; sim.system holds the last good state.
         KeyboardInterrupt : after Ctrl-C, with the state of the last whole step, all files valid.
         FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
         """
         _check_counts(n_steps, every)
         check_extras(self, self.extra_observables)
         with self._running():
-            return self._run(n_steps, every, (trajectory, store_forces, overwrite), observers, progress, autopsy)
+            return self._run(n_steps, every, (trajectory, store_forces, overwrite), observers, progress, crash_report)
 
     def _run(
         self,
@@ -166,10 +168,10 @@ class Simulation(Dynamics):
         files: tuple[str | Path | Sequence[str | Path], bool, bool],
         observers: Sequence[Observer],
         progress: bool | None,
-        autopsy: str | Path | bool,
+        crash_report: str | Path | bool,
     ) -> Record:
         trajectory, store_forces, overwrite = files
-        with left_at(place_of(autopsy, trajectory), self, overwrite):
+        with left_at(place_of(crash_report, trajectory), self, overwrite):
             self._check_start()
         self.record = Record(self.system.units, len(self.system))
         self._run_seconds, self._run_steps, self._first = 0.0, 0, None
@@ -178,7 +180,7 @@ class Simulation(Dynamics):
             self._state.constraints.iterations = 0
         start, end = self.step, self.step + n_steps
         with (
-            left_at(place_of(autopsy, trajectory), self, overwrite),  # behind the closing of all files
+            left_at(place_of(crash_report, trajectory), self, overwrite),  # behind the closing of all files
             stop_on_interrupt(self._state),
             open_trajectories(trajectory, self, store_forces=store_forces, overwrite=overwrite) as writers,
             Progress(n_steps, "running", progress) as bar,
@@ -247,7 +249,7 @@ class Simulation(Dynamics):
             n_evaluations=forces.n_evaluations,
             pair_search=forces.pair_search,
             skipped=forces.skipped(),
-            constraints=f"{bonds.words}; at most {bonds.iterations} iterations in a drift" if bonds else "",
+            constraints=f"{bonds.summary}; at most {bonds.iterations} iterations in a drift" if bonds else "",
         )
         is_free = self.conserves_momentum
         angular = is_free and not self.system.cell.is_periodic
@@ -283,7 +285,8 @@ class Simulation(Dynamics):
                 observer(self)
                 self._state.forces_are_current = False  # it may have moved atoms
             self._first = self._first if self._fingerprint() == before else None  # its heat, its work on the cell: no fault of the method
-            self._rigidity.begin(self.system, self._state)
+            self._rigidity.begin(self.system)
+            self._state.constraints = self._rigidity.bonds
 
 
 def _check_counts(n_steps: int, every: int) -> None:

@@ -1,81 +1,52 @@
 """ASE's atoms as systems, and systems as ASE's atoms."""
 
-from pathlib import Path
+from typing import Any
 
-import ase.io
 import numpy as np
 from ase import Atoms
-from ase.data import atomic_masses, atomic_numbers
+from ase.data import atomic_numbers
 from numpy.typing import ArrayLike
 
-from minimd.structure import units
 from minimd.structure.ase_constraints import ases_constraints_of, constraints_of, fixes_center
 from minimd.structure.cell import Cell
-from minimd.structure.system import System
+from minimd.structure.units import ASE
 from minimd.structure.velocities import without_momentum
 
 LABELS = "species_labels"  # the array of an ase.Atoms that holds species which are no chemical elements
 
 
-def system_from_atoms(atoms: Atoms, bonds: ArrayLike | None = None) -> System:
-    """A system in ASE's units: positions, velocities, masses, cell, periodicity and constraints of the atoms.
+def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True) -> dict[str, Any]:
+    """What System takes, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and constraints.
+
+    Species are the chemical symbols, or the labels that atoms_from_system left there.
 
     Parameters
     ----------
-    atoms : ase.Atoms. Species are the chemical symbols, or the labels that atoms_from_system left there.
     bonds : (B, 2) int, pairs of bonded atoms; ASE's atoms carry none.
+    constraints : whether those of the atoms are kept; if not, they are somebody else's business.
 
     Raises
     ------
-    TypeError : for something that is no ase.Atoms.  ValueError : for constraints that minimd does not know, and as System does.
+    TypeError : for something that is no ase.Atoms.  ValueError : for constraints that minimd does not know.
     """
     if not isinstance(atoms, Atoms):
         raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")
-    system = unchecked_system(atoms, bonds)
-    system.constraints = constraints_of(atoms)
-    if fixes_center(atoms):
-        system.velocities[:] = without_momentum(system.velocities, system.masses)
-    return system
+    velocities, masses = atoms.get_velocities(), atoms.get_masses()
+    if constraints and fixes_center(atoms):
+        velocities = without_momentum(velocities, masses)
+    return {
+        "positions": atoms.positions,
+        "masses": masses,
+        "velocities": velocities,
+        "cell": cell_of(atoms),
+        "species": atoms.arrays.get(LABELS, atoms.get_chemical_symbols()),
+        "bonds": bonds,
+        "units": ASE,
+        "constraints": constraints_of(atoms) if constraints else (),
+    }
 
 
-def system_from_file(file: Path, cell: ArrayLike | None = None, pbc: ArrayLike | None = None) -> System:
-    """The last structure in a file of any format that ASE reads, in ASE's units.
-
-    cell, pbc : instead of those of the file, as for System; with another cell the directions in which it is given are periodic.
-
-    Raises
-    ------
-    ValueError : if the file does not exist, or ASE cannot read it; whatever its readers raise becomes one sentence. And as System does.
-    """
-    if not file.is_file():
-        raise ValueError(f"file {str(file)!r} does not exist")
-    try:
-        read = ase.io.read(file)
-        atoms = read if isinstance(read, Atoms) else read[-1]
-        system = system_from_atoms(atoms)
-    except Exception as error:
-        reason = " ".join(str(error).split()) or "ASE gives no reason"
-        raise ValueError(f"file {str(file)!r} cannot be read as a structure: {type(error).__name__}: {reason}") from None
-    if cell is None and pbc is None:
-        return system
-    placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
-    atoms.cell[:], atoms.pbc = placed.vectors, placed.pbc
-    return system_from_atoms(atoms)  # with lengths of constraints that are measured in this cell
-
-
-def atomic_mass(element: str) -> float:
-    """Mass of a chemical element [u].
-
-    Raises
-    ------
-    ValueError : if it is no chemical symbol.
-    """
-    if element not in atomic_numbers:
-        raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {element!r}")
-    return float(atomic_masses[atomic_numbers[element]])
-
-
-def atoms_from_system(system: System) -> Atoms:
+def atoms_from_system(system: Any) -> Atoms:
     """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity and constraints of a system; bonds are lost.
 
     Species that are chemical symbols become elements. All others become 'X', ASE's symbol for no element, and all labels
@@ -89,15 +60,6 @@ def atoms_from_system(system: System) -> Atoms:
         atoms.set_array(LABELS, system.species)
     atoms.set_constraint(ases_constraints_of(system))
     return atoms
-
-
-def unchecked_system(atoms: Atoms, bonds: ArrayLike | None) -> System:
-    """A system of atoms whose constraints are somebody else's business."""
-    species = atoms.arrays.get(LABELS, atoms.get_chemical_symbols())
-    velocities = atoms.get_velocities()
-    return System(
-        atoms.positions, masses=atoms.get_masses(), velocities=velocities, cell=cell_of(atoms), species=species, bonds=bonds, units=units.ASE
-    )
 
 
 def cell_of(atoms: Atoms) -> Cell:

@@ -1,14 +1,15 @@
 """ASE's constraints as minimd's, and back."""
 
+from typing import Any
+
 import numpy as np
 from ase import Atoms
 from ase.constraints import FixAtoms, FixBondLengths, FixCom, FixConstraint, FixLinearTriatomic
 from ase.geometry import find_mic
 from numpy.typing import NDArray
 
-from minimd.constraints.constraint_set import Constraint, FixedAtoms, lengths_of
-from minimd.constraints.distance import TOLERANCE, DistanceConstraints
-from minimd.structure.system import System
+from minimd.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms
+from minimd.structure.images import lengths_of
 
 Pairs = tuple[NDArray[np.int64], NDArray[np.float64]]
 UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCom"
@@ -44,14 +45,14 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
     return tuple(answer)
 
 
-def ases_constraints_of(system: System) -> list[FixConstraint]:
+def ases_constraints_of(system: Any) -> list[FixConstraint]:
     """The constraints of a system for an ase.Atoms: FixAtoms, and FixBondLengths with the lengths; ASE has one solver of its own."""
     answer: list[FixConstraint] = []
     for constraint in system.constraints:
         if isinstance(constraint, FixedAtoms):
             answer.append(FixAtoms(indices=constraint.atoms))
         else:
-            lengths = lengths_of(system, constraint)
+            lengths = lengths_of(system.positions, system.cell, constraint)
             answer.append(FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths.copy()))
     return answer
 

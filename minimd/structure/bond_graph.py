@@ -1,7 +1,7 @@
-"""The bond graph: which atoms are one, two or three bonds apart."""
+"""Groups of atoms by index: bonded pairs, and which atoms are one, two or three bonds apart."""
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 MAX_BONDS_APART = 3
 
@@ -24,3 +24,43 @@ def pairs_by_bonds_apart(bonds: NDArray[np.int64], n_atoms: int) -> list[NDArray
             seen |= shell
             pairs.extend((i, j) for j in sorted(shell) if j > i)
     return [np.array(pairs, dtype=np.int64).reshape(-1, 2) for pairs in found]
+
+
+def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int | None = None) -> NDArray[np.int64]:
+    """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none; n_atoms None: as many atoms as you like.
+
+    Raises
+    ------
+    ValueError : if the shape is another, an atom is missing, paired with itself, or a pair comes twice.
+    """
+    array = checked_groups(name, pairs, 2, n_atoms)
+    _, first, counts = np.unique(np.sort(array, axis=1), axis=0, return_index=True, return_counts=True)
+    if np.any(counts > 1):
+        twice = int(first[counts > 1][0])
+        raise ValueError(f"{name} must name each pair once; {name}[{twice}] = {array[twice].tolist()} comes {counts.max()} times")
+    return array
+
+
+def checked_groups(name: str, groups: ArrayLike, size: int, n_atoms: int | None = None) -> NDArray[np.int64]:
+    """Groups of so many different atoms as a (G, size) int array; see checked_pairs.
+
+    Raises
+    ------
+    ValueError : if the shape is another, an atom is missing, or one stands twice in a group.
+    """
+    expected = f"{name} must be an (n, {size}) array of atom indices"
+    try:
+        array = np.array(groups)
+    except ValueError as error:
+        raise ValueError(f"{expected}: {error}") from None
+    if array.size == 0:
+        return np.zeros((0, size), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != size or not np.issubdtype(array.dtype, np.integer):
+        raise ValueError(f"{expected}; its shape is {array.shape}, its type {array.dtype}")
+    ordered = np.sort(array, axis=1)
+    missing = (ordered[:, 0] < 0) | (ordered[:, -1] >= (np.inf if n_atoms is None else n_atoms))
+    repeated = (np.diff(ordered, axis=1) == 0).any(axis=1)
+    for wrong, demand in ((missing, f"atoms {'from 0 on' if n_atoms is None else f'0 to {n_atoms - 1}'}"), (repeated, "different atoms")):
+        if wrong.any():
+            raise ValueError(f"{name} must name {demand}; {name}[{np.argmax(wrong)}] = {array[np.argmax(wrong)].tolist()}")
+    return np.ascontiguousarray(array, dtype=np.int64)

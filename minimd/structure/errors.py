@@ -6,19 +6,19 @@ from typing import Any
 class NonFiniteError(ArithmeticError):
     """A position, velocity, force or energy is no longer a finite number.
 
-    solution : the path before, of small systems.  autopsy : minimd.autopsy.Autopsy of a simulation.  file : where that was written, or None.
+    solution : the path before, of small systems.  crash_report : CrashReport of a simulation.  file : where that was written, or None.
     """
 
     solution: Any = None
-    autopsy: Any = None
+    crash_report: Any = None
     file: Any = None
 
 
 class ConstraintError(ArithmeticError):
-    """A constraint solver did not reach its tolerance.  atoms : the two it holds.  autopsy, file : as of NonFiniteError."""
+    """A constraint solver did not reach its tolerance.  atoms : the two it holds.  crash_report, file : as of NonFiniteError."""
 
     atoms: Any = None
-    autopsy: Any = None
+    crash_report: Any = None
     file: Any = None
 
 

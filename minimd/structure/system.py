@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure import units as unit_systems
+from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.cell import Cell
+from minimd.structure.constraints import Constraint
 from minimd.structure.units import UnitSystem
 
 if TYPE_CHECKING:
@@ -55,7 +57,7 @@ class System:
         species: Sequence[str] | Sequence[int] | NDArray | None = None,
         bonds: ArrayLike | None = None,
         units: UnitSystem = unit_systems.LJ,
-        constraints: Sequence[Any] = (),
+        constraints: Sequence[Constraint] = (),
     ) -> None:
         if not isinstance(units, UnitSystem):
             raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {units!r}")
@@ -114,10 +116,10 @@ class System:
 
     @classmethod
     def from_ase(cls, atoms: "ase.Atoms", bonds: ArrayLike | None = None) -> "System":
-        """A system in ASE's units from an ase.Atoms: see minimd.ase.system_from_atoms."""
-        from minimd.structure.ase_atoms import system_from_atoms
+        """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments."""
+        from minimd.structure.ase_atoms import system_arguments
 
-        return system_from_atoms(atoms, bonds)
+        return cls(**system_arguments(atoms, bonds))
 
     def to_ase(self) -> "ase.Atoms":
         """An ase.Atoms with the same positions, momenta, masses, cell, species and constraints: see minimd.ase.atoms_from_system."""
@@ -182,34 +184,6 @@ def _bonds(bonds: ArrayLike | None, n_atoms: int) -> NDArray[np.int64]:
     if bonds is None:
         return np.zeros((0, 2), dtype=np.int64)
     return checked_pairs("bonds", bonds, n_atoms)
-
-
-def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int) -> NDArray[np.int64]:
-    """Pairs of atoms as a (P, 2) int array.
-
-    Raises
-    ------
-    ValueError : if the shape is another, an atom is missing, paired with itself, or a pair comes twice.
-    """
-    try:
-        array = np.array(pairs)
-    except ValueError as error:
-        raise ValueError(f"{name} must be a (B, 2) array of atom indices: {error}") from None
-    if array.size == 0:
-        return np.zeros((0, 2), dtype=np.int64)
-    if array.ndim != 2 or array.shape[1] != 2 or not np.issubdtype(array.dtype, np.integer):
-        raise ValueError(f"{name} must be a (B, 2) array of atom indices; its shape is {array.shape}, its type {array.dtype}")
-    missing = np.flatnonzero(((array < 0) | (array >= n_atoms)).any(axis=1))
-    if missing.size:
-        raise ValueError(f"{name} must name atoms 0 to {n_atoms - 1}; {name}[{missing[0]}] = {array[missing[0]].tolist()}")
-    same = np.flatnonzero(array[:, 0] == array[:, 1])
-    if same.size:
-        raise ValueError(f"{name} must join two different atoms; {name}[{same[0]}] = {array[same[0]].tolist()}")
-    _, first, counts = np.unique(np.sort(array, axis=1), axis=0, return_index=True, return_counts=True)
-    if np.any(counts > 1):
-        twice = int(first[counts > 1][0])
-        raise ValueError(f"{name} must name each pair once; {name}[{twice}] = {array[twice].tolist()} comes {counts.max()} times")
-    return array.astype(np.int64)
 
 
 def _and_others(bad: NDArray) -> str:

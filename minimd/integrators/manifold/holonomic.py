@@ -24,7 +24,7 @@ from minimd.integrators.ode.newton import Newton, Solver
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.ode.partitioned import push
 from minimd.integrators.ode.problems import Function, SecondOrder
-from minimd.integrators.splitting.substeps import ROW_ROUNDING, Kick, Row
+from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substeps
 
 Array = NDArray[np.float64]
 KEPT = 1e-12  # violations of a start, relative to its size, that are put right without a word
@@ -82,11 +82,11 @@ class Holonomic(SecondOrder):
             warnings.warn(f"the start was projected onto the constraints: q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}", stacklevel=4)
         return np.concatenate([q1, v1])
 
-    def row_step(self, row: Row) -> Step:
+    def sequence_step(self, row: Substeps) -> Step:
         """The row with constrained drifts."""
         return RattleStep(self, row)
 
-    def row_order(self, row: Row) -> int:
+    def sequence_order(self, row: Substeps) -> int:
         """Rows made of steps of velocity Verlet keep their order, for each such step is a RATTLE step; all others have order 2 at most."""
         return nystrom_order(row) if is_made_of_verlet(row) else min(nystrom_order(row), 2)
 
@@ -112,9 +112,9 @@ class Holonomic(SecondOrder):
 class RattleStep:
     """One step of a row on a Holonomic problem."""
 
-    def __init__(self, problem: Holonomic, row: Row) -> None:
+    def __init__(self, problem: Holonomic, row: Substeps) -> None:
         self.nfev = 0
-        self._problem, self._row = problem, [(isinstance(letter, Kick), letter.coefficient) for letter in row]
+        self._problem, self._row = problem, [(isinstance(substep, Kick), substep.coefficient) for substep in row]
         self._iteration = problem.solver.iteration()
         self._known: tuple[Array | None, Array | None] = None, None
 
@@ -140,12 +140,12 @@ class RattleStep:
         return y
 
 
-def is_made_of_verlet(row: Row) -> bool:
+def is_made_of_verlet(row: Substeps) -> bool:
     """Whether each kick lasts half as long as its neighboring drifts together: kick w₁/2, drift w₁, kick (w₁ + w₂)/2, drift w₂, …"""
-    kicks, drifts = row[::2], (0.0, *(letter.coefficient for letter in row[1::2]), 0.0)
+    kicks, drifts = row[::2], (0.0, *(substep.coefficient for substep in row[1::2]), 0.0)
     halves = [(one + other) / 2.0 for one, other in pairwise(drifts)]
     return (
-        isinstance(row[0], Kick) and len(kicks) == len(halves) and all(abs(k.coefficient - w) < ROW_ROUNDING for k, w in zip(kicks, halves, strict=True))
+        isinstance(row[0], Kick) and len(kicks) == len(halves) and all(abs(k.coefficient - w) < COEFFICIENT_ROUNDING for k, w in zip(kicks, halves, strict=True))
     )
 
 

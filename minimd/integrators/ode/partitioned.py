@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel
-from minimd.integrators.splitting.substeps import ROW_ROUNDING, Kick, Letter, Row
+from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps
 
 if TYPE_CHECKING:
     from minimd.integrators.ode.problems import Field, Partitioned
@@ -34,13 +34,13 @@ def push(x, duration, rate):
         x[k] += duration * rate[k]
 
 
-class RowStep:
+class SequenceStep:
     """Kicks and drifts in turn; a force that the last step ended with is not computed again."""
 
-    def __init__(self, problem: "Partitioned", row: Row) -> None:
+    def __init__(self, problem: "Partitioned", row: Substeps) -> None:
         self.nfev = 0
         self._problem = problem
-        self._row = [(isinstance(letter, Kick), letter.coefficient) for letter in row]
+        self._row = [(isinstance(substep, Kick), substep.coefficient) for substep in row]
         self._drifts_with_v = problem.g_is_v
         self._known: tuple[Array | None, Array | None] = None, None
 
@@ -71,7 +71,7 @@ class RowStep:
 class EulerStep:
     """Symplectic Euler methods in turn; each implicit equation is solved to rounding, from its explicit guess."""
 
-    def __init__(self, problem: "Partitioned", row: Row) -> None:
+    def __init__(self, problem: "Partitioned", row: Substeps) -> None:
         self.nfev = 0
         self._problem = problem
         self._factors = [(kind, weight, problem.solver.iteration()) for kind, weight in euler_factors(row)]
@@ -97,16 +97,16 @@ class EulerStep:
         shape = self._problem.shape
         return field(t, q.reshape(shape), v.reshape(shape))
 
-    def _solved(self, field: "Field", jacobian: "Field | None", letter: str, state: tuple[float, Array, Array], duration: float, iteration) -> Array:
-        """X₁ = x₀ + h·field(x₁) for the x that a letter names, the other one standing still."""
+    def _solved(self, field: "Field", jacobian: "Field | None", substep: str, state: tuple[float, Array, Array], duration: float, iteration) -> Array:
+        """X₁ = x₀ + h·field(x₁) for the x that a substep names, the other one standing still."""
         t, q, v = state
-        x0 = q if letter == "q" else v
+        x0 = q if substep == "q" else v
 
         def place(x: Array) -> tuple[float, Array, Array]:
-            return (t, x, v) if letter == "q" else (t, q, x)
+            return (t, x, v) if substep == "q" else (t, q, x)
 
         guess = x0 + duration * self._value(field, *state)
-        if letter not in field.takes:
+        if substep not in field.takes:
             return guess
         return iteration.solve(
             lambda x: x - (x0 + duration * self._value(field, *place(x))),
@@ -117,12 +117,12 @@ class EulerStep:
         )
 
 
-def euler_factors(row: Row) -> list[tuple[type[Letter], float]]:
+def euler_factors(row: Substeps) -> list[tuple[type[Substep], float]]:
     """The row as symplectic Euler methods in turn, kick-first and drift-first, with their weights."""
     factors, rest = [], 0.0
-    for letter in row:
-        rest = letter.coefficient - rest
-        factors.append((type(letter), rest))
-    if abs(rest) > ROW_ROUNDING * len(row):
+    for substep in row:
+        rest = substep.coefficient - rest
+        factors.append((type(substep), rest))
+    if abs(rest) > COEFFICIENT_ROUNDING * len(row):
         raise TypeError("a row whose kicks and drifts do not add up to the same time has no implicit form")
-    return [(kind, weight) for kind, weight in factors[:-1] if abs(weight) > ROW_ROUNDING * len(row)]
+    return [(kind, weight) for kind, weight in factors[:-1] if abs(weight) > COEFFICIENT_ROUNDING * len(row)]

@@ -20,8 +20,8 @@ from minimd.integrators.ode.arguments import argument_names
 from minimd.integrators.method import Step
 from minimd.integrators.ode.newton import Newton, Solver
 from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
-from minimd.integrators.ode.partitioned import EulerStep, RowStep
-from minimd.integrators.splitting.substeps import Row
+from minimd.integrators.ode.partitioned import EulerStep, SequenceStep
+from minimd.integrators.splitting.substeps import Substeps
 
 Array = NDArray[np.float64]
 Function = Callable[..., Any]
@@ -93,9 +93,9 @@ def _arguments(function: Function, usual: str, name: str) -> str:
         return usual
     if set(names) <= set("tqv") and "".join(names) in _CALLS:
         return "".join(names)
-    letters = "tqv" if len(names) == 3 else usual
-    if len(names) == len(letters) and all(given == letter or given not in ("t", "q", "v") for given, letter in zip(names, letters, strict=True)):
-        return letters
+    substeps = "tqv" if len(names) == 3 else usual
+    if len(names) == len(substeps) and all(given == substep or given not in ("t", "q", "v") for given, substep in zip(names, substeps, strict=True)):
+        return substeps
     raise TypeError(f"{name} must take some of t, q, v, in this order and under these names; it takes ({', '.join(names)})")
 
 
@@ -144,11 +144,11 @@ class Partitioned:
         _check_finite(y)
         return y
 
-    def row_step(self, row: Row) -> Step:
+    def sequence_step(self, row: Substeps) -> Step:
         """The step of a splitting: kicks and drifts if the problem is separable, else the implicit form of the method."""
-        return RowStep(self, row) if self.is_separable else EulerStep(self, row)
+        return SequenceStep(self, row) if self.is_separable else EulerStep(self, row)
 
-    def row_order(self, row: Row) -> int:
+    def sequence_order(self, row: Substeps) -> int:
         """Order of a splitting on this problem; rows made for q″ = f(q) alone can have a higher one there than elsewhere."""
         return separable_order(row)
 
@@ -180,7 +180,7 @@ class SecondOrder(Partitioned):
         super().__init__(lambda v: v, f, f_v=f_v, solver=solver)
         self.g_is_v = True
 
-    def row_order(self, row: Row) -> int:
+    def sequence_order(self, row: Substeps) -> int:
         """See Partitioned."""
         return nystrom_order(row) if self.is_separable else separable_order(row)
 

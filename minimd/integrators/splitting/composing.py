@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from itertools import chain
 
-from minimd.integrators.splitting.substeps import Drift, Kick, Letter, Row, merged, mirrored, scaled
+from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, merged, mirrored, scaled
 from minimd.integrators.splitting.splitting import Splitting
 
-Part = Letter | type[Splitting]
+Part = Substep | type[Splitting]
 
 
 def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitting]:
@@ -45,7 +45,7 @@ def adjoint(method: type[Splitting]) -> type[Splitting]:
     TypeError : for a method with a bath, which cannot be undone.
     """
     _refuse_bath(method)
-    return _method(f"adjoint({method.name})", mirrored(method.row()), f"adjoint of {method.name}: {method.source}")
+    return _method(f"adjoint({method.name})", mirrored(method.sequence()), f"adjoint of {method.name}: {method.source}")
 
 
 def _refuse_bath(part: Part) -> None:
@@ -60,9 +60,9 @@ def _shares(parts: Sequence[Part]) -> list[float]:
     return [1.0 / n_methods if n_methods else 1.0] * len(parts)
 
 
-def _row(part: Part) -> Row:
-    return part.row() if isinstance(part, type) else (part,)
+def _row(part: Part) -> Substeps:
+    return part.sequence() if isinstance(part, type) else (part,)
 
 
-def _method(name: str, letters: Row, source: str) -> type[Splitting]:
-    return type("Composition", (Splitting,), {"name": name, "letters": letters, "source": source, "__doc__": f"{name}."})
+def _method(name: str, substeps: Substeps, source: str) -> type[Splitting]:
+    return type("Composition", (Splitting,), {"name": name, "substeps": substeps, "source": source, "__doc__": f"{name}."})

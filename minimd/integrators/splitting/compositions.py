@@ -21,7 +21,7 @@ class Ruth3(Splitting):
     """
 
     name = "ruth-3"
-    letters = (Kick(7 / 24), Drift(2 / 3), Kick(3 / 4), Drift(-2 / 3), Kick(-1 / 24), Drift(1.0))
+    substeps = (Kick(7 / 24), Drift(2 / 3), Kick(3 / 4), Drift(-2 / 3), Kick(-1 / 24), Drift(1.0))
     source = "R. D. Ruth, IEEE Trans. Nucl. Sci. 30, 2669 (1983)"
 
 
@@ -33,7 +33,7 @@ class CandyRozmus4(Splitting):
     """
 
     name = "candy-rozmus-4"
-    letters = alternating(
+    substeps = alternating(
         Drift, palindrome(((2.0 + CBRT2 + 1.0 / CBRT2) / 6.0, 1.0 / (2.0 - CBRT2), (1.0 - CBRT2 - 1.0 / CBRT2) / 6.0, 1.0 / (1.0 - CBRT4)))
     )
     source = (
@@ -49,7 +49,7 @@ class Suzuki4(Splitting):
     """
 
     name = "suzuki-4"
-    letters = repeated(VelocityVerlet.letters, palindrome((1.0 / (4.0 - CBRT4), 1.0 / (4.0 - CBRT4), -CBRT4 / (4.0 - CBRT4))))
+    substeps = repeated(VelocityVerlet.substeps, palindrome((1.0 / (4.0 - CBRT4), 1.0 / (4.0 - CBRT4), -CBRT4 / (4.0 - CBRT4))))
     source = "M. Suzuki, Phys. Lett. A 146, 319 (1990)"
 
 
@@ -60,7 +60,7 @@ class McLachlanAtela4(Splitting):
     """
 
     name = "mclachlan-atela-4"
-    letters = (
+    substeps = (
         Kick(0.1344961992774310892),
         Drift(0.5153528374311229364),
         Kick(-0.2248198030794208058),
@@ -81,7 +81,7 @@ class PEFRL(Splitting):
 
     name = "pefrl"
     _xi, _lambda, _chi = 0.1786178958448091, -0.2123418310626054, -0.06626458266981849
-    letters = alternating(Drift, palindrome((_xi, (1.0 - 2.0 * _lambda) / 2.0, _chi, _lambda, 1.0 - 2.0 * (_chi + _xi))))
+    substeps = alternating(Drift, palindrome((_xi, (1.0 - 2.0 * _lambda) / 2.0, _chi, _lambda, 1.0 - 2.0 * (_chi + _xi))))
     source = "I. P. Omelyan, I. M. Mryglod, R. Folk, Comput. Phys. Commun. 146, 188 (2002)"
 
 
@@ -94,7 +94,7 @@ class BlanesMoan4(Splitting):
     name = "blanes-moan-rkn-4"
     _a1, _a2 = 0.245298957184271, 0.604872665711080
     _b1, _b2, _b3 = 0.0829844064174052, 0.396309801498368, -0.0390563049223486
-    letters = alternating(Kick, palindrome((_b1, _a1, _b2, _a2, _b3, 0.5 - (_a1 + _a2), 1.0 - 2.0 * (_b1 + _b2 + _b3))))
+    substeps = alternating(Kick, palindrome((_b1, _a1, _b2, _a2, _b3, 0.5 - (_a1 + _a2), 1.0 - 2.0 * (_b1 + _b2 + _b3))))
     source = "S. Blanes, P. C. Moan, J. Comput. Appl. Math. 142, 313 (2002), table 3"
 
 
@@ -103,7 +103,7 @@ class Yoshida6(Splitting):
 
     name = "yoshida-6"
     _w3, _w2, _w1 = 0.78451361047755726382, 0.23557321335935813368, -1.17767998417887100695
-    letters = repeated(VelocityVerlet.letters, palindrome((_w3, _w2, _w1, 1.0 - 2.0 * (_w1 + _w2 + _w3))))
+    substeps = repeated(VelocityVerlet.substeps, palindrome((_w3, _w2, _w1, 1.0 - 2.0 * (_w1 + _w2 + _w3))))
     source = "H. Yoshida, Phys. Lett. A 150, 262 (1990), table 1, solution A"
 
 
@@ -111,8 +111,8 @@ class KahanLi6(Splitting):
     """Kahan and Li's s9odr6a: order 6 from nine steps of velocity Verlet, errors smaller than those of seven."""
 
     name = "kahan-li-6"
-    letters = repeated(
-        VelocityVerlet.letters,
+    substeps = repeated(
+        VelocityVerlet.substeps,
         palindrome((0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023, 0.79854399093482996340)),
     )
     source = "W. Kahan, R.-C. Li, Math. Comput. 66, 1089 (1997), s9odr6a"
@@ -122,8 +122,8 @@ class KahanLi8(Splitting):
     """Kahan and Li's s17odr8a: order 8 from seventeen steps of velocity Verlet."""
 
     name = "kahan-li-8"
-    letters = repeated(
-        VelocityVerlet.letters,
+    substeps = repeated(
+        VelocityVerlet.substeps,
         palindrome(
             (
                 0.13020248308889008088,

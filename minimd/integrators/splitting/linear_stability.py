@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from minimd.integrators.splitting.substeps import Kick, Row, Thermalize
+from minimd.integrators.splitting.substeps import Kick, Substeps, Thermalize
 
 ROUNDING = 1e-12  # of tr M: products of some forty matrices with entries of order one
 REAL = 1e-6  # imaginary part of a double root, relative, that rounding may leave
@@ -20,17 +20,17 @@ SCANNED = 101  # steps at which a first crossing is sought
 BISECTIONS = 50  # halvings: down to rounding
 
 
-def propagation(row: Row, h: float) -> NDArray[np.float64]:
+def propagation(row: Substeps, h: float) -> NDArray[np.float64]:
     """M(h) of one step, (2, 2), on (q, v/ω).  h : ωΔt.  Contacts with a bath are left out."""
     matrix = np.eye(2)
-    for letter in _mechanical(row):
-        c = letter.coefficient * h
-        matrix = np.array([[1.0, 0.0], [-c, 1.0]] if isinstance(letter, Kick) else [[1.0, c], [0.0, 1.0]]) @ matrix
+    for substep in _mechanical(row):
+        c = substep.coefficient * h
+        matrix = np.array([[1.0, 0.0], [-c, 1.0]] if isinstance(substep, Kick) else [[1.0, c], [0.0, 1.0]]) @ matrix
     return matrix
 
 
 @cache
-def stability_limit(row: Row) -> float:
+def stability_limit(row: Substeps) -> float:
     """The largest ωΔt up to which every step is stable: |tr M(h)| ≤ 2 for all h below it; 2 for velocity Verlet, 0 if there is none.
 
     tr M is a polynomial in x = h². Its sections between the roots of tr M = ±2 are looked at one by one, so that no window of
@@ -47,19 +47,19 @@ def stability_limit(row: Row) -> float:
     return float(np.sqrt(start))
 
 
-def trace_polynomial(row: Row) -> Polynomial:
+def trace_polynomial(row: Substeps) -> Polynomial:
     """tr M as a polynomial in x = h²: of h from the left column of a drift and the lower row of a kick, x each time they meet."""
     (a, b), (c, d) = (Polynomial([1.0]), Polynomial([0.0])), (Polynomial([0.0]), Polynomial([1.0]))  # M = (a hb; −hc d)
     x = Polynomial([0.0, 1.0])
-    for letter in _mechanical(row):
-        if isinstance(letter, Kick):
-            c, d = c + letter.coefficient * a, d - letter.coefficient * x * b
+    for substep in _mechanical(row):
+        if isinstance(substep, Kick):
+            c, d = c + substep.coefficient * a, d - substep.coefficient * x * b
         else:
-            a, b = a - letter.coefficient * x * c, b + letter.coefficient * d
+            a, b = a - substep.coefficient * x * c, b + substep.coefficient * d
     return a + d
 
 
-def energy_oscillation(row: Row, h: float) -> float:
+def energy_oscillation(row: Substeps, h: float) -> float:
     """Amplitude of the energy of an oscillator around its mean, relative: (E_max − E_min)/(E_max + E_min); infinite if unstable.
 
     A stable step keeps the quadratic form −c q² + (a − d) q v + b v² of M = (a b; c d); the energy (q² + v²)/2 swings between the
@@ -74,7 +74,7 @@ def energy_oscillation(row: Row, h: float) -> float:
 
 
 @cache
-def accurate_step(row: Row, oscillation: float) -> float:
+def accurate_step(row: Substeps, oscillation: float) -> float:
     """The largest ωΔt, at most half the stability limit, up to which the energy of an oscillator swings by no more than this fraction."""
     steps = np.linspace(0.0, 0.5 * stability_limit(row), SCANNED)
     too_long = [energy_oscillation(row, h) > oscillation for h in steps[1:]]
@@ -87,9 +87,9 @@ def accurate_step(row: Row, oscillation: float) -> float:
     return float(low)
 
 
-def _mechanical(row: Row) -> Row:
-    return tuple(letter for letter in row if not isinstance(letter, Thermalize))
+def _mechanical(row: Substeps) -> Substeps:
+    return tuple(substep for substep in row if not isinstance(substep, Thermalize))
 
 
-def _trace_excess(row: Row, x: float) -> float:
+def _trace_excess(row: Substeps, x: float) -> float:
     return float(abs(np.trace(propagation(row, np.sqrt(x)))) - 2.0)

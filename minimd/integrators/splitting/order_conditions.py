@@ -18,38 +18,38 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.integrators.splitting.substeps import Drift, Kick, Letter, Row
+from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps
 
 HIGHEST_ORDER = 10  # conditions are looked at up to here
 TOLERANCE = 1e-12  # rows of 14 digits pass; a condition that fails leaves 1e-6 and more
 
-Word = tuple[type[Letter], ...]
+Word = tuple[type[Substep], ...]
 
 
 @cache
-def separable_order(row: Row) -> int:
+def separable_order(row: Substeps) -> int:
     """Order for every H = T(p) + V(q), at most HIGHEST_ORDER; 0 if the row is not consistent."""
     return _first_failure(row, separable_residuals)
 
 
 @cache
-def nystrom_order(row: Row) -> int:
+def nystrom_order(row: Substeps) -> int:
     """Order for H = p²/2m + V(q), at most HIGHEST_ORDER; 0 if the row is not consistent."""
     return _first_failure(row, nystrom_residuals)
 
 
-def _first_failure(row: Row, residuals: Callable[[Row, int], list[float]]) -> int:
+def _first_failure(row: Substeps, residuals: Callable[[Substeps, int], list[float]]) -> int:
     for order in range(1, HIGHEST_ORDER + 1):
         if max(map(abs, residuals(row, order))) > TOLERANCE:
             return order - 1
     return HIGHEST_ORDER
 
 
-def separable_residuals(row: Row, order: int) -> list[float]:
+def separable_residuals(row: Substeps, order: int) -> list[float]:
     """What the conditions of exactly this order leave: coefficient of each Lyndon word − 1/order!.
 
-    The step is exp(c₁X₁) exp(c₂X₂) … with X one of the two letters T and V, the exact flow exp(T + V), in which every word
-    of n letters has the coefficient 1/n!. Both are group-like; such series agree if they agree on the Lyndon words, the
+    The step is exp(c₁X₁) exp(c₂X₂) … with X one of the two substeps T and V, the exact flow exp(T + V), in which every word
+    of n substeps has the coefficient 1/n!. Both are group-like; such series agree if they agree on the Lyndon words, the
     words that come before all their rotations: 2, 1, 2, 3, 6, 9, 18, 30 of them for n = 1, …, 8 (C. Reutenauer, Free Lie
     Algebras (1993), chapter 6), as many as independent conditions.
     """
@@ -61,17 +61,17 @@ def lyndon_words(length: int) -> tuple[Word, ...]:
     """Words in Drift < Kick that come strictly before each of their rotations."""
     words = product((0, 1), repeat=length)
     lyndon = (word for word in words if all(word < word[k:] + word[:k] for k in range(1, length)))
-    return tuple(tuple((Drift, Kick)[letter] for letter in word) for word in lyndon)
+    return tuple(tuple((Drift, Kick)[substep] for substep in word) for word in lyndon)
 
 
-def word_coefficient(row: Row, word: Word) -> float:
-    """Coefficient of a word in exp(c₁X₁) exp(c₂X₂) …; a flow appends k of its letter with weight cᵏ/k!."""
-    prefix = [1.0] + [0.0] * len(word)  # coefficient of the first j letters in the product so far
-    for letter in row:
+def word_coefficient(row: Substeps, word: Word) -> float:
+    """Coefficient of a word in exp(c₁X₁) exp(c₂X₂) …; a flow appends k of its substep with weight cᵏ/k!."""
+    prefix = [1.0] + [0.0] * len(word)  # coefficient of the first j substeps in the product so far
+    for substep in row:
         for j in range(len(word), 0, -1):
             weight, k = 1.0, 1
-            while k <= j and word[j - k] is type(letter):
-                weight *= letter.coefficient / k
+            while k <= j and word[j - k] is type(substep):
+                weight *= substep.coefficient / k
                 prefix[j] += weight * prefix[j - k]
                 k += 1
     return prefix[-1]
@@ -85,7 +85,7 @@ class Branch(NamedTuple):
     kappa: float
 
 
-def nystrom_residuals(row: Row, order: int) -> list[float]:
+def nystrom_residuals(row: Substeps, order: int) -> list[float]:
     """What the conditions of exactly this order leave for q″ = f(q): Σ bᵢ Φᵢ(τ) − κ(τ)/order for each Nyström tree τ.
 
     As a Runge-Kutta-Nyström method the row has, for kick i, the weight bᵢ, the abscissa cᵢ = Σ drifts before it and
@@ -102,17 +102,17 @@ def nystrom_residuals(row: Row, order: int) -> list[float]:
     return residuals if order > 1 else [*residuals, drifts_sum(row) - 1.0]
 
 
-def nystrom_tableau(row: Row) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def nystrom_tableau(row: Substeps) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Weights b (s,), abscissae c (s,) and matrix a (s, s) of the row with s kicks."""
-    kicks = [k for k, letter in enumerate(row) if isinstance(letter, Kick)]
+    kicks = [k for k, substep in enumerate(row) if isinstance(substep, Kick)]
     b = np.array([row[k].coefficient for k in kicks])
     c = np.array([drifts_sum(row[:k]) for k in kicks])
     return b, c, np.tril(b * (c[:, None] - c), -1)
 
 
-def drifts_sum(row: Row) -> float:
+def drifts_sum(row: Substeps) -> float:
     """Σ of the coefficients of all drifts."""
-    return sum(letter.coefficient for letter in row if isinstance(letter, Drift))
+    return sum(substep.coefficient for substep in row if isinstance(substep, Drift))
 
 
 def bunches(branches: list[Branch], power: int, first: int = 0) -> Iterator[tuple[Branch, ...]]:

@@ -19,10 +19,10 @@ from minimd.compiled.kernels import kernel
 from minimd.integrators.method import Answer, Method, Step
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.ode.problems import Partitioned, Problem
-from minimd.integrators.splitting.substeps import Drift, Kick, Row, Thermalize, is_palindrome, merged
+from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize, is_palindrome, merged
 
 if TYPE_CHECKING:
-    from minimd.constraints.distance import RigidBonds
+    from minimd.constraints.solver import ConstraintSolver
 
 
 @dataclass
@@ -44,7 +44,7 @@ class State:
     inverse_masses: NDArray[np.float64]
     forces_are_current: bool = False
     stop_requested: bool = False
-    constraints: "RigidBonds | None" = None
+    constraints: "ConstraintSolver | None" = None
     step: int = 0
     contacts: int = 0
     n_dof: int = 0
@@ -92,14 +92,14 @@ def kinetic_energy(velocities, masses):
 
 def stages(method: "type[Splitting]") -> int:
     """Force evaluations per step of a long run: the kicks of a step, those with no drift between them being one, the last and the first too."""
-    kicks = [isinstance(letter, Kick) for letter in merged(letter for letter in method.letters if not isinstance(letter, Thermalize))]
+    kicks = [isinstance(substep, Kick) for substep in merged(substep for substep in method.substeps if not isinstance(substep, Thermalize))]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
 
 
 class Splitting(Method):
-    """A splitting method, given by its row of letters.
+    """A splitting method, given by its row of substeps.
 
-    A row that begins and ends with the same letter is run with the two merged between steps: where nobody looks, velocity
+    A row that begins and ends with the same substep is run with the two merged between steps: where nobody looks, velocity
     Verlet makes one kick and one drift per step, as leapfrog does. Forces are computed when a kick needs them and
     positions have moved since. With constraints every drift is projected, and the velocities where somebody looks: a drift does
     not see what a projection would take from them.
@@ -110,9 +110,9 @@ class Splitting(Method):
 
     Attributes of each method
     -------------------------
-    name, letters, source : key in METHODS; kicks and drifts of one step; literature.
+    name, substeps, source : key in METHODS; kicks and drifts of one step; literature.
     conserves_momentum : true unless a bath acts on atoms one by one.  is_thermostat : whether a bath acts at all.
-    opening, closing : letters before the first and after the last of a run of steps, for velocities at half steps.
+    opening, closing : substeps before the first and after the last of a run of steps, for velocities at half steps.
 
     Answers computed from them
     --------------------------
@@ -124,15 +124,15 @@ class Splitting(Method):
     ValueError : if the time step is zero or not finite.
     """
 
-    letters: ClassVar[Row]
-    opening: ClassVar[Row] = ()
-    closing: ClassVar[Row] = ()
+    substeps: ClassVar[Substeps]
+    opening: ClassVar[Substeps] = ()
+    closing: ClassVar[Substeps] = ()
     is_symplectic: ClassVar[bool] = True
     is_explicit: ClassVar[bool] = True
     conserves_momentum: ClassVar[bool] = True
     is_thermostat: ClassVar[bool] = False
-    order = Answer(lambda method: nystrom_order(method.row()))
-    is_symmetric = Answer(lambda method: is_palindrome(method.row()))
+    order = Answer(lambda method: nystrom_order(method.sequence()))
+    is_symmetric = Answer(lambda method: is_palindrome(method.sequence()))
     stages = Answer(stages)
 
     @property
@@ -141,9 +141,9 @@ class Splitting(Method):
         return {"timestep": self.timestep}
 
     @classmethod
-    def row(cls) -> Row:
+    def sequence(cls) -> Substeps:
         """One step from opening to closing, equal neighbors merged."""
-        return merged((*cls.opening, *cls.letters, *cls.closing))
+        return merged((*cls.opening, *cls.substeps, *cls.closing))
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
@@ -155,19 +155,19 @@ class Splitting(Method):
         """
         if not isinstance(problem, Partitioned):
             raise TypeError(f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}")
-        return problem.row_step(cls.row())
+        return problem.sequence_step(cls.sequence())
 
     @classmethod
     def order_on(cls, problem: Problem) -> int:
         """See Method."""
-        return problem.row_order(cls.row()) if isinstance(problem, Partitioned) else cls.order
+        return problem.sequence_order(cls.sequence()) if isinstance(problem, Partitioned) else cls.order
 
     def advance(self, state: State, compute_forces: ComputeForces, n_steps: int, look: bool = True) -> int:
         """Make n_steps steps, at least one, fewer if state.stop_requested becomes true; return how many.
 
         look : compute the forces of the last step with the flag that somebody looks at the energy.
         """
-        opening, body, between, closing = self._merged() if state.constraints is None or isinstance(self.letters[0], Kick) else self._unmerged()
+        opening, body, between, closing = self._merged() if state.constraints is None or isinstance(self.substeps[0], Kick) else self._unmerged()
         state.contacts = 0
         self._apply(opening, state, compute_forces)
         for step in range(1, n_steps + 1):
@@ -181,30 +181,30 @@ class Splitting(Method):
         return step
 
     def thermalize(self, state: State, duration: float) -> None:
-        """What a letter Thermalize does. Methods without a bath have no such letter."""
+        """What a substep Thermalize does. Methods without a bath have no such substep."""
         raise NotImplementedError(f"{self.name} has no thermostat")
 
-    def _unmerged(self) -> tuple[Row, ...]:
+    def _unmerged(self) -> tuple[Substeps, ...]:
         """The row as it stands: with constraints two drifts in a row are not one."""
-        return self.opening, self.letters, (), self.closing
+        return self.opening, self.substeps, (), self.closing
 
-    def _merged(self) -> tuple[Row, ...]:
-        """The row as letters before, in, between and after the steps, with equal neighbors made one."""
-        first, last = self.letters[0], self.letters[-1]
-        if len(self.letters) == 1 or type(first) is not type(last) or isinstance(first, Thermalize):  # noise is not merged
-            return self.opening, self.letters, (), self.closing
+    def _merged(self) -> tuple[Substeps, ...]:
+        """The row as substeps before, in, between and after the steps, with equal neighbors made one."""
+        first, last = self.substeps[0], self.substeps[-1]
+        if len(self.substeps) == 1 or type(first) is not type(last) or isinstance(first, Thermalize):  # noise is not merged
+            return self.opening, self.substeps, (), self.closing
         merged = type(first)(first.coefficient + last.coefficient)
-        return (*self.opening, first), self.letters[1:-1], (merged,), (last, *self.closing)
+        return (*self.opening, first), self.substeps[1:-1], (merged,), (last, *self.closing)
 
-    def _apply(self, letters: Row, state: State, compute_forces: ComputeForces, look_at_last: bool = False) -> None:
-        for k, letter in enumerate(letters, start=1):
-            duration = letter.coefficient * self.timestep
-            if isinstance(letter, Kick):
+    def _apply(self, substeps: Substeps, state: State, compute_forces: ComputeForces, look_at_last: bool = False) -> None:
+        for k, substep in enumerate(substeps, start=1):
+            duration = substep.coefficient * self.timestep
+            if isinstance(substep, Kick):
                 if not state.forces_are_current:
-                    compute_forces(state, look_at_last and k == len(letters))
+                    compute_forces(state, look_at_last and k == len(substeps))
                     state.forces_are_current = True
                 kick(state.velocities, state.forces, state.inverse_masses, duration)
-            elif isinstance(letter, Thermalize):
+            elif isinstance(substep, Thermalize):
                 self.thermalize(state, duration)
             else:
                 if state.constraints is None:

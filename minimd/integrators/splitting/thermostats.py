@@ -1,4 +1,4 @@
-"""Methods in contact with a bath: the letters of a splitting, and one more that changes velocities at random.
+"""Methods in contact with a bath: the substeps of a splitting, and one more that changes velocities at random.
 
 The noise of a step depends on the seed, the number of the step and the place in its row, on nothing else: a run that is stopped and
 resumed, replayed after a failure, or made on other threads, meets the same noise. What the bath puts in is counted as heat, so that
@@ -94,7 +94,7 @@ class LangevinBAOAB(Thermostat):
     """
 
     name = "langevin-baoab"
-    letters = (Kick(0.5), Drift(0.5), Thermalize(1.0), Drift(0.5), Kick(0.5))
+    substeps = (Kick(0.5), Drift(0.5), Thermalize(1.0), Drift(0.5), Kick(0.5))
     source = "B. Leimkuhler, C. Matthews, J. Chem. Phys. 138, 174102 (2013)"
     conserves_momentum = False
     order = 2
@@ -141,7 +141,7 @@ class StochasticVelocityRescaling(Thermostat):
     """
 
     name = "stochastic-velocity-rescaling"
-    letters = (Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(1.0))
+    substeps = (Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(1.0))
     source = "G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007)"
     order = 2
 

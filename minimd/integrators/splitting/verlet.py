@@ -19,7 +19,7 @@ class SE1(Splitting):
     """
 
     name = "symplectic-euler-1"
-    letters = (Kick(1.0), Drift(1.0))
+    substeps = (Kick(1.0), Drift(1.0))
     source = "E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), VI.3"
 
 
@@ -33,7 +33,7 @@ class SE2(Splitting):
     """
 
     name = "symplectic-euler-2"
-    letters = (Drift(1.0), Kick(1.0))
+    substeps = (Drift(1.0), Kick(1.0))
     source = "E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), VI.3"
 
 
@@ -49,7 +49,7 @@ class VelocityVerlet(Splitting):
     """
 
     name = "velocity-verlet"
-    letters = (Kick(0.5), Drift(1.0), Kick(0.5))
+    substeps = (Kick(0.5), Drift(1.0), Kick(0.5))
     source = "W. C. Swope et al., J. Chem. Phys. 76, 637 (1982), eq. 16-17"
 
 
@@ -64,7 +64,7 @@ class PositionVerlet(Splitting):
     """
 
     name = "position-verlet"
-    letters = (Drift(0.5), Kick(1.0), Drift(0.5))
+    substeps = (Drift(0.5), Kick(1.0), Drift(0.5))
     source = "M. Tuckerman, B. J. Berne, G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), eq. 2.22"
 
 
@@ -82,6 +82,6 @@ class Leapfrog(Splitting):
 
     name = "leapfrog"
     opening = (Kick(-0.5),)
-    letters = (Kick(1.0), Drift(1.0))
+    substeps = (Kick(1.0), Drift(1.0))
     closing = (Kick(0.5),)
     source = "R. W. Hockney, J. W. Eastwood, Computer Simulation Using Particles (1981), 4-3-1"

@@ -13,7 +13,7 @@ import minimd as md
 from minimd.commands import main as cli
 from minimd.diagnosis.contacts import contacts
 from minimd.diagnosis.crash_report import examine
-from minimd.files.crash_file import read_autopsy
+from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_writer import read_file
 from minimd.potentials.pair_loop import PER_ATOM
 
@@ -67,7 +67,7 @@ CASES = {
 def test_the_cause_is_told(kind):
     make, atoms, step = CASES[kind]
     error = failing(make())
-    found = error.autopsy
+    found = error.crash_report
     assert found.kind == kind
     assert f"Likely cause: {found.cause}" in str(error)
     assert "\n" not in found.cause
@@ -90,7 +90,7 @@ def test_an_examination_sees_the_energy_of_each_atom(monkeypatch):
 
 def test_figures_of_the_bond_are_those_of_the_oscillator():
     """ω = √(k/μ) of a harmonic bond, wherever it is; μ of two atoms of mass 1 is ½."""
-    found = failing(chain(0.05)).autopsy
+    found = failing(chain(0.05)).crash_report
     assert found.pair.is_bond
     assert found.pair.frequency == pytest.approx(np.sqrt(1000.0 / 0.5), rel=1e-6)
     assert "Δt·ω = 2.24 (stable to 2)" in found.cause
@@ -117,14 +117,14 @@ def test_contacts_see_images_and_exclusions():
 def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path):
     simulation = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(BIG_STEP))
     error = failing(simulation, every=20, trajectory=tmp_path / "a.h5md")
-    assert error.file == tmp_path / "a.autopsy.h5md"
+    assert error.file == tmp_path / "a.crash.h5md"
     assert f"minimd replay {error.file}" in str(error)
     contents = read_file(error.file)
-    assert contents.step == simulation.step == error.autopsy.last_good_step
+    assert contents.step == simulation.step == error.crash_report.last_good_step
     assert np.array_equal(contents.system.positions, simulation.positions)
     assert np.array_equal(contents.system.velocities, simulation.velocities)
-    assert contents.record.step.tolist() == [error.autopsy.first_step, simulation.step]
-    assert 20 <= simulation.step - error.autopsy.first_step <= 120
+    assert contents.record.step.tolist() == [error.crash_report.first_step, simulation.step]
+    assert 20 <= simulation.step - error.crash_report.first_step <= 120
     kept = read_file(tmp_path / "a.h5md")
     assert kept.record.step.tolist() == list(range(0, kept.step + 1, 20))
     assert kept.step == simulation.step // 20 * 20
@@ -133,21 +133,21 @@ def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path):
 def test_no_file_where_none_was_asked_for(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     failing(chain(0.05))
-    failing(chain(0.05), autopsy=False, trajectory="a.h5md")
+    failing(chain(0.05), crash_report=False, trajectory="a.h5md")
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5md"]
-    assert failing(chain(0.05), autopsy="why.h5md").file == Path("why.h5md")
-    assert read_autopsy("why.h5md").findings.kind == "bond"
+    assert failing(chain(0.05), crash_report="why.h5md").file == Path("why.h5md")
+    assert read_crash_report("why.h5md").findings.kind == "bond"
 
 
-def test_an_older_autopsy_is_not_lost(tmp_path):
-    files = [failing(chain(0.05), trajectory=tmp_path / f"{k}.xyz", autopsy=tmp_path / "a.autopsy.h5md").file.name for k in range(3)]
-    assert files == ["a.autopsy.h5md", "a-2.autopsy.h5md", "a-3.autopsy.h5md"]
+def test_an_older_crash_report_is_not_lost(tmp_path):
+    files = [failing(chain(0.05), trajectory=tmp_path / f"{k}.xyz", crash_report=tmp_path / "a.crash.h5md").file.name for k in range(3)]
+    assert files == ["a.crash.h5md", "a-2.crash.h5md", "a-3.crash.h5md"]
 
 
-def test_an_autopsy_that_cannot_be_written_does_not_hide_the_failure(tmp_path):
-    error = failing(chain(0.05), autopsy=tmp_path / "nowhere" / "a.h5md")
+def test_an_crash_report_that_cannot_be_written_does_not_hide_the_failure(tmp_path):
+    error = failing(chain(0.05), crash_report=tmp_path / "nowhere" / "a.h5md")
     assert "Likely cause" in str(error)
-    assert "No autopsy was written" in str(error)
+    assert "No crash report was written" in str(error)
     assert error.file is None
 
 
@@ -164,32 +164,32 @@ def test_a_term_that_cannot_be_examined_does_not_hide_the_failure(tmp_path):
             return ()
 
     simulation = md.Simulation(liquid(3), [md.LennardJones(1.0, 1.0, 1.85, "switched"), Reluctant()], md.VelocityVerlet(0.04))
-    error = failing(simulation, autopsy=tmp_path / "a.h5md")
+    error = failing(simulation, crash_report=tmp_path / "a.h5md")
     assert "The system holds the last good state" in str(error)
-    assert error.autopsy is None
+    assert error.crash_report is None
 
 
-def test_an_autopsy_does_not_replace_the_trajectory(tmp_path):
+def test_an_crash_report_does_not_replace_the_trajectory(tmp_path):
     with pytest.raises(ValueError, match="is a trajectory of the run"):
-        chain(0.05).run(10, trajectory=tmp_path / "a.h5md", autopsy=tmp_path / "a.h5md", overwrite=True)
+        chain(0.05).run(10, trajectory=tmp_path / "a.h5md", crash_report=tmp_path / "a.h5md", overwrite=True)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_replay_says_which_method_it_does_not_know(tmp_path):
     simulation = chain(0.05)
     simulation.method = type("Mine", (md.VelocityVerlet,), {"name": "mine"})(0.05)
-    error = failing(simulation, autopsy=tmp_path / "a.h5md")
+    error = failing(simulation, crash_report=tmp_path / "a.h5md")
     with pytest.raises(ValueError, match="the method 'mine', which is not one of minimd"):
         md.replay(error.file, simulation.potentials)
 
 
 def test_findings_come_back_from_the_file(tmp_path):
-    error = failing(rigid_liquid(md.VelocityVerlet(0.08)), autopsy=tmp_path / "a.h5md")
-    past = read_autopsy(error.file)
-    assert past.findings == error.autopsy
-    assert str(past.findings) == str(error.autopsy)
+    error = failing(rigid_liquid(md.VelocityVerlet(0.08)), crash_report=tmp_path / "a.h5md")
+    past = read_crash_report(error.file)
+    assert past.findings == error.crash_report
+    assert str(past.findings) == str(error.crash_report)
     with h5py.File(error.file) as h5:
-        assert json.loads(h5["minimd/autopsy/simulation"].asstr()[()])["method"] == "velocity-verlet"
+        assert json.loads(h5["minimd/crash_report/simulation"].asstr()[()])["method"] == "velocity-verlet"
     assert past.system.constraints[0].pairs.shape == (108, 2)
     with pytest.raises(ValueError, match=r"holds no scene .*LennardJones"):
         md.replay(error.file)
@@ -209,9 +209,9 @@ def test_replay_fails_again_at_the_same_step_on_the_same_path(tmp_path, make):
     simulation = make()
     error = failing(simulation, trajectory=tmp_path / "a.h5md")
     seen = md.replay(error.file, simulation.potentials)
-    assert seen.failed_at == error.autopsy.step
+    assert seen.failed_at == error.crash_report.step
     assert "failed again" in str(seen)
-    assert [row.step for row in seen.rows] == list(range(error.autopsy.first_step, error.autopsy.last_good_step + 1))
+    assert [row.step for row in seen.rows] == list(range(error.crash_report.first_step, error.crash_report.last_good_step + 1))
     assert seen.rows[-1].energy == pytest.approx(read_file(error.file).record.total_energy[-1], rel=1e-6)
     assert (seen.trajectory, seen.picture) == (tmp_path / "a.replay.h5md", tmp_path / "a.replay.png")
     assert read_file(seen.trajectory).n_frames == len(seen.rows)
@@ -240,28 +240,28 @@ def test_scene_that_blows_up_is_replayed_from_its_file_alone(tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     Path("melt.toml").write_text(melt_scene(3, 4000).replace("timestep = 0.004", "timestep = 0.03"))
     assert cli.main(["run", "melt.toml", "--quiet"]) == 3
-    assert "Autopsy in melt.autopsy.h5md" in capsys.readouterr().err
+    assert "Crash report in melt.crash.h5md" in capsys.readouterr().err
     Path("melt.toml").unlink()
-    assert cli.main(["replay", "melt.autopsy.h5md"]) == 0
+    assert cli.main(["replay", "melt.crash.h5md"]) == 0
     told = capsys.readouterr().out
     assert "failed again" in told
     assert "cause " in told
     assert Path("melt.replay.h5md").exists()
     assert Path("melt.replay.png").exists()
-    assert cli.main(["replay", "melt.autopsy.h5md"]) == 2
-    assert cli.main(["replay", "melt.autopsy.h5md", "--out", "other.h5md", "--quiet"]) == 0
+    assert cli.main(["replay", "melt.crash.h5md"]) == 2
+    assert cli.main(["replay", "melt.crash.h5md", "--out", "other.h5md", "--quiet"]) == 0
     assert cli.main(["replay", "melt.h5md"]) == 2
-    assert "holds no autopsy" in capsys.readouterr().err
+    assert "holds no crash report" in capsys.readouterr().err
 
 
-def test_equilibration_of_a_scene_that_blows_up_leaves_its_autopsy(tmp_path, monkeypatch):
+def test_equilibration_of_a_scene_that_blows_up_leaves_its_crash_report(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     scene = melt_scene(3, 10, 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibration]\nsteps = 2000\nrescale_every = 10\n')
     Path("melt.toml").write_text(scene.replace("timestep = 0.004", "timestep = 0.04"))
     assert cli.main(["run", "melt.toml", "--quiet"]) == 3
-    past = read_autopsy("melt.autopsy.h5md")
+    past = read_crash_report("melt.crash.h5md")
     assert past.noise_shift < 0
-    seen = md.replay("melt.autopsy.h5md")
+    seen = md.replay("melt.crash.h5md")
     assert seen.failed_at == past.findings.step
     assert len(seen.rows) > 1
-    assert seen.rows[-1].energy == pytest.approx(read_file("melt.autopsy.h5md").record.total_energy[-1], rel=1e-6)  # with the same noise
+    assert seen.rows[-1].energy == pytest.approx(read_file("melt.crash.h5md").record.total_energy[-1], rel=1e-6)  # with the same noise

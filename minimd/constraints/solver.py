@@ -7,115 +7,44 @@ everything else           Newton within an envelope     constraint_solvers.drift
 solver="shake"            sweeps, for all               shake
 """
 
-from typing import Literal
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
 from minimd.constraints.groups import groups_of
 from minimd.constraints.newton import drift_some
+from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.errors import ConstraintError
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-SolverName = Literal["auto", "newton", "shake"]
-SOLVERS = ("auto", "newton", "shake")
 ROUNDINGS = 20.0  # of the coordinates: no length can be kept better
-TOLERANCE = 1e-12  # of |r² − d²|/d², if none is given
 
 
-class DistanceConstraints:
-    """Pairs of atoms whose distance is held fixed: |r_j − r_i| = d.
+class ConstraintSolver:
+    """Distance constraints of one system, ready to be kept.
 
     Parameters
     ----------
-    pairs : (K, 2) int, any graph: bonds, chains, rings, cages, molecules of three atoms in a line.
-    lengths : (K,) or one number [length]; the distances in the start positions if not given.
-    tolerance : of |r² − d²|/d², for sweeps; the other solvers go to rounding.
-    solver : "auto" (by shape), "newton" (for all), or "shake" (SHAKE and RATTLE sweeps, for all).
-
-    Raises
-    ------
-    ValueError : for pairs that are none, or twice the same; lengths or a tolerance not positive; an unknown solver.
-    """
-
-    def __init__(self, pairs: ArrayLike, lengths: ArrayLike | None = None, tolerance: float = TOLERANCE, solver: SolverName = "auto") -> None:
-        self.pairs = _checked_pairs(pairs)
-        self.lengths = None if lengths is None else _checked_lengths(lengths, len(self.pairs))
-        if not tolerance > 0.0:
-            raise ValueError(f"tolerance must be positive; tolerance = {tolerance!r}")
-        if solver not in SOLVERS:
-            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}; solver = {solver!r}")
-        self.tolerance, self.solver = float(tolerance), solver
-
-    def __repr__(self) -> str:
-        return f"DistanceConstraints({len(self.pairs)} pairs, solver={self.solver!r})"
-
-    def on(self, positions: Array, inverse_masses: Array, offsets: Array | None = None, threads: int = 1) -> "RigidBonds":
-        """The constraints of a system, ready to be kept.
-
-        Parameters
-        ----------
-        positions : (N, 3) [length].  inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
-        offsets : (K, 3) [length], added to r_j − r_i: lattice translations of bonds across a periodic boundary.
-        threads : how many at most; the result has the same bits for any number.
-
-        Raises
-        ------
-        ValueError : for atoms that do not exist, a pair of two fixed atoms, or constraints that depend on each other.
-        """
-        if self.pairs.max(initial=-1) >= len(positions):
-            raise ValueError(f"constraints must name atoms 0 to {len(positions) - 1}; they name atom {self.pairs.max()}")
-        stuck = np.flatnonzero((inverse_masses[self.pairs] == 0.0).all(axis=1))
-        if stuck.size:
-            i, j = self.pairs[stuck[0]]
-            raise ValueError(f"constraint {stuck[0]} (atoms {i}-{j}) joins two atoms that are held fixed; leave it out")
-        offsets = np.zeros((len(self.pairs), 3)) if offsets is None else offsets
-        bonds = positions[self.pairs[:, 1]] - positions[self.pairs[:, 0]] + offsets
-        lengths = np.linalg.norm(bonds, axis=1) if self.lengths is None else self.lengths
-        if not (lengths > 0.0).all():
-            k = int(np.argmin(lengths > 0.0))
-            raise ValueError(f"constraint {k} has length 0: atoms {self.pairs[k, 0]} and {self.pairs[k, 1]} lie on one spot; give lengths")
-        return RigidBonds(self, lengths, positions, inverse_masses, offsets, threads)
-
-
-def _checked_pairs(pairs: ArrayLike) -> Ints:
-    pairs = np.array(pairs)
-    if pairs.size == 0 or pairs.ndim != 2 or pairs.shape[1] != 2 or not np.issubdtype(pairs.dtype, np.integer):
-        raise ValueError(f"pairs must be a (K, 2) array of atom indices, with at least one pair; got shape {pairs.shape}, {pairs.dtype}")
-    wrong = np.flatnonzero((pairs < 0).any(axis=1) | (pairs[:, 0] == pairs[:, 1]))
-    if wrong.size:
-        raise ValueError(f"a pair must name two different atoms, counted from 0; pair {wrong[0]} is {pairs[wrong[0]].tolist()}")
-    known, counts = np.unique(np.sort(pairs, axis=1), axis=0, return_counts=True)
-    if (counts > 1).any():
-        raise ValueError(f"each pair may be named once; {known[np.argmax(counts > 1)].tolist()} is named {counts.max()} times")
-    return np.ascontiguousarray(pairs, dtype=np.int64)
-
-
-def _checked_lengths(lengths: ArrayLike, n_pairs: int) -> Array:
-    given = np.asarray(lengths, dtype=float)
-    if given.shape not in ((), (1,), (n_pairs,)):
-        raise ValueError(f"lengths must be one number or {n_pairs}, one for each pair; their shape is {given.shape}")
-    checked = np.broadcast_to(given, (n_pairs,)).copy()
-    wrong = np.flatnonzero(~(np.isfinite(checked) & (checked > 0.0)))
-    if wrong.size:
-        raise ValueError(f"lengths must be positive and finite; that of constraint {wrong[0]} is {checked[wrong[0]]}")
-    return checked
-
-
-class RigidBonds:
-    """Distance constraints of one system.
+    constraints : DistanceConstraints.  positions : (N, 3) [length].  inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
+    offsets : (K, 3) [length], added to r_j − r_i: lattice translations of bonds across a periodic boundary.
+    threads : how many at most; the result has the same bits for any number.
 
     Attributes
     ----------
     n_constraints : degrees of freedom they take.  lengths : (K,) [length], in the order of the user.
     accuracy : how far sweeps leave lengths off [length]; 0 of the other solvers, which go to rounding.
+
+    Raises
+    ------
+    ValueError : for atoms that do not exist, a pair of two fixed atoms, a length of zero, or constraints that depend on each other.
     """
 
     def __init__(
-        self, constraints: DistanceConstraints, lengths: Array, positions: Array, inverse_masses: Array, offsets: Array, threads: int
+        self, constraints: DistanceConstraints, positions: Array, inverse_masses: Array, offsets: Array | None = None, threads: int = 1
     ) -> None:
+        offsets = np.zeros((len(constraints.pairs), 3)) if offsets is None else offsets
+        lengths = _checked_lengths(constraints, positions, inverse_masses, offsets)
         self.pairs, self.lengths, self.offsets = constraints.pairs, lengths, offsets
         self.inverse_masses, self.threads = inverse_masses, threads
         self.tolerance = max(constraints.tolerance, ROUNDINGS * EPS * float(np.abs(positions).max()) / float(lengths.min()))
@@ -128,7 +57,7 @@ class RigidBonds:
         self.iterations = 0  # most of any drift so far
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The constraints, for a report."""
         return ", ".join(f"{len(group.order)} in {group.shape}" for group in self.groups)
 
@@ -206,3 +135,20 @@ class RigidBonds:
         )
         error.atoms = int(i), int(j)
         raise error
+
+
+def _checked_lengths(constraints: DistanceConstraints, positions: Array, inverse_masses: Array, offsets: Array) -> Array:
+    """(K,) [length], as given or as they are; ValueError as ConstraintSolver."""
+    pairs = constraints.pairs
+    if pairs.max(initial=-1) >= len(positions):
+        raise ValueError(f"constraints must name atoms 0 to {len(positions) - 1}; they name atom {pairs.max()}")
+    stuck = np.flatnonzero((inverse_masses[pairs] == 0.0).all(axis=1))
+    if stuck.size:
+        i, j = pairs[stuck[0]]
+        raise ValueError(f"constraint {stuck[0]} (atoms {i}-{j}) joins two atoms that are held fixed; leave it out")
+    bonds = positions[pairs[:, 1]] - positions[pairs[:, 0]] + offsets
+    lengths = np.linalg.norm(bonds, axis=1) if constraints.lengths is None else constraints.lengths
+    if not (lengths > 0.0).all():
+        k = int(np.argmin(lengths > 0.0))
+        raise ValueError(f"constraint {k} has length 0: atoms {pairs[k, 0]} and {pairs[k, 1]} lie on one spot; give lengths")
+    return lengths

@@ -1,0 +1,86 @@
+"""What a scene holds fixed: distances and atoms. The solvers that keep them are in minimd.constraints."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.structure.bond_graph import checked_pairs
+
+SolverName = Literal["auto", "newton", "shake"]
+SOLVERS = ("auto", "newton", "shake")
+TOLERANCE = 1e-12  # of |r² − d²|/d², if none is given
+
+
+class DistanceConstraints:
+    """Pairs of atoms whose distance is held fixed: |r_j − r_i| = d.
+
+    Parameters
+    ----------
+    pairs : (K, 2) int, any graph: bonds, chains, rings, cages, molecules of three atoms in a line.
+    lengths : (K,) or one number [length]; the distances in the start positions if not given.
+    tolerance : of |r² − d²|/d², for sweeps; the other solvers go to rounding.
+    solver : "auto" (by shape), "newton" (for all), or "shake" (SHAKE and RATTLE sweeps, for all).
+
+    Raises
+    ------
+    ValueError : for pairs that are none, or twice the same; lengths or a tolerance not positive; an unknown solver.
+    """
+
+    def __init__(self, pairs: ArrayLike, lengths: ArrayLike | None = None, tolerance: float = TOLERANCE, solver: SolverName = "auto") -> None:
+        self.pairs = checked_pairs("pairs", pairs)
+        if not len(self.pairs):
+            raise ValueError("pairs of DistanceConstraints must name at least one pair; there is none")
+        self.lengths = None if lengths is None else _checked_lengths(lengths, len(self.pairs))
+        if not tolerance > 0.0:
+            raise ValueError(f"tolerance must be positive; tolerance = {tolerance!r}")
+        if solver not in SOLVERS:
+            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}; solver = {solver!r}")
+        self.tolerance, self.solver = float(tolerance), solver
+
+    def __repr__(self) -> str:
+        return f"DistanceConstraints({len(self.pairs)} pairs, solver={self.solver!r})"
+
+
+def _checked_lengths(lengths: ArrayLike, n_pairs: int) -> NDArray[np.float64]:
+    given = np.asarray(lengths, dtype=float)
+    if given.shape not in ((), (1,), (n_pairs,)):
+        raise ValueError(f"lengths must be one number or {n_pairs}, one for each pair; their shape is {given.shape}")
+    checked = np.broadcast_to(given, (n_pairs,)).copy()
+    wrong = np.flatnonzero(~(np.isfinite(checked) & (checked > 0.0)))
+    if wrong.size:
+        raise ValueError(f"lengths must be positive and finite; that of constraint {wrong[0]} is {checked[wrong[0]]}")
+    return checked
+
+
+class FixedAtoms:
+    """Atoms that stay where they are.
+
+    Parameters
+    ----------
+    atoms : indices, none if empty, or one bool for each atom.
+
+    Raises
+    ------
+    ValueError : for anything else; from a Simulation, for atoms that it does not have, or another number of bools.
+    """
+
+    def __init__(self, atoms: ArrayLike) -> None:
+        chosen = np.asarray(atoms) if np.size(atoms) else np.empty(0, dtype=np.int64)
+        self._n_bools = chosen.size if chosen.dtype == bool else None
+        self.atoms = np.flatnonzero(chosen) if chosen.dtype == bool else np.unique(chosen)
+        if chosen.ndim != 1 or not np.issubdtype(self.atoms.dtype, np.integer) or self.atoms.min(initial=0) < 0:
+            raise ValueError(f"fixed atoms must be a list of indices, counted from 0, or one bool for each atom; got {atoms!r}")
+
+    def __repr__(self) -> str:
+        return f"FixedAtoms({len(self.atoms)} atoms)"
+
+    def check_size(self, n_atoms: int) -> None:
+        """ValueError unless so many atoms can be meant."""
+        if self._n_bools not in (None, n_atoms):
+            raise ValueError(f"fixed atoms must be given as indices, or as one bool for each of {n_atoms} atoms; got {self._n_bools} bools")
+        if self.atoms.max(initial=-1) >= n_atoms:
+            raise ValueError(f"fixed atoms must be among 0 to {n_atoms - 1}; they name atom {self.atoms.max()}")
+
+
+Constraint = DistanceConstraints | FixedAtoms

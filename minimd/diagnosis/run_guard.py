@@ -15,6 +15,7 @@ from minimd.diagnosis.crash_report import Acting, Failure, examine
 from minimd.diagnosis.faults import (
     RUNAWAY,
     broken_constraint,
+    failure_sentence,
     fault_at_start,
     fault_of,
     largest_acceleration,

@@ -22,7 +22,7 @@ TURNING = 1e-8  # of the speed, along a rigid bond
 
 @dataclass(frozen=True)
 class Line:
-    """One thing that was looked at.  name : at most 14 substeps.  words : with figures.  verdict : plain.  is_good : whether it is as it should be."""
+    """One thing that was looked at.  name : at most 14 letters.  words : with figures.  verdict : plain.  is_good : whether it is as it should be."""
 
     name: str
     words: str

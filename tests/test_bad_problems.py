@@ -15,6 +15,7 @@ from minimd.integrators import (
     run_adaptive,
     run_steps,
     run_until,
+    stormer_two_step,
 )
 
 OSCILLATOR = SecondOrder(lambda q: -q)
@@ -95,11 +96,17 @@ def test_starts_of_first_order_problems_are_one_dimensional():
             run_steps(FirstOrder(lambda y: -y), GaussLegendre2(0.1), start, 1)
 
 
-@pytest.mark.parametrize("n", [0, -1, 1.0, "3", None])
+@pytest.mark.parametrize("n", [0, -1, 1.0, True, "3", None])
 def test_counts_are_whole_and_positive(n):
     for arguments in ({"n_steps": n}, {"n_steps": 3, "every": n}):
         with pytest.raises(ValueError, match="must be a whole number, at least 1"):
             run_steps(OSCILLATOR, VERLET, ONE, **arguments)
+    with pytest.raises(ValueError, match="n_steps must be a whole number, at least 1"):
+        stormer_two_step(lambda q: -q, 1.0, 0.0, 0.1, n)
+
+
+def test_counts_may_be_integers_of_numpy():
+    assert len(run_steps(OSCILLATOR, VERLET, ONE, np.int32(3)).t) == 4
 
 
 def test_times_are_finite_and_lie_ahead():
@@ -142,7 +149,7 @@ def test_solvers_are_solvers():
             with pytest.raises(TypeError, match=r"solver must be Newton\(\) or FixedPoint\(\)"):
                 problem(wrong)
     for kind in (Newton, FixedPoint):
-        with pytest.raises(ValueError, match="max_iterations must be at least 1"):
+        with pytest.raises(ValueError, match="max_iterations must be a whole number, at least 1"):
             kind(max_iterations=0)
 
 

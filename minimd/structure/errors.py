@@ -1,5 +1,6 @@
-"""The three ways in which physics or its arithmetic can fail while something runs, and the one in which a user ends it."""
+"""The exceptions of failed physics, the one that ends an interrupted computation, and the check of counts."""
 
+from numbers import Integral
 from typing import Any
 
 
@@ -34,3 +35,15 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, message: str, result: Any = None) -> None:
         super().__init__(message)
         self.result = result
+
+
+def checked_count(name: str, value: Any, least: int = 1) -> int:
+    """The value as an int.
+
+    Raises
+    ------
+    ValueError : unless it is an int or an integer of NumPy, not a bool, and at least least; name is its name in the message.
+    """
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+        raise ValueError(f"{name} must be a whole number, at least {least}; {name} = {value!r}")
+    return int(value)

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.structure.errors import ConvergenceError
+from minimd.structure.errors import ConvergenceError, checked_count
 from minimd.integrators.dae.problem import begun, error_weights
-from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_count, check_problem
+from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_problem
 from minimd.integrators.method import Method, Step
 from minimd.integrators.ode.problems import Problem
 from minimd.compiled.machine import EPS
@@ -56,7 +56,7 @@ class StepControl:
             raise ValueError(f"first_step must be positive and finite; first_step = {self.first_step!r}")
         if not 0.0 <= self.min_step <= self.max_step or self.max_step == 0.0:
             raise ValueError(f"0 <= min_step <= max_step is needed; min_step = {self.min_step!r}, max_step = {self.max_step!r}")
-        check_count("max_steps", self.max_steps)
+        checked_count("max_steps", self.max_steps)
 
     def check_size(self, n: int) -> None:
         """ValueError unless atol is one number, or one for each component."""

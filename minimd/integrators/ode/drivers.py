@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.structure.errors import ConvergenceError, NonFiniteError
+from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 from minimd.integrators.dae.problem import begun
 from minimd.integrators.method import Method, Step
 from minimd.integrators.ode.problems import Problem
@@ -33,7 +33,7 @@ def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: fl
     ConvergenceError, NonFiniteError : if a step cannot be made; the message names it, error.solution holds the path before.
     """
     check_method(method)
-    check_count("n_steps", n_steps)
+    checked_count("n_steps", n_steps)
     if not isfinite(t0):
         raise ValueError(f"t0 must be finite; t0 = {t0!r}")
     h = method.timestep
@@ -64,7 +64,7 @@ def check_ahead(t0: float, t_end: float) -> None:
 
 def _fixed(problem: Problem, method: Method, start: Any, t0: float, steps: Iterator[float], every: int, t_end: float | None = None) -> Solution:
     check_problem(problem)
-    check_count("every", every)
+    checked_count("every", every)
     y = begun(problem, start, t0)
     step = type(method).on(problem)
     t, n, times, states = t0, 0, [t0], [y]
@@ -107,12 +107,6 @@ def check_problem(problem: Problem) -> None:
     """TypeError for anything but a problem."""
     if not hasattr(problem, "begin"):
         raise TypeError(f"problem must be a differential equation, such as SecondOrder(f); got {problem!r}")
-
-
-def check_count(name: str, value: int) -> None:
-    """ValueError for anything but a whole number, at least 1."""
-    if not isinstance(value, (int, np.integer)) or value < 1:
-        raise ValueError(f"{name} must be a whole number, at least 1; {name} = {value!r}")
 
 
 def check_method(method: Method) -> None:

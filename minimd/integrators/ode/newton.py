@@ -16,7 +16,7 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
-from minimd.structure.errors import ConvergenceError
+from minimd.structure.errors import ConvergenceError, checked_count
 from minimd.integrators.ode.differences import forward_differences
 from minimd.compiled.machine import EPS
 
@@ -44,9 +44,7 @@ class Newton:
     slow = SLOW
 
     def __init__(self, max_iterations: int = 50, small: float = SMALL) -> None:
-        if not max_iterations >= 1:
-            raise ValueError(f"max_iterations must be at least 1; max_iterations = {max_iterations!r}")
-        self.max_iterations, self.small = max_iterations, small
+        self.max_iterations, self.small = checked_count("max_iterations", max_iterations), small
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(max_iterations={self.max_iterations})"

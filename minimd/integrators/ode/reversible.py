@@ -15,9 +15,9 @@ from math import copysign, isfinite, log
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.structure.errors import ConvergenceError, NonFiniteError
+from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 from minimd.integrators.dae.problem import begun
-from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_count, check_method, check_problem
+from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_method, check_problem
 from minimd.integrators.method import Method
 from minimd.integrators.ode.problems import Partitioned
 from minimd.integrators.ode.solution import Solution, ended, with_path
@@ -56,7 +56,7 @@ class DensityControl:
     def __post_init__(self) -> None:
         if not 0.0 < self.density < np.inf:
             raise ValueError(f"density must be positive and finite; density = {self.density!r}")
-        check_count("max_steps", self.max_steps)
+        checked_count("max_steps", self.max_steps)
 
 
 def run_reversible(
@@ -86,7 +86,7 @@ def run_reversible(
     check_problem(problem)
     check_method(method)
     check_ahead(t0, t_end)
-    check_count("every", every)
+    checked_count("every", every)
     if not isinstance(control, DensityControl):
         raise TypeError(f"control must be DensityControl(rate, density, max_steps); got {control!r}")
     if not method.is_symmetric:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.integrators.ode.solution import Solution
+from minimd.structure.errors import checked_count
 
 Acceleration = Callable[[NDArray[np.float64]], ArrayLike]
 
@@ -59,8 +60,7 @@ def _start(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_ste
     q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)
     if not (isfinite(timestep) and timestep != 0.0):
         raise ValueError(f"timestep must be finite and not zero; timestep = {timestep!r}")
-    if n_steps < 1:
-        raise ValueError(f"n_steps must be at least 1; n_steps = {n_steps!r}")
+    checked_count("n_steps", n_steps)
     a0 = np.asarray(f(q0), dtype=float)
     if not q0.shape == v0.shape == a0.shape:
         raise ValueError(f"q0, v0 and f(q0) must have the same shape; got {q0.shape}, {v0.shape} and {a0.shape}")

@@ -6,7 +6,7 @@ from baths import BUSSI, LANGEVIN, OBABO, SCENE, simulation, state
 from scipy import stats
 
 import minimd as md
-from minimd.integrators import State, adjoint, compose
+from minimd.integrators import THERMOSTATS, State, adjoint, compose
 from minimd.scene import parse_scene
 
 
@@ -159,6 +159,15 @@ def test_configurations_of_an_oscillator_are_exact_at_large_timesteps():
 def test_bad_baths_are_told(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize("method", THERMOSTATS.values())
+def test_every_thermostat_can_be_made_from_its_relaxation_time_and_again_from_its_parameters(method):
+    bath = method.with_relaxation_time(0.01, temperature=1.3, relaxation_time=0.5, seed=7)
+    own = {"friction": 2.0} if method is md.LangevinBAOAB else {"relaxation_time": 0.5}
+    assert type(bath) is method
+    assert bath.parameters == {"timestep": 0.01, "temperature": 1.3, "seed": 7, **own}
+    assert method(**bath.parameters).parameters == bath.parameters
 
 
 def test_small_problems_are_refused():

@@ -10,6 +10,7 @@ reads the same from both ends. E. Hairer, C. Lubich, G. Wanner, Geometric Numeri
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from inspect import signature
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -137,8 +138,8 @@ class Splitting(Method):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """What it takes to make this method again, by name."""
-        return {"timestep": self.timestep}
+        """The arguments that make this method again, by name: its attributes that are called as arguments of its constructor."""
+        return {name: getattr(self, name) for name in signature(type(self)).parameters if hasattr(self, name)}
 
     @classmethod
     def sequence(cls) -> Substeps:

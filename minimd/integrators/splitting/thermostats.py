@@ -8,6 +8,7 @@ G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007); D. A. Sivak, J. D. Chod
 
 from math import exp, isfinite, sqrt
 from numbers import Integral, Real
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +50,15 @@ class Thermostat(Splitting):
             raise ValueError(f"seed must be a whole number, not negative and below 2¹²⁸; seed = {seed!r}")
         self.temperature, self.seed = _not_negative("temperature", temperature), int(seed)
 
-    @property
-    def parameters(self) -> dict[str, float]:
-        """See Splitting."""
-        return {**super().parameters, "temperature": self.temperature, "seed": self.seed}
+    @classmethod
+    def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
+        """The thermostat whose bath has this relaxation time, for whoever knows no more of it, such as a scene file.
+
+        Parameters
+        ----------
+        relaxation_time : τ > 0 [time].  Others : see Thermostat.
+        """
+        raise NotImplementedError
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
@@ -103,10 +109,10 @@ class LangevinBAOAB(Thermostat):
         super().__init__(timestep, temperature, seed)
         self.friction = _not_negative("friction", friction)
 
-    @property
-    def parameters(self) -> dict[str, float]:
-        """See Splitting."""
-        return {**super().parameters, "friction": self.friction}
+    @classmethod
+    def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
+        """See Thermostat; γ = 1/τ."""
+        return cls(timestep, temperature, 1.0 / relaxation_time, seed)
 
     def thermalize(self, state: State, duration: float) -> None:
         """The Ornstein-Uhlenbeck process over a duration."""
@@ -151,10 +157,10 @@ class StochasticVelocityRescaling(Thermostat):
             raise ValueError(f"relaxation_time must be positive; relaxation_time = {relaxation_time!r}")
         self.relaxation_time = float(relaxation_time)
 
-    @property
-    def parameters(self) -> dict[str, float]:
-        """See Splitting."""
-        return {**super().parameters, "relaxation_time": self.relaxation_time}
+    @classmethod
+    def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
+        """See Thermostat."""
+        return cls(timestep, temperature, relaxation_time, seed)
 
     def thermalize(self, state: State, duration: float) -> None:
         """The exact change of the kinetic energy over a duration."""

@@ -1,26 +1,24 @@
-"""Seeing a failed run fail again, step by step, from the file that it left."""
+"""A failed run made again, step by step, from the file that it left."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from minimd.diagnosis.crash_report import SUFFIX, CrashReport
+from minimd.diagnosis.crash_report import CrashReport
+from minimd.files.crash_file import SUFFIX, CrashFile, read_crash_report
 from minimd.forces.forces import Potential
 from minimd.neighbors.queries import closest_pair
 from minimd.simulation.simulation import Simulation
 from minimd.structure.errors import ConstraintError, NonFiniteError
 
-if TYPE_CHECKING:
-    from minimd.files.crash_file import CrashFile
-
-PATIENCE = 20  # steps behind the failure, should it not come again: rounding is not the same
-LAST_ROWS, STRIDE = 12, 10  # of the table: the last ones all, of the others every tenth
+PATIENCE = 20  # steps behind the failure, should it not come again: rounding is not the same on every processor
+LAST_ROWS, APART = 12, 10  # of the table: the last ones all, of the others every tenth
 
 
-class Row(NamedTuple):
+class ReplayedStep(NamedTuple):
     """One step.  time, energy : [time], [energy], total.  first, second, distance : the closest pair [length]; −1 and NaN where there is none.
 
     pushed, force : the atom under the largest force, and its size [energy/length].  fastest, speed : [length/time].
@@ -37,8 +35,24 @@ class Row(NamedTuple):
     fastest: int
     speed: float
 
+    @classmethod
+    def of(cls, simulation: Simulation) -> "ReplayedStep":
+        """The present step; the forces are those of the last look."""
+        force, speed = (np.sqrt(np.einsum("ij,ij->i", array, array)) for array in (simulation.forces, simulation.velocities))
+        first, second, distance = closest_pair(simulation.system) or (-1, -1, np.nan)
+        pushed, fastest, record = int(np.argmax(force)), int(np.argmax(speed)), simulation.record
+        energy = float(record.total_energy[-1]) if record is not None and len(record) else np.nan
+        pair = (int(first), int(second), float(distance))
+        return cls(simulation.step, simulation.time, energy, *pair, pushed, float(force[pushed]), fastest, float(speed[fastest]))
 
-HEADS = ("step", "time", "total energy", "closest pair", "distance", "largest force", "on", "fastest", "speed")
+    def cells(self) -> tuple[str, ...]:
+        """The row of a table."""
+        pair = f"{self.first}-{self.second}" if self.first >= 0 else "none"
+        numbers = (f"{self.distance:.4g}", f"{self.force:.4g}", str(self.pushed), str(self.fastest), f"{self.speed:.4g}")
+        return (str(self.step), f"{self.time:.5g}", f"{self.energy:.8g}", pair, *numbers)
+
+
+COLUMNS = (("step", 8), ("time", 11), ("total energy", 14), ("closest pair", 15), ("distance", 10), ("largest force", 14), ("on", 8), ("fastest", 9), ("speed", 11))  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -47,11 +61,11 @@ class Replay:
 
     Attributes
     ----------
-    rows : a Row of each step that could be made.  ending : what ended it, in words.  failed_at : step, or None if it did not fail again.
+    rows : a ReplayedStep of each step that could be made.  ending : what ended it, in words.  failed_at : step, or None if it did not fail again.
     findings : CrashReport of the first failure.  trajectory, picture : files, or None where none was written.
     """
 
-    rows: list[Row]
+    rows: list[ReplayedStep]
     ending: str
     failed_at: int | None
     findings: CrashReport
@@ -59,17 +73,10 @@ class Replay:
     picture: Path | None
 
     def __str__(self) -> str:
-        shown = [row for k, row in enumerate(self.rows) if k % STRIDE == 0 or k >= len(self.rows) - LAST_ROWS]
-        widths = (8, 11, 14, 15, 10, 14, 8, 9, 11)
-        lines = ["".join(f"{head:>{width}}" for head, width in zip(HEADS, widths, strict=True))]
-        lines += ["".join(f"{cell:>{width}}" for cell, width in zip(_cells(row), widths, strict=True)) for row in shown]
+        shown = [row.cells() for k, row in enumerate(self.rows) if k % APART == 0 or k >= len(self.rows) - LAST_ROWS]
+        table = [tuple(head for head, _ in COLUMNS), *shown]
+        lines = ["".join(f"{cell:>{width}}" for cell, (_, width) in zip(row, COLUMNS, strict=True)) for row in table]
         return "\n".join([*lines, self.ending])
-
-
-def _cells(row: Row) -> tuple[str, ...]:
-    pair = f"{row.first}-{row.second}" if row.first >= 0 else "none"
-    numbers = (f"{row.distance:.4g}", f"{row.force:.4g}", str(row.pushed), str(row.fastest), f"{row.speed:.4g}")
-    return (str(row.step), f"{row.time:.5g}", f"{row.energy:.8g}", pair, *numbers)
 
 
 def replay(
@@ -94,21 +101,22 @@ def replay(
     FileNotFoundError, OSError, ValueError : for a file that is none, for one without a scene if no potentials are given, or for
         outputs that exist or cannot be written.
     """
-    from minimd.files.crash_file import read_crash_report
-
     past = read_crash_report(file)
     frames, drawing = _output(trajectory, Path(file), ".replay.h5md", overwrite), _output(picture, Path(file), ".replay.png", overwrite)
-    simulation = _simulation(past, _potentials(past, file) if potentials is None else potentials)
-    rows: list[Row] = []
+    acting = _potentials(past, file) if potentials is None else potentials
+    simulation = Simulation(past.system, acting, past.method, precision=past.precision, skin=past.skin)
+    simulation.restore(past.start)
+    simulation.engine.noise_shift = past.noise_shift
+    rows: list[ReplayedStep] = []
     failed_at, ending = _run(simulation, past.findings, frames, rows)
-    if not rows:
-        rows.append(_row(simulation))
+    rows = rows or [ReplayedStep.of(simulation)]
     if drawing is not None:
         from minimd.analysis.replay_plot import plot_replay
 
-        plot_replay(rows, past.findings, simulation.system.units, drawing)
-    written = frames if frames is not None and frames.exists() else None
-    return Replay(rows, ending, failed_at, past.findings, written, drawing)
+        series = {"energy": "total energy", "distance": "closest pair", "force": "largest force", "speed": "largest speed"}
+        steps = {name: [getattr(row, name) for row in rows] for name in ("step", *series)}
+        plot_replay(steps, series, past.findings, simulation.system.units, drawing)
+    return Replay(rows, ending, failed_at, past.findings, frames if frames is not None and frames.exists() else None, drawing)
 
 
 def _output(wanted: str | Path | bool, file: Path, suffix: str, overwrite: bool) -> Path | None:
@@ -120,7 +128,7 @@ def _output(wanted: str | Path | bool, file: Path, suffix: str, overwrite: bool)
     return path
 
 
-def _potentials(past: "CrashFile", file: str | Path) -> list[Potential]:
+def _potentials(past: CrashFile, file: str | Path) -> list[Potential]:
     """Those of the scene in the file."""
     if not past.scene:
         raise ValueError(
@@ -132,44 +140,14 @@ def _potentials(past: "CrashFile", file: str | Path) -> list[Potential]:
     return parse_scene(past.scene, Path(file)).potentials()
 
 
-def _simulation(past: "CrashFile", potentials: Potential | Sequence[Potential]) -> Simulation:
-    simulation = Simulation(past.system, potentials, past.method, precision=past.precision, skin=past.skin)
-    simulation.go_to(past.start)
-    simulation.noise_shift = past.noise_shift
-    return simulation
-
-
-def _run(simulation: Simulation, findings: CrashReport, trajectory: Path | None, rows: list[Row]) -> tuple[int | None, str]:
+def _run(simulation: Simulation, findings: CrashReport, trajectory: Path | None, rows: list[ReplayedStep]) -> tuple[int | None, str]:
     """Make the steps; returns at which it failed, and a sentence."""
-    files = () if trajectory is None else trajectory
-    n_steps = findings.step - simulation.step + PATIENCE
+    options: dict[str, Any] = {"every": 1, "store_forces": True, "overwrite": True, "crash_report": False, "progress": False}
+    observers = [lambda now: rows.append(ReplayedStep.of(now))]
     try:
-        simulation.run(
-            n_steps,
-            every=1,
-            trajectory=files,
-            store_forces=True,
-            overwrite=True,
-            observers=[lambda now: rows.append(_row(now))],
-            crash_report=False,
-            progress=False,
-        )
+        simulation.run(findings.step - simulation.step + PATIENCE, trajectory=trajectory or (), observers=observers, **options)
     except (NonFiniteError, ConstraintError) as error:
-        found = error.crash_report
-        step = findings.step if found is None else found.step
+        step = findings.step if error.crash_report is None else error.crash_report.step
         again = "again" if step == findings.step else f"at another step than the first time ({findings.step}): rounding differs"
         return step, f"failed {again}: {error}"
     return None, f"it did not fail again up to step {simulation.step}: something from outside acted on the first run, such as an observer"
-
-
-def _row(simulation: Simulation) -> Row:
-    """What stands in the table about the present state; the forces are those of the last look."""
-    force, speed = (np.sqrt(np.einsum("ij,ij->i", array, array)) for array in (simulation.forces, simulation.velocities))
-    closest = closest_pair(simulation.system)
-    first, second, distance = (-1, -1, np.nan) if closest is None else closest
-    pushed, fastest = int(np.argmax(force)), int(np.argmax(speed))
-    record = simulation.record
-    energy = float(record.total_energy[-1]) if record is not None and len(record) else np.nan
-    return Row(
-        simulation.step, simulation.time, energy, int(first), int(second), distance, pushed, float(force[pushed]), fastest, float(speed[fastest])
-    )

@@ -6,7 +6,7 @@ import MDAnalysis
 import numpy as np
 
 import minimd as md
-from minimd.files.h5md_writer import read_file
+from minimd.files.h5md_reader import read_file
 
 CELLS = {
     "cubic": (3.6, None),

@@ -11,7 +11,7 @@ from references import melt_scene
 
 import minimd as md
 from minimd.commands import main as cli
-from minimd.files.h5md_writer import read_file
+from minimd.files.h5md_reader import read_file
 
 SCENE = melt_scene(3, 20, "[output]\nevery = 5\n")
 SCENE_OF_A_FILE = SCENE.replace('lattice = "fcc"\nrepeat = [3, 3, 3]\ndensity = 0.8442', 'file = "atoms.xyz"\npbc = true\ncell = [9, 9, 9]')

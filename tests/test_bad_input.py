@@ -8,7 +8,7 @@ import pytest
 from full_disk import fill_the_disk
 
 import minimd as md
-from minimd.files.h5md_writer import read_file
+from minimd.files.h5md_reader import read_file
 
 THREE = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0], [0.0, 1.2, 0.0]])
 NAN = float("nan")

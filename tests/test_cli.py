@@ -14,7 +14,7 @@ import pytest
 
 import minimd as md
 from minimd.commands import main as cli
-from minimd.files.h5md_writer import read_file
+from minimd.files.h5md_reader import read_file
 from minimd.scene import load_scene
 
 SCENE = """

@@ -115,7 +115,7 @@ def test_excluded_pairs_may_sit_on_each_other_in_clusters_too():
 
 def test_rule_which_list_a_scene_gets():
     def kind(system, potential, **options):
-        return type(md.Simulation(system, potential, md.VelocityVerlet(0.001), **options)._forces.terms[0]).__name__
+        return type(md.Simulation(system, potential, md.VelocityVerlet(0.001), **options).engine.interactions.terms[0]).__name__
 
     assert kind(liquid(5), md.LennardJones(1.0, 1.0, 2.5)) == "ClusteredPairs"
     assert kind(liquid(2), md.LennardJones(1.0, 1.0, 1.2)) == "ListedPairs"  # few atoms
@@ -239,7 +239,7 @@ def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
         seen.append(max(force, energy))
 
     record = simulation.run(300, every=10, observers=[compare])
-    assert simulation._forces.n_builds > 5
+    assert simulation.engine.interactions.n_builds > 5
     assert max(seen) < (1e-12 if precision == "double" else 1e-5)
     assert np.ptp(record.total_energy[2:]) < 0.002 * record.kinetic_energy.mean()
 

@@ -13,7 +13,8 @@ from rigid_scenes import chain
 
 import minimd as md
 from minimd.analysis.check import check_file
-from minimd.files.h5md_writer import H5MDWriter, read_file
+from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_writer import H5MDWriter
 from minimd.scene import load_scene, parse_scene, resume_run, run_scene
 from minimd.structure.lattice import crystal
 
@@ -50,7 +51,7 @@ def resumed(path, constraints=None, method=None):
     """A simulation at the restart of a file, with the constraints of the file if no others are given."""
     contents = read_file(path)
     sim = md.Simulation(contents.system, law(), method or md.VelocityVerlet(0.002), constraints)
-    sim.step, sim.time, sim.heat = contents.step, contents.time, contents.heat
+    sim.step, sim.time, sim.reservoir_energy = contents.step, contents.time, contents.reservoir_energy
     return sim
 
 
@@ -73,7 +74,7 @@ def test_constraints_read_back_are_those_that_were_kept_to_the_last_bit(solver, 
     fixed, ((pairs, lengths, *rest),) = described(read_file(tmp_path / "a.h5md").system.constraints)
     assert fixed == [[0, 1]]
     assert pairs == dumbbells()[1][1:].tolist()
-    assert lengths == sim._rigidity.bonds.lengths.tolist()
+    assert lengths == sim.engine.constraint_set.bonds.lengths.tolist()
     assert rest == [1e-11, solver]
 
 
@@ -93,14 +94,14 @@ def test_a_resumed_run_is_the_uninterrupted_one(method, n_steps, tmp_path):
     whole.run(n_steps + 20, every=5)
     simulation(both_kinds(), method).run(n_steps, every=5, trajectory=tmp_path / "a.h5md")
     sim = resumed(tmp_path / "a.h5md", method=method)
-    writer = H5MDWriter.append_to(tmp_path / "a.h5md", sim)
+    writer = H5MDWriter.append_to(tmp_path / "a.h5md", sim.engine)
     sim.run(20, every=5, observers=[lambda s: writer.write(s.frame())])
     writer.close(completed=True)
     assert np.abs(sim.positions - whole.positions).max() < 1e-12  # rounding
     assert np.abs(sim.velocities - whole.velocities).max() < 1e-11  # rounding
     np.testing.assert_array_equal(sim.positions[:2], whole.positions[:2])
     assert sim.n_dof == whole.n_dof == 3 * 62 - 31
-    assert sim._rigidity.bonds.lengths.tolist() == whole._rigidity.bonds.lengths.tolist()
+    assert sim.engine.constraint_set.bonds.lengths.tolist() == whole.engine.constraint_set.bonds.lengths.tolist()
     contents = read_file(tmp_path / "a.h5md")
     np.testing.assert_array_equal(contents.system.positions, sim.positions)
     assert contents.record.constraint_violation.max() < 1e-13
@@ -138,7 +139,7 @@ def test_other_constraints_are_refused_before_anything_is_written(other, tmp_pat
     constraints, words = OTHERS[other]
     sim = resumed(path, constraints)
     with pytest.raises(ValueError, match=f"holds a run with other constraints: .*{words}.*write to a new file"):
-        H5MDWriter.append_to(path, sim)
+        H5MDWriter.append_to(path, sim.engine)
     assert path.read_bytes() == before
 
 

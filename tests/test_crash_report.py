@@ -14,7 +14,7 @@ from minimd.commands import main as cli
 from minimd.diagnosis.contacts import contacts
 from minimd.diagnosis.crash_report import examine
 from minimd.files.crash_file import read_crash_report
-from minimd.files.h5md_writer import read_file
+from minimd.files.h5md_reader import read_file
 from minimd.potentials.pair_loop import PER_ATOM
 
 LJ = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
@@ -83,7 +83,7 @@ def test_an_examination_sees_the_energy_of_each_atom(monkeypatch):
     seen = []
     monkeypatch.setattr("minimd.diagnosis.run_guard.examine", lambda system, acting, *rest: seen.append(acting) or examine(system, acting, *rest))
     simulation = md.Simulation(liquid(6), LJ, md.VelocityVerlet(0.1))
-    assert simulation._forces.pair_search.startswith("cluster list")
+    assert simulation.engine.interactions.pair_search.startswith("cluster list")
     failing(simulation)
     assert seen[0].energies == pytest.approx(md.evaluate(simulation.system, LJ).energies, rel=1e-9)  # rounding
 

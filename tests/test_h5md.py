@@ -7,7 +7,8 @@ from h5md_runs import CELLS, opened, resumed, simulation
 
 import minimd as md
 from minimd.engine.record import SERIES
-from minimd.files.h5md_writer import H5MDWriter, annotate, read_file
+from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_writer import H5MDWriter, annotate
 
 PER_PICOSECOND, KJ_PER_MOL = 98.22694788464064, 96.48533288249877  # of ASE's units, as their documentation has them
 
@@ -95,7 +96,7 @@ def test_appended_run_continues_without_doubled_frames(tmp_path, n_steps):
     path = tmp_path / "a.h5md"
     simulation().run(n_steps, every=5, trajectory=path, store_forces=True)
     sim = resumed(path)
-    writer = H5MDWriter.append_to(path, sim)
+    writer = H5MDWriter.append_to(path, sim.engine)
     record = sim.run(20, every=5, observers=[lambda s: writer.write(s.frame())])
     writer.close(completed=True)
     contents = read_file(path)

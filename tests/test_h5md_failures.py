@@ -11,7 +11,8 @@ from h5md_runs import limited, opened, resumed, simulation
 
 import minimd as md
 from minimd.files import h5md_writer as h5md
-from minimd.files.h5md_writer import H5MDWriter, read_file
+from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_writer import H5MDWriter
 
 
 @pytest.mark.parametrize(
@@ -27,7 +28,7 @@ def test_appending_another_run_is_refused(tmp_path, fault, words):
     if fault == "masses":
         object.__setattr__(sim.system, "masses", 7.0 * sim.system.masses)
     with pytest.raises(ValueError, match=words):
-        H5MDWriter.append_to(path, sim, store_forces=fault == "forces")
+        H5MDWriter.append_to(path, sim.engine, store_forces=fault == "forces")
     assert path.read_bytes() == before
 
 
@@ -57,7 +58,7 @@ def test_interrupted_run_restarts_at_its_last_frame(tmp_path):
 def test_interrupt_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypatch):
     path, sim = tmp_path / "a.h5md", simulation()
     monkeypatch.setattr(h5md, "SECONDS_BETWEEN_FLUSHES", 0.0)
-    writer = H5MDWriter(path, sim, False)
+    writer = H5MDWriter(path, sim.engine, False)
     writer.write(sim.frame())
     sim.run(5)
     series_of = h5md.layout.series_of
@@ -110,7 +111,7 @@ def test_frames_are_flushed_once_a_second(tmp_path, monkeypatch):
 def test_full_disk_is_told_once_and_spoils_nothing(tmp_path, monkeypatch, way):
     path, sim = tmp_path / "a.h5md", simulation()
     monkeypatch.setattr(h5md, "SECONDS_BETWEEN_FLUSHES", 0.0)
-    writer = H5MDWriter(path, sim, True)
+    writer = H5MDWriter(path, sim.engine, True)
     written = 0
 
     def full(*_):
@@ -182,11 +183,11 @@ def test_files_that_are_no_runs_are_named(tmp_path):
         h5["data"] = [1, 2]
     with pytest.raises(ValueError, match="not written by minimd"):
         read_file(tmp_path / "foreign.h5md")
-    H5MDWriter(tmp_path / "empty.h5md", simulation(), False).close(completed=True)
+    H5MDWriter(tmp_path / "empty.h5md", simulation.engine(), False).close(completed=True)
     with pytest.raises(ValueError, match="no frame"):
         read_file(tmp_path / "empty.h5md")
     with pytest.raises(OSError, match=r"nowhere.*cannot be opened"):
-        H5MDWriter(tmp_path / "nowhere" / "a.h5md", simulation(), False)
+        H5MDWriter(tmp_path / "nowhere" / "a.h5md", simulation.engine(), False)
 
 
 def test_end_of_a_run_inside_an_except_block_is_the_restart(tmp_path):

@@ -41,7 +41,7 @@ def simulation(of=None):
 def written(path, made, frames):
     """A file of the given positions, one frame for each step."""
     sim = md.Simulation(made, md.LennardJones(1e-12, 1e-6, 1e-3), md.VelocityVerlet(0.5))
-    writer = H5MDWriter(path, sim, False)
+    writer = H5MDWriter(path, sim.engine, False)
     for step, positions in enumerate(frames):
         writer.write(sim.frame()._replace(step=step, time=0.5 * step, positions=positions))
     sim.step = len(frames) - 1
@@ -210,7 +210,7 @@ def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(tmp_path)
     steps, velocity = [0, 1, 2, 4, 8], np.array([[0.1, 0.2, 0.2]])
     made = md.System(np.eye(3), cell=9.0)
     sim = md.Simulation(made, md.LennardJones(1e-12, 1e-6, 1e-3), md.VelocityVerlet(0.5))
-    writer = H5MDWriter(tmp_path / "a.h5md", sim, False)
+    writer = H5MDWriter(tmp_path / "a.h5md", sim.engine, False)
     for step in steps:
         writer.write(sim.frame()._replace(step=step, time=0.5 * step, positions=np.eye(3) + 0.5 * step * velocity))
     writer.close(completed=True)

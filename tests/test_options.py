@@ -23,11 +23,11 @@ SCENE = melt_scene(10, 1)
 
 
 def options_of(simulation):
-    return simulation._forces.options
+    return simulation.engine.interactions.options
 
 
 def skin_of(simulation):
-    return simulation._forces.terms[0].list.skin
+    return simulation.engine.interactions.terms[0].list.skin
 
 
 def after_start(system, potentials=LJ, timestep=0.004, **options):

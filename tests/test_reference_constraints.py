@@ -41,7 +41,7 @@ def test_rattle_of_three_waters():
     pairs = [pair for o in oxygens for pair in ((o, o + 1), (o, o + 2), (o + 1, o + 2))]
     simulation = constrained_fourmol(pairs, np.tile([1.0, 1.0, 2.0 * np.sin(WATER_ANGLE / 2.0)], 3), oxygens)
     reference = load("lammps_fourmol/fix-timestep-rattle_angle.json")
-    assert [group.shape for group in simulation._rigidity.bonds.groups] == ["triangles"]
+    assert [group.shape for group in simulation.engine.constraint_set.bonds.groups] == ["triangles"]
     off = np.abs(simulation.positions - reference["run_pos"]).max(), np.abs(simulation.velocities - reference["run_vel"]).max()
     print(f"{off[0]:.1e} Å, {off[1]:.1e} Å/fs off")
     assert np.abs(simulation.positions - reference["run_pos"]).max() < 2e-10
@@ -117,7 +117,7 @@ def test_constraints_of_ase_are_kept_as_ase_keeps_them(constraint):
     VelocityVerlet(atoms, units.fs).run(20)
     assert np.abs(simulation.positions - atoms.positions).max() < 1e-10
     assert np.abs(simulation.velocities - atoms.get_velocities()).max() < 1e-10
-    assert simulation.n_dof == 3 * 54 - 3 * (simulation._rigidity.n_fixed == 0) - sum(c.get_removed_dof(atoms) for c in atoms.constraints)
+    assert simulation.n_dof == 3 * 54 - 3 * (simulation.engine.constraint_set.n_fixed == 0) - sum(c.get_removed_dof(atoms) for c in atoms.constraints)
 
 
 def test_the_center_of_mass_is_held():

@@ -50,7 +50,7 @@ def test_every_symmetric_splitting_runs_constrained_and_returns(method):
     sim = simulation(method(0.002))
     start = sim.positions.copy()
     sim.run(100)
-    assert sim._rigidity.bonds.violation(sim.positions).max() < 1e-13
+    assert sim.engine.constraint_set.bonds.violation(sim.positions).max() < 1e-13
     assert np.abs(sim.positions - start).max() > 0.1
     sim.velocities[:] *= -1.0
     sim.run(100)
@@ -172,7 +172,7 @@ def test_a_violated_start_is_projected_with_a_warning():
     sim = md.Simulation(system, law(), md.VelocityVerlet(0.002), md.DistanceConstraints(pairs, 0.48))
     with pytest.warns(UserWarning, match="lengths were off by"):
         sim.run(1)
-    assert sim._rigidity.bonds.violation(sim.positions).max() < 1e-13
+    assert sim.engine.constraint_set.bonds.violation(sim.positions).max() < 1e-13
 
 
 def test_a_run_that_breaks_a_bond_keeps_the_last_good_state():
@@ -182,7 +182,7 @@ def test_a_run_that_breaks_a_bond_keeps_the_last_good_state():
     assert f"at step {sim.step + 1}" in str(caught.value)
     twin.run(sim.step)
     assert np.abs(sim.positions - twin.positions).max() < 1e-9
-    assert sim._rigidity.bonds.violation(sim.positions).max() < 1e-13
+    assert sim.engine.constraint_set.bonds.violation(sim.positions).max() < 1e-13
 
 
 def test_fixed_atoms_stay_and_the_report_promises_no_momentum():
@@ -263,7 +263,7 @@ def test_the_report_tells_of_constraints():
     free = md.Simulation(dumbbells()[0], law(), md.VelocityVerlet(0.0005))
     free.run(10, every=5)
     assert "lengths" not in str(free.report())
-    assert free._state.constraints is None
+    assert free.engine.surroundings.constraints is None
 
 
 @pytest.mark.parametrize("constraints", ["rigid", [md.FixedAtoms([0]), "x"], [1]])

@@ -35,12 +35,12 @@ def ran(scene, precision, threads, n_steps):
 
 def assert_same_bits_on_any_number_of_threads(scene, precision, n_steps):
     one, record = ran(scene, precision, 1, n_steps)
-    term = next(term for term in one._forces.terms if hasattr(term, "words"))
+    term = next(term for term in one.engine.interactions.terms if hasattr(term, "words"))
     assert n_chunks(term) >= 4
     assert term.list.n_builds > 1
     for threads in THREADS:
         other, same = ran(scene, precision, threads, n_steps)
-        assert next(term for term in other._forces.terms if hasattr(term, "words"))._team.n_threads == threads
+        assert next(term for term in other.engine.interactions.terms if hasattr(term, "words"))._team.n_threads == threads
         assert np.array_equal(other.positions, one.positions)
         assert np.array_equal(other.velocities, one.velocities)
         assert np.array_equal(other.forces, one.forces)

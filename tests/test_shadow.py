@@ -11,7 +11,8 @@ import minimd as md
 from minimd.analysis import check
 from minimd.commands import main as cli
 from minimd.diagnosis.static_checks import cutoff_lines
-from minimd.files.h5md_writer import H5MDWriter, read_file
+from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_writer import H5MDWriter
 from minimd.integrators import SPLITTINGS
 
 VERLETS = ["velocity-verlet", "position-verlet", "leapfrog"]
@@ -149,7 +150,7 @@ def test_other_methods_do_not(name):
 def test_probe_restores_the_state_and_what_was_counted():
     simulation = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(0.003))
     simulation.run(50, every=10)
-    before, cost = simulation.moment, simulation.report().cost
+    before, cost = simulation.snapshot(), simulation.report().cost
     simulation.probe_reversibility(130)
     assert np.array_equal(simulation.positions, before.positions)
     assert np.array_equal(simulation.velocities, before.velocities)

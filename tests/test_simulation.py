@@ -293,6 +293,6 @@ def test_another_method_is_checked_and_counts_its_degrees_of_freedom():
             sim.method = wrong
     assert isinstance(sim.method, md.VelocityVerlet)
     n_atoms = len(sim.system)
-    assert sim._state.n_dof == 3 * n_atoms - 3
+    assert sim.engine.surroundings.bath.n_dof == 3 * n_atoms - 3
     sim.method = md.LangevinBAOAB(0.002, 1.0, 1.0, 1)
-    assert sim.n_dof == sim._state.n_dof == 3 * n_atoms
+    assert sim.n_dof == sim.engine.surroundings.bath.n_dof == 3 * n_atoms

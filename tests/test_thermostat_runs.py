@@ -7,7 +7,8 @@ from baths import BUSSI, LANGEVIN, OBABO, SCENE, simulation
 import minimd as md
 from minimd.analysis.check import check_file
 from minimd.diagnosis.report import drift, drift_of_walk
-from minimd.files.h5md_writer import H5MDWriter, read_file
+from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_writer import H5MDWriter
 from minimd.integrators import THERMOSTATS
 from minimd.scene import parse_scene
 from minimd.scene.running import resume_run, run_scene
@@ -34,7 +35,7 @@ def test_total_energy_minus_heat_is_conserved(method):
     assert np.ptp(conserved) < 0.05 * np.ptp(total)
     assert sim.report().energy_is_conserved
     assert "minus heat is conserved" in sim.report().verdict
-    assert total[-1] - conserved[-1] == pytest.approx(sim.heat, rel=1e-9)
+    assert total[-1] - conserved[-1] == pytest.approx(sim.reservoir_energy, rel=1e-9)
 
 
 def test_rescaling_keeps_momentum_and_langevin_does_not_promise_it():
@@ -52,7 +53,7 @@ def test_without_friction_langevin_is_velocity_verlet():
     free.run(100)
     verlet.run(100)
     assert np.abs(free.positions - verlet.positions).max() < 1e-10  # rounding, amplified
-    assert free.heat == pytest.approx(0.0, abs=1e-10)
+    assert free.reservoir_energy == pytest.approx(0.0, abs=1e-10)
 
 
 @pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERMOSTATS))
@@ -61,10 +62,10 @@ def test_a_run_in_two_parts_is_the_run_in_one(method):
     whole.run(60, every=30)
     parts.run(30, every=30)
     parts.run(30, every=30)
-    assert abs(whole.heat) > 1.0
+    assert abs(whole.reservoir_energy) > 1.0
     assert (whole.positions == parts.positions).all()
     assert (whole.velocities == parts.velocities).all()
-    assert whole.heat == parts.heat
+    assert whole.reservoir_energy == parts.reservoir_energy
 
 
 def test_contacts_at_both_ends_of_a_step_are_not_made_one_where_nobody_looks():
@@ -85,8 +86,8 @@ def test_a_resumed_run_meets_the_noise_of_an_uninterrupted_one(method, tmp_path,
     whole, parts = read_file(tmp_path / "whole.h5md"), read_file(tmp_path / "parts.h5md")
     assert np.abs(whole.system.velocities - parts.system.velocities).max() < 1e-11  # rounding: the list is built anew, sums have another order
     assert np.abs(whole.record.conserved_energy - parts.record.conserved_energy).max() < 1e-10
-    assert whole.heat == pytest.approx(parts.heat, rel=1e-10)
-    assert abs(whole.heat) > 0.1
+    assert whole.reservoir_energy == pytest.approx(parts.reservoir_energy, rel=1e-10)
+    assert abs(whole.reservoir_energy) > 0.1
 
 
 def test_equilibration_and_run_have_different_noise():
@@ -127,7 +128,10 @@ def test_replay_meets_the_same_noise():
         failing.run(20_000, every=100)
     assert failing.step > 1
     twin.run(failing.step, every=1)
-    assert (failing.positions, failing.heat) == (pytest.approx(twin.positions, abs=1e-9), pytest.approx(twin.heat, rel=1e-9))  # kicks merge
+    assert (failing.positions, failing.reservoir_energy) == (
+        pytest.approx(twin.positions, abs=1e-9),
+        pytest.approx(twin.reservoir_energy, rel=1e-9),
+    )  # kicks merge
 
 
 @pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERMOSTATS))

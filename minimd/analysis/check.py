@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
-from minimd.files.h5md_writer import H5MDContents, read_file
+from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.integrators import DistanceConstraints
 from minimd.mdanalysis.universe import VERSION, diffusion_coefficient, radial_distribution, universe
 from minimd.structure import observables

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from minimd.diagnosis.report import drift
-from minimd.files.h5md_writer import H5MDContents, read_file
+from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.mdanalysis.universe import mean_square_displacement, radial_distribution
 
 INCHES, DOTS_PER_INCH = (10.0, 7.0), 150

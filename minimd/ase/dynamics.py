@@ -7,11 +7,13 @@ from ase import Atoms
 from ase.md.md import MolecularDynamics
 from numpy.typing import NDArray
 
-from minimd import integrators
 from minimd.ase.calculator import Calculator
-from minimd.forces.terms import Potential
-from minimd.simulation.simulation import Simulation
+from minimd.diagnosis.run_guard import RunGuard
+from minimd.engine.engine import Engine
+from minimd.forces.forces import Potential
+from minimd.integrators.splitting.verlet import VelocityVerlet as Method
 from minimd.structure.ase_atoms import cell_of, same_scene
+from minimd.structure.console import stop_on_interrupt
 from minimd.structure.system import System
 
 
@@ -29,7 +31,7 @@ class VelocityVerlet(MolecularDynamics):
     KeyboardInterrupt : after Ctrl-C; atoms hold the state of the last whole step.
     """
 
-    _simulation: Simulation
+    _guard: RunGuard
     _made_for: Atoms | None = None
     _made_with: Potential | Sequence[Potential]
 
@@ -56,48 +58,50 @@ class VelocityVerlet(MolecularDynamics):
 
     def _advance(self, n_steps: int) -> None:
         """Make n_steps steps; atoms and nsteps are right also after an exception."""
-        atoms, simulation = self.atoms, self._simulation_at(self.atoms)
-        simulation.method = integrators.VelocityVerlet(self.dt)
-        start = simulation.step
+        atoms, guard = self.atoms, self._guard_at(self.atoms)
+        engine, start = guard.engine, guard.engine.step
+        engine.method = Method(self.dt)
         try:
-            record = simulation.run(n_steps, every=n_steps, progress=False)
+            with stop_on_interrupt(engine.surroundings):
+                guard.check_start()
+                guard.observe()
+                guard.make_steps(n_steps)
+                frame = guard.observe()
         finally:
-            self.nsteps += simulation.step - start
-            atoms.positions[:] = simulation.positions
-            atoms.set_momenta(_momenta(simulation), apply_constraint=False)
-        atoms.calc.adopt(atoms, float(record.potential_energy[-1]), simulation.forces)
+            self.nsteps += engine.step - start
+            atoms.positions[:] = engine.positions
+            atoms.set_momenta(_momenta(engine), apply_constraint=False)
+        atoms.calc.adopt(atoms, frame.observables["potential_energy"], engine.forces)
 
-    def _simulation_at(self, atoms: Atoms) -> Simulation:
-        """The simulation, with positions and momenta of the atoms; a new one if anything else was changed from outside."""
+    def _guard_at(self, atoms: Atoms) -> RunGuard:
+        """The guarded engine, with positions and momenta of the atoms; a new one if anything else was changed from outside."""
         made_for = self._made_for
         if (
             made_for is None
             or atoms.constraints
-            or self._simulation.constraints
+            or self._guard.engine.constraints
             or not (same_scene(made_for, atoms) and cell_of(made_for).same_as(cell_of(atoms)))
+            or atoms.calc.potentials is not self._made_with
         ):
-            return self._new_simulation(atoms)
-        if atoms.calc.potentials is not self._made_with:
-            return self._new_simulation(atoms)
-        simulation = self._simulation
-        simulation.positions[:] = atoms.positions
-        if not np.array_equal(atoms.get_momenta(), _momenta(simulation)):
-            simulation.velocities[:] = atoms.get_velocities()
-        return simulation
+            return self._new_guard(atoms)
+        engine = self._guard.engine
+        engine.positions[:] = atoms.positions
+        if not np.array_equal(atoms.get_momenta(), _momenta(engine)):
+            engine.velocities[:] = atoms.get_velocities()
+        return self._guard
 
-    def _new_simulation(self, atoms: Atoms) -> Simulation:
+    def _new_guard(self, atoms: Atoms) -> RunGuard:
         calculator = atoms.calc
         if not isinstance(calculator, Calculator):
             name = type(calculator).__name__
             raise TypeError(f"the calculator of atoms must be a minimd.ase.Calculator; it is {name}: use ase.md.verlet.VelocityVerlet")
-        system, method = System.from_ase(atoms, calculator.bonds), integrators.VelocityVerlet(self.dt)
-        options = calculator.options
-        self._simulation = Simulation(system, calculator.potentials, method, threads=options.threads, precision=options.precision, skin=options.skin)
+        system = System.from_ase(atoms, calculator.bonds)
+        self._guard = RunGuard(Engine(system, calculator.potentials, Method(self.dt), options=calculator.options))
         self._made_for = atoms.copy()
         self._made_for.calc = calculator
         self._made_with = calculator.potentials
-        return self._simulation
+        return self._guard
 
 
-def _momenta(simulation: Simulation) -> NDArray[np.float64]:
-    return simulation.velocities * simulation.system.masses[:, None]
+def _momenta(engine: Engine) -> NDArray[np.float64]:
+    return engine.velocities * engine.system.masses[:, None]

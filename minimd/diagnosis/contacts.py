@@ -16,7 +16,7 @@ from minimd.structure.bond_graph import pairs_by_bonds_apart
 from minimd.structure.images import nearest_images
 from minimd.structure.system import System
 
-NEAREST = 16  # neighbors of each atom that are looked at
+NEAREST = 16  # neighbors of each atom that are looked at: more than a dense shell of a liquid, 12 to 14, has
 STEP = 1e-5  # of a central difference, relative to the distance
 
 
@@ -49,6 +49,21 @@ class Contact:
         """True if energy and force are finite."""
         return isfinite(self.energy) and isfinite(self.force)
 
+    @property
+    def atoms(self) -> str:
+        """The pair, for people."""
+        return f"atoms {self.first} and {self.second}"
+
+    @property
+    def apart(self) -> str:
+        """The distance, for people."""
+        ratio = "" if self.ratio is None else f" (r/{'r₀' if self.is_bond else 'σ'} = {self.ratio:.3g})"
+        return f"{self.distance:.3g} apart{ratio}"
+
+    def stiffness(self, timestep: float) -> str:
+        """Δt·ω, for people; empty where the pair does not oscillate."""
+        return "" if self.frequency is None else f", Δt·ω = {self.frequency * abs(timestep):.3g}"
+
 
 def contacts(system: System, potentials: Sequence[Any], inverse_masses: NDArray[np.float64], atoms: Iterable[int]) -> list[Contact]:
     """The contacts of some atoms with their nearest neighbors, by pair potentials and bonds; other potentials have none.
@@ -56,11 +71,12 @@ def contacts(system: System, potentials: Sequence[Any], inverse_masses: NDArray[
     inverse_masses : (N,) [1/mass], zero for atoms held fixed.  atoms : finite in their positions.
     """
     known = sorted(set(atoms))
-    return [
-        _contact(potential, numbers, scale, pair, inverse_masses)
-        for potential in potentials
-        for numbers, scale, pair in _pairs_of(potential, system, known)
-    ]
+    found: list[Contact] = []
+    for potential in potentials:
+        pairs = _near_pairs if isinstance(potential, PairPotential) else _bonds if isinstance(potential, BondPotential) else None
+        for first, second, r, scale, numbers in pairs(potential, system, known) if pairs else ():
+            found.append(_contact(potential, (first, second), r, scale, numbers, float(inverse_masses[first] + inverse_masses[second])))
+    return found
 
 
 def law_at(law: tuple, r: float, numbers: tuple[float, ...]) -> tuple[float, float]:
@@ -72,58 +88,32 @@ def law_at(law: tuple, r: float, numbers: tuple[float, ...]) -> tuple[float, flo
         return nan, nan
 
 
-def curvature(law: tuple, r: float, numbers: tuple[float, ...]) -> float:
-    """u″(r) [energy/length²], by a central difference of u′."""
-    high, low = (law_at(law, r * (1.0 + h), numbers)[1] for h in (STEP, -STEP))
-    return (high - low) / (2.0 * STEP * r) if r > 0.0 else nan
+Pair = tuple[int, int, float, float, tuple[float, ...]]  # two atoms, their distance, the factor on the law, and its numbers
 
 
-Pair = tuple[int, int, float]  # two atoms and their distance
-
-
-def _pairs_of(potential: Any, system: System, atoms: list[int]) -> Iterator[tuple[tuple[float, ...], float, Pair]]:
-    """Numbers of the law, the factor on it, and the pair, of each contact."""
-    if isinstance(potential, PairPotential):
-        table, index, scales = potential.table(system.species_names), system.species_index, _scales(potential, system, atoms)
-        for first, second, distance in _nearest(system, atoms):
-            cutoff2, *numbers = table[index[first], index[second]] if len(table) > 1 else table[0, 0]
-            scale = scales.get((min(first, second), max(first, second)), 1.0)
-            if distance * distance < cutoff2 and scale != 0.0:
-                yield tuple(map(float, numbers)), scale, (first, second, distance)
-    elif isinstance(potential, BondPotential):
-        pairs = np.asarray(system.bonds if potential.pairs is None else potential.pairs)
-        if not len(pairs):
-            return
-        rows = np.flatnonzero(np.isin(pairs, atoms).any(axis=1))
-        distances = _distances(system, pairs[rows])
-        for row, distance in zip(rows, distances, strict=True):
-            numbers = potential.table(len(pairs))[row, 1:]
-            yield tuple(map(float, numbers)), 1.0, (int(pairs[row, 0]), int(pairs[row, 1]), float(distance))
-
-
-def _scales(potential: PairPotential, system: System, atoms: list[int]) -> dict[tuple[int, int], float]:
-    """Factors on pairs a few bonds apart, of those that hold one of the atoms."""
-    if not len(system.bonds) or potential.bonded_scale == (1.0, 1.0, 1.0):
-        return {}
-    by_bonds = pairs_by_bonds_apart(system.bonds, len(system))
-    return {
-        (int(i), int(j)): factor
-        for pairs, factor in zip(by_bonds, potential.bonded_scale, strict=True)
-        for i, j in pairs[np.isin(pairs, atoms).any(axis=1)]
-    }
-
-
-def _nearest(system: System, atoms: list[int]) -> Iterator[Pair]:
-    """The nearest neighbors of some atoms, each pair once."""
-    told = set()
+def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> Iterator[Pair]:
+    """Pairs of some atoms with their nearest neighbors within the cutoff, each once."""
+    table, index, seen = potential.table(system.species_names), system.species_index, set()
+    by_bonds = pairs_by_bonds_apart(system.bonds, len(system)) if len(system.bonds) else ()
+    scales = {frozenset(pair): factor for pairs, factor in zip(by_bonds, potential.bonded_scale, strict=False) for pair in pairs.tolist()}
     for atom in atoms:
         others = np.delete(np.arange(len(system)), atom)
         distances = _distances(system, np.column_stack([np.full_like(others, atom), others]))
         for k in np.argsort(distances)[:NEAREST]:
-            other = int(others[k])
-            if (other, atom) not in told and np.isfinite(distances[k]):
-                told.add((atom, other))
-                yield atom, other, float(distances[k])
+            pair, r = frozenset((atom, int(others[k]))), float(distances[k])
+            cutoff2, *numbers = (table[index[atom], index[others[k]]] if len(table) > 1 else table[0, 0]).tolist()
+            if pair not in seen and r * r < cutoff2 and scales.get(pair, 1.0) != 0.0:
+                seen.add(pair)
+                yield atom, int(others[k]), r, scales.get(pair, 1.0), tuple(numbers)
+
+
+def _bonds(potential: BondPotential, system: System, atoms: list[int]) -> Iterator[Pair]:
+    """The bonds of some atoms."""
+    pairs = np.asarray(system.bonds if potential.pairs is None else potential.pairs).reshape(-1, 2)
+    table = potential.table(len(pairs))
+    rows = np.flatnonzero(np.isin(pairs, atoms).any(axis=1))
+    for row, r in zip(rows, _distances(system, pairs[rows]), strict=True):
+        yield int(pairs[row, 0]), int(pairs[row, 1]), float(r), 1.0, tuple(table[row, 1:].tolist())
 
 
 def _distances(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -131,14 +121,13 @@ def _distances(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
 
 
-def _contact(potential: Any, numbers: tuple[float, ...], scale: float, pair: Pair, inverse_masses: NDArray[np.float64]) -> Contact:
-    first, second, r = pair
+def _contact(potential: Any, pair: tuple[int, int], r: float, scale: float, numbers: tuple[float, ...], inverse_mass: float) -> Contact:
     u, slope = law_at(potential.law, r, numbers)
-    inverse_mass = float(inverse_masses[first] + inverse_masses[second])
+    high, low = (law_at(potential.law, r * (1.0 + h), numbers)[1] for h in (STEP, -STEP))
+    curvature = (high - low) / (2.0 * STEP * r) if r > 0.0 else nan  # u″ by a central difference of u′
     length, rest = _length_and_stiffness(potential, numbers)
     return Contact(
-        first=first,
-        second=second,
+        *pair,
         law=type(potential).__name__,
         is_bond=isinstance(potential, BondPotential),
         is_users=is_user_law(potential.law),
@@ -146,7 +135,7 @@ def _contact(potential: Any, numbers: tuple[float, ...], scale: float, pair: Pai
         ratio=r / length if length else None,
         energy=scale * u,
         force=-scale * slope,
-        frequency=_frequency(scale * curvature(potential.law, r, numbers), inverse_mass),
+        frequency=_frequency(scale * curvature, inverse_mass),
         rest_frequency=_frequency(scale * rest, inverse_mass),
     )
 

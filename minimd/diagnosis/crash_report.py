@@ -1,25 +1,52 @@
-"""What a failed run died of: the last good state looked at closely, the likely cause in one sentence, and what to do."""
+"""What a failed run died of: rules tried in turn, each of which knows one cause, and the report on the last good state."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.diagnosis.causes import Evidence, Moment, apart, atoms_of, stiffness, verdict
 from minimd.diagnosis.contacts import Contact, contacts
-from minimd.integrators.splitting.splitting import Splitting
+from minimd.engine.engine import Engine, Snapshot
+from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair
-from minimd.structure.errors import ConstraintError, NonFiniteError
+from minimd.structure.constraints import DistanceConstraints
+from minimd.structure.observables import kinetic_energy
 from minimd.structure.system import System
 
-if TYPE_CHECKING:
-    from minimd.simulation.simulation import Simulation
+Array = NDArray[np.float64]
 
-SUFFIX = ".crash.h5md"
+OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
+THROWN = 0.1  # of the distance by which a force moves a pair in one step: the same, of laws without a length of their own
+HOT_STEP = 0.05  # of σ that the atoms move in a step, root mean square; a liquid at its usual step moves a fifth of this
+HOT_SPOT = 6.0  # times the root mean square speed; in 10⁹ atoms of a thermal ensemble none is as fast
+FAST = 0.3  # of ωσ at the minimum of a pair: speeds above are those of heat, k_B T > 3 ε, below it is the step that is too long
+BOND_STEP = 0.2  # Δt·ω of a bond that conserves energy well
+
+
+class Failure(NamedTuple):
+    """How a run failed.  fault : in words.  step : in which.  constraint : atoms of one that could not be kept, or None.
+
+    at : (N, 3), positions in that moment, or None.  start : the earlier state that is known.  is_first : whether no step led to it.
+    """
+
+    fault: str
+    step: int
+    constraint: tuple[int, int] | None
+    at: Array | None
+    start: Snapshot
+    is_first: bool
+
+
+class Verdict(NamedTuple):
+    """kind : "law", "overlap", "constraint", "bond", "hot" or "pair".  pair : to blame, or None.  cause, advice : one sentence each."""
+
+    kind: str
+    pair: Contact | None
+    cause: str
+    advice: str
 
 
 @dataclass(frozen=True)
@@ -29,11 +56,9 @@ class CrashReport:
     Attributes
     ----------
     fault : what went wrong.  step : in which step.  last_good_step : of the state described.  first_step : from which it can be replayed.
-    cause : one sentence.  kind : "overlap", "bond", "pair", "hot", "constraint" or "law".  advice : what to do.
-    pair : the contact that is to blame, or None.  closest : two atoms and their distance [length], or None.
+    kind, pair, cause, advice : as Verdict.  closest : two atoms and their distance [length], or None.
     pushed, largest_force : the atom on which the largest force acts, and its size [energy/length].
-    fastest, stride : the fastest atom, and its way in a step [length].
-    timestep : [time].  units : name.
+    fastest, displacement : the fastest atom, and how far it moves in a step [length].  timestep : [time].  units : name.
     """
 
     fault: str
@@ -41,21 +66,21 @@ class CrashReport:
     last_good_step: int
     first_step: int
     kind: str
+    pair: Contact | None
     cause: str
     advice: str
-    pair: Contact | None
     closest: ClosestPair | None
     pushed: int
     largest_force: float
     fastest: int
-    stride: float
+    displacement: float
     timestep: float
     units: str
 
     def asdict(self) -> dict[str, Any]:
         """All of it in plain numbers and words."""
-        found = asdict(self)
-        return {**found, "closest": None if self.closest is None else [int(self.closest[0]), int(self.closest[1]), float(self.closest[2])]}
+        closest = None if self.closest is None else [int(self.closest[0]), int(self.closest[1]), float(self.closest[2])]
+        return {**asdict(self), "closest": closest}
 
     @classmethod
     def of(cls, found: dict[str, Any]) -> "CrashReport":
@@ -64,114 +89,172 @@ class CrashReport:
         return cls(**{**found, "pair": pair, "closest": None if found["closest"] is None else ClosestPair(*found["closest"])})
 
     def __str__(self) -> str:
-        lines = [f"fault          {self.fault}, at step {self.step}", f"cause          {self.cause}", f"what to do     {self.advice}"]
-        if self.pair is not None:
-            what = f"{'bond' if self.pair.is_bond else 'pair'} of {atoms_of(self.pair)} ({self.pair.law})"
-            lines.append(f"pair           {what}, {apart(self.pair)}, −u′ {self.pair.force:.3g}{stiffness(self.pair, self.timestep)}")
-        lines.append(f"last good      step {self.last_good_step}; closest {self.closest}")
-        lines.append(
-            f"               largest force {self.largest_force:.3g} on atom {self.pushed}; atom {self.fastest} moves {self.stride:.3g} in a step"
+        pair, lines = (
+            self.pair,
+            [f"fault          {self.fault}, at step {self.step}", f"cause          {self.cause}", f"what to do     {self.advice}"],
         )
-        return "\n".join(lines)
+        if pair is not None:
+            what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms} ({pair.law})"
+            lines.append(f"pair           {what}, {pair.apart}, −u′ {pair.force:.3g}{pair.stiffness(self.timestep)}")
+        lines.append(f"last good      step {self.last_good_step}; closest {self.closest}")
+        largest = f"largest force {self.largest_force:.3g} on atom {self.pushed}"
+        return "\n".join([*lines, f"               {largest}; atom {self.fastest} moves {self.displacement:.3g} in a step"])
 
 
-class Acting(NamedTuple):
-    """What acts on the atoms of the last good state.  forces : (N, 3).  energies : (N,).  inverse_masses : (N,), 0 of fixed atoms."""
-
-    potentials: Sequence[Any]
-    forces: NDArray[np.float64]
-    energies: NDArray[np.float64]
-    inverse_masses: NDArray[np.float64]
-
-
-class Failure(NamedTuple):
-    """How it failed.  fault : in words.  step : in which.  constraint : atoms of one that could not be kept.
-
-    at : (N, 3), positions in that moment, or None.  start : the earlier state that is known.  is_first : whether that is the start of the run.
-    """
-
-    fault: str
-    step: int
-    last_good_step: int
-    constraint: tuple[int, int] | None
-    at: NDArray[np.float64] | None
-    start: Moment
-    is_first: bool
-
-
-def examine(system: System, acting: Acting, method: Splitting, failure: Failure) -> CrashReport:
-    """Find the likely cause of a failure.  system : in the last good state."""
-    force, speeds, closest = _lengths(acting.forces), _lengths(system.velocities), closest_pair(system)
-    pushed, fastest = int(np.argmax(np.where(np.isfinite(force), force, np.inf))), int(np.argmax(speeds))
-    bad = np.flatnonzero(~(np.isfinite(force) & np.isfinite(acting.energies)))[:2]
+def examine(engine: Engine, failure: Failure) -> CrashReport:
+    """Find the likely cause of a failure.  engine : in the last good state, with energies of single atoms (PER_ATOM)."""
+    force, speed = (np.sqrt(np.einsum("ij,ij->i", array, array)) for array in (engine.forces, engine.velocities))
+    pushed, fastest = int(np.argmax(np.where(np.isfinite(force), force, np.inf))), int(np.argmax(speed))
+    bad = np.flatnonzero(~(np.isfinite(force) & np.isfinite(engine.interactions.energies)))[:2]
+    closest = closest_pair(engine.system)
     near = () if closest is None else (int(closest.first), int(closest.second))
-    suspects = [pushed, fastest, *near, *(failure.constraint or ()), *map(int, bad)]
-    found = contacts(system, acting.potentials, acting.inverse_masses, suspects) + _limitless(failure.at, system, acting, suspects)
-    known = (system, acting.potentials, acting.inverse_masses, method.timestep, method.sequence(), failure.start, failure.is_first)
-    judged = verdict(Evidence(*known, failure.constraint, found))
+    evidence = Evidence(engine, failure, [pushed, fastest, *near, *(failure.constraint or ()), *map(int, bad)])
+    judged = next(verdict for rule in RULES if (verdict := rule(evidence)) is not None)
     return CrashReport(
         fault=failure.fault,
         step=failure.step,
-        last_good_step=failure.last_good_step,
+        last_good_step=engine.step,
         first_step=failure.start.step,
-        kind=judged.kind,
-        cause=judged.cause,
-        advice=judged.advice,
-        pair=judged.pair,
+        **judged._asdict(),
         closest=closest,
         pushed=pushed,
         largest_force=float(force[pushed]),
         fastest=fastest,
-        stride=float(speeds[fastest] * abs(method.timestep)),
-        timestep=method.timestep,
-        units=system.units.name,
+        displacement=float(speed[fastest] * abs(engine.method.timestep)),
+        timestep=engine.method.timestep,
+        units=engine.system.units.name,
     )
 
 
-def _limitless(positions: NDArray[np.float64] | None, system: System, acting: Acting, atoms: Sequence[int]) -> list[Contact]:
-    """Contacts without a finite force in the very moment of the failure, of which the last good state knows nothing."""
-    if positions is None or not np.isfinite(positions).all():
-        return []
-    moved = System(positions, masses=system.masses, cell=system.cell, species=system.species, bonds=system.bonds, units=system.units)
-    return [one for one in contacts(moved, acting.potentials, acting.inverse_masses, atoms) if not one.is_finite]
+class Evidence:
+    """What is known about a failure.  suspects : atoms whose contacts are looked at."""
+
+    def __init__(self, engine: Engine, failure: Failure, suspects: list[int]) -> None:
+        self.engine, self.failure, self.system, self.suspects = engine, failure, engine.system, suspects
+        self.timestep = abs(engine.method.timestep)
+        self.shown_timestep = engine.system.units.shown(self.timestep)
+
+    def contacts(self, system: System, atoms: list[int]) -> list[Contact]:
+        """Of some atoms in some state."""
+        return contacts(system, self.engine.interactions.potentials, self.engine.inverse_masses, atoms)
+
+    def moved(self, positions: Array) -> System:
+        """The system with its atoms elsewhere."""
+        now = self.system
+        return System(positions, masses=now.masses, cell=now.cell, species=now.species, bonds=now.bonds, units=now.units)
+
+    @cached_property
+    def found(self) -> list[Contact]:
+        """Contacts of the suspects in the last good state, and those without a finite force in the moment of the failure."""
+        at, found = self.failure.at, self.contacts(self.system, self.suspects)
+        if at is not None and np.isfinite(at).all():
+            found += [one for one in self.contacts(self.moved(at), self.suspects) if not one.is_finite]
+        return found
+
+    @property
+    def strongest(self) -> Contact | None:
+        """The contact with the largest force."""
+        return max((one for one in self.found if one.is_finite), key=lambda one: abs(one.force), default=None)
 
 
-def place_of(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
-    """Where the findings about a run go: where they were asked to, beside its first trajectory if True, nowhere if there is none.
-
-    Raises ValueError for one of the trajectories, which it would replace.
-    """
-    several = [trajectories] if isinstance(trajectories, (str, Path)) else list(trajectories)
-    if isinstance(crash_report, bool):
-        return Path(several[0]).with_suffix(SUFFIX) if crash_report and several else None
-    if Path(crash_report).resolve() in [Path(file).resolve() for file in several]:
-        raise ValueError(f"crash_report must be a file of its own; {str(crash_report)!r} is a trajectory of the run: choose another name")
-    return Path(crash_report)
+def law_without_number(evidence: Evidence) -> Verdict | None:
+    """A law of the user's that is not finite at some distance."""
+    for one in evidence.found:
+        if not one.is_finite and not _is_overlap(one) and (one.is_users or one.is_bond):
+            cause = f"the law of {one.law} gives no finite number for {one.atoms}, {one.apart}"
+            return Verdict("law", one, cause, "mend the law at that distance, or keep the atoms from coming there")
+    return None
 
 
-@contextmanager
-def left_at(path: Path | None, simulation: "Simulation", overwrite: bool) -> Iterator[None]:
-    """If a simulation fails, leave the file of its crash report, and name it in the error."""
-    try:
-        yield
-    except (NonFiniteError, ConstraintError) as error:
-        if path is not None and error.crash_report is not None:
-            error.args = (f"{error}. {_left(error, path, simulation, overwrite)}",)
-        raise
+def overlap_at_start(evidence: Evidence) -> Verdict | None:
+    """The closest pair of a state to which no step led, if its atoms are on top of each other."""
+    start = evidence.moved(evidence.failure.start.positions)
+    closest = closest_pair(start) if evidence.failure.is_first else None
+    if closest is None or _are_joined(evidence.system, int(closest.first), int(closest.second)):
+        return None
+    found = evidence.contacts(start, [int(closest.first), int(closest.second)])
+    over = [one for one in found if not one.is_bond and (_is_overlap(one) or _is_thrown(one, evidence))]
+    if not over:
+        return None
+    worst, step = min(over, key=lambda one: one.distance), evidence.failure.start.step
+    cause = f"{worst.atoms} overlap at {f'step {step}' if step else 'the start'}, {worst.apart}"
+    return Verdict("overlap", worst, cause, "minimize moves atoms apart; or lower the energy of the start in another way")
 
 
-def _left(error: NonFiniteError | ConstraintError, path: Path, simulation: "Simulation", overwrite: bool) -> str:
-    """Write the file; returns what can be said of it."""
-    from minimd.files.crash_file import free_name, write_crash_report
-
-    file = free_name(path, overwrite)
-    try:
-        write_crash_report(file, simulation, error.crash_report)
-    except Exception as reason:  # whatever it is: the failure itself must be heard
-        return f"No crash report was written: {reason}"
-    error.file = file
-    return f"Crash report in {file}; look again with: minimd replay {file}, or, in a script, minimd.replay(file, potentials)"
+def broken_constraint(evidence: Evidence) -> Verdict | None:
+    """A constraint that the solver gave up."""
+    if evidence.failure.constraint is None:
+        return None
+    i, j = evidence.failure.constraint
+    cause = f"in one step of {evidence.shown_timestep} atoms {i} and {j} move too far for the constraint between them"
+    return Verdict("constraint", evidence.strongest, cause, "reduce the timestep, or look whether the constraints contradict each other")
 
 
-def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+def unstable_bond(evidence: Evidence) -> Verdict | None:
+    """A bond whose Δt·ω is beyond the limit of the method."""
+    bonds = [(one.frequency * evidence.timestep, one) for one in evidence.found if one.is_bond and one.frequency]
+    x, stiffest = max(bonds, key=lambda bond: bond[0], default=(0.0, None))
+    limit = stability_limit(evidence.engine.method.sequence())
+    if stiffest is None or x <= limit:
+        return None
+    cause = f"the timestep {evidence.shown_timestep} is too long for the bond of {stiffest.atoms}: Δt·ω = {x:.3g} (stable to {limit:.3g})"
+    return Verdict("bond", stiffest, cause, f"take a timestep {BOND_STEP / x:.2g} times as long, or hold the bond rigid")
+
+
+def too_hot(evidence: Evidence) -> Verdict | None:
+    """Atoms that were too fast before anything had gone wrong, all or one of them."""
+    pairs = [one for one in evidence.found if one.ratio and not one.is_bond]
+    if not pairs:
+        return None
+    sigma = min(one.distance / one.ratio for one in pairs if one.ratio)
+    fast = FAST * sigma * max((one.rest_frequency for one in pairs if one.rest_frequency), default=0.0)
+    velocities = evidence.failure.start.velocities
+    squares, dt = np.einsum("ij,ij->i", velocities, velocities), evidence.timestep
+    atom, mean = int(np.argmax(squares)), float(np.sqrt(squares.mean()))
+    speed, others = float(np.sqrt(squares[atom])), float(np.sqrt((squares.sum() - squares.max()) / max(1, len(squares) - 1)))
+    passes, advice = f"atom {atom} moves {speed * dt / sigma:.2g} σ in a step", "cool the start, or reduce the timestep in proportion to the speed"
+    if mean > fast and mean * dt > HOT_STEP * sigma and speed <= HOT_SPOT * others:
+        units = evidence.system.units
+        hot = 2.0 * kinetic_energy(velocities, evidence.system.masses) / (3 * len(squares) * units.k_B)
+        return Verdict("hot", evidence.strongest, f"too hot: at {hot:.3g} {units.temperature} {passes}", advice)
+    if speed > max(fast, HOT_SPOT * others) and speed * dt > HOT_STEP * sigma:
+        than = f"{speed / others:.2g} times as fast as the others" if others > 0.0 else "the only one in motion"
+        return Verdict("hot", evidence.strongest, f"too hot: {passes}, {than}", advice)
+    return None
+
+
+def long_step(evidence: Evidence) -> Verdict:
+    """What is left: the pair with the largest force, if there is one."""
+    pair = evidence.strongest
+    if pair is None:
+        cause = "atoms fly apart though no pair of a known law pushes them: the forces come from elsewhere"
+        return Verdict("law", None, cause, "look at the forces in the last good state")
+    what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}, {pair.apart}{pair.stiffness(evidence.timestep)}"
+    return Verdict("pair", pair, f"the timestep {evidence.shown_timestep} is too long for the {what}", "halve it until the energy is conserved")
+
+
+RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (
+    law_without_number,
+    overlap_at_start,
+    broken_constraint,
+    unstable_bond,
+    too_hot,
+    long_step,
+)
+
+
+def _are_joined(system: System, i: int, j: int) -> bool:
+    """Whether a bond or a rigid length holds two atoms together, so that they are close by right."""
+    known = [system.bonds, *(one.pairs for one in system.constraints if isinstance(one, DistanceConstraints))]
+    return any(bool((np.sort(pairs, axis=1) == sorted((i, j))).all(axis=1).any()) for pairs in known)
+
+
+def _is_overlap(contact: Contact) -> bool:
+    """Whether two atoms are where no collision takes them."""
+    return contact.distance == 0.0 or (contact.ratio is not None and not contact.is_bond and contact.ratio < OVERLAP)
+
+
+def _is_thrown(contact: Contact, evidence: Evidence) -> bool:
+    """Whether a law without a length of its own throws a pair apart within one step."""
+    inverse_mass = float(evidence.engine.inverse_masses[[contact.first, contact.second]].sum())
+    return contact.ratio is None and contact.force * inverse_mass * evidence.timestep**2 > THROWN * contact.distance

@@ -1,13 +1,16 @@
 """The curvature of the potential energy around a state: how stiff its bonds are in closed form, and its stiffest mode of all."""
 
 from collections.abc import Sequence
+from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.constraints.constraint_set import ConstraintSet
+from minimd.engine.engine import Engine
 from minimd.forces.forces import Forces
+from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import BondPotential, HarmonicBond
 from minimd.structure.images import nearest_images
@@ -30,23 +33,34 @@ class StiffBond(NamedTuple):
     square: float
 
 
-def stiffest_bond(system: System, potentials: Sequence[Any], rigidity: ConstraintSet) -> StiffBond | None:
+def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: ConstraintSet) -> StiffBond | None:
     """The harmonic bond with the highest frequency of its own, ω² = k/μ; None if there is none that can stretch.
 
     Beside other bonds, and where nothing is compressed, the stiffest mode is faster still: ω² is a lower bound of its square.
     """
-    found = [bond for potential in potentials if isinstance(potential, HarmonicBond) and (bond := _stiffest_of(system, potential, rigidity))]
+    found = [bond for potential in potentials if isinstance(potential, HarmonicBond) and (bond := _stiffest_of(system, potential, constraint_set))]
     return max(found, key=lambda bond: bond.square, default=None)
 
 
-def _stiffest_of(system: System, potential: HarmonicBond, rigidity: ConstraintSet) -> StiffBond | None:
+def _stiffest_of(system: System, potential: HarmonicBond, constraint_set: ConstraintSet) -> StiffBond | None:
     pairs = bonded_pairs(system, potential)
     if not len(pairs):
         return None
-    squares = potential.parameters[0] * rigidity.inverse_masses[pairs].sum(axis=1)
-    squares[_among(pairs, rigidity.bonds.pairs if rigidity.bonds else pairs[:0])] = 0.0
+    squares = potential.parameters[0] * constraint_set.inverse_masses[pairs].sum(axis=1)
+    squares[_among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
     b = int(np.argmax(squares))
     return StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) if squares[b] > 0.0 else None
+
+
+def unstable_bond(engine: Engine) -> str | None:
+    """That a time step is longer than a harmonic bond allows, in a sentence; None if it is not. Other forces may allow still less."""
+    bond, method, shown = stiffest_bond(engine.system, engine.potentials, engine.constraint_set), engine.method, engine.system.units.shown
+    if bond is None or abs(method.timestep) <= (limit := stability_limit(method.sequence()) / sqrt(bond.square)):
+        return None
+    return (
+        f"timestep {shown(abs(method.timestep))} is longer than the bond of atoms {bond.i} and {bond.j} allows: "
+        f"{method.name} is stable up to {shown(limit)} on it; see advise_timestep"
+    )
 
 
 def bonded_pairs(system: System, potential: BondPotential) -> NDArray[np.int64]:
@@ -73,10 +87,10 @@ class Curvature:
     n_evaluations : of the forces so far.  displacement : of the atom that is moved most [length].
     """
 
-    def __init__(self, forces: Forces, rigidity: ConstraintSet) -> None:
-        self._forces, self._rigidity, self._system = forces, rigidity, forces.system
-        rigidity.fit(self._system)
-        self._root = np.sqrt(rigidity.inverse_masses)[:, None]
+    def __init__(self, forces: Forces, constraint_set: ConstraintSet) -> None:
+        self._forces, self._constraint_set, self._system = forces, constraint_set, forces.system
+        constraint_set.fit(self._system)
+        self._root = np.sqrt(constraint_set.inverse_masses)[:, None]
         self._start = self._system.positions.copy()
         self._first = forces.compute().copy()
         self._springs = self._multipliers()
@@ -96,14 +110,14 @@ class Curvature:
     def times(self, vector: Array) -> Array:
         """D w, (3N,) both [1/time²]; what constraints do not allow is left out of w first."""
         steps = self._root * vector.reshape(-1, 3)
-        self._rigidity.project(steps, self._start)
+        self._constraint_set.project(steps, self._start)
         longest = float(np.sqrt(np.einsum("ij,ij->i", steps, steps).max()))
         if longest == 0.0:
             return np.zeros_like(vector)
         change = self._forces_at(steps, -self.displacement / longest) - self._forces_at(steps, self.displacement / longest)
         product = change * (0.5 * longest / self.displacement) + self._constraint_springs(steps)
-        accelerations = self._rigidity.inverse_masses[:, None] * product
-        self._rigidity.project(accelerations, self._start)
+        accelerations = self._constraint_set.inverse_masses[:, None] * product
+        self._constraint_set.project(accelerations, self._start)
         return np.divide(accelerations, self._root, out=np.zeros_like(accelerations), where=self._root > 0.0).ravel()
 
     def stiffest(self, guess: Array) -> tuple[float, Array]:
@@ -145,10 +159,10 @@ class Curvature:
 
     def _multipliers(self) -> list[tuple[NDArray[np.int64], Array]]:
         """(pairs, λ) of each group of constraints, for atoms at rest."""
-        bonds = self._rigidity.bonds
+        bonds = self._constraint_set.bonds
         if bonds is None:
             return []
-        accelerations = self._first * self._rigidity.inverse_masses[:, None]
+        accelerations = self._first * self._constraint_set.inverse_masses[:, None]
         found = bonds.multipliers(self._start, np.zeros_like(self._start), accelerations)
         return [(bonds.pairs[order], multipliers) for order, multipliers in found]
 

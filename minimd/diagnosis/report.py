@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.diagnosis.static_checks import Line
 from minimd.engine.record import Record
 
 BLOCKS = 20  # averages of the total energy between which the drift is fitted
@@ -19,6 +18,19 @@ MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding e
 ROUNDING_OF_TURNS = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
 SETTLING = 0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
 KEPT = 1e-8  # of d², violation of a rigid length that no one will see
+
+
+@dataclass(frozen=True)
+class Line:
+    """One thing that was looked at.  name : at most 14 letters.  words : with figures.  verdict : plain.  is_good : whether it is as it should be."""
+
+    name: str
+    words: str
+    verdict: str
+    is_good: bool
+
+    def __str__(self) -> str:
+        return f"{self.name:<14} {self.words}: {self.verdict}"
 
 
 @dataclass(frozen=True)
@@ -106,7 +118,7 @@ class Report:
     kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : as those of the energy, of the shadow energy; None and 0 where it was not recorded.
     temperatures : means of the first and of the last fifth of the run.
-    lines : what can be said without a run: see minimd.safety.
+    lines : what can be said without a run: see diagnosis.static_checks.
     """
 
     energy_drift: Drift

@@ -1,23 +1,20 @@
-"""Whether a simulation finds its way back: steps forth, velocities turned round, as many steps again.
+"""Whether a simulation is reversible: some steps, all velocities reversed, as many steps again.
 
 A symmetric method without a bath comes back to its start but for rounding, which grows along a chaotic path. How much it grows is
-measured on the same path: the way back is gone twice, the second time from a turning point that is moved by some roundings. Forces that
-depend on the past, a list that misses pairs, or a solver that stops early do not come back.
+measured on the same path: the way back is made twice, the second time from a turning point that is displaced by some roundings. Forces
+that depend on the past, a list that misses pairs, or a solver that stops early do not come back.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.diagnosis.run_guard import RunGuard
+from minimd.engine.engine import Engine
 from minimd.structure.observables import longest
 
-if TYPE_CHECKING:
-    from minimd.diagnosis.run_guard import Dynamics
-
 ROUNDING = {"double": 2.0**-52, "mixed": 2.0**-23}  # of the forces
-CHUNK = 100  # steps between two looks whether the state is possible
 AMPLIFIED = 1e3  # how many roundings the turning point is moved by, so that nothing else is taken for their growth
 ENOUGH = 3.0  # times what one rounding grows to, times the square root of the steps: rounding; anything worse is not
 CHAOS = 0.01  # of the way that atoms went: beyond it, rounding has grown too much to tell
@@ -52,36 +49,30 @@ class Reversibility:
         return f"{back} (rounding grows to {self.rounding:.1e}): {words}"
 
 
-def probe(dynamics: "Dynamics", n_steps: int) -> Reversibility:
-    """See Simulation.probe_reversibility; the state of the dynamics is restored by its caller."""
-    start = dynamics.moment
-    _go(dynamics, n_steps)
-    way = longest(dynamics.positions - start.positions)[1]
-    dynamics.velocities[:] *= -1.0
-    turning = dynamics.moment
-    forces = dynamics.forces.copy()
-    _go(dynamics, n_steps)
-    returned = dynamics.positions.copy()
-    dynamics.go_to(turning)
-    _disturb(dynamics, forces)
-    _go(dynamics, n_steps)
-    growth = longest(dynamics.positions - returned)[1]
+def probe(guard: RunGuard, n_steps: int) -> Reversibility:
+    """See Simulation.probe_reversibility; the caller restores the state."""
+    engine = guard.engine
+    start = engine.snapshot()
+    guard.make_steps(n_steps)
+    way = longest(engine.positions - start.positions)[1]
+    engine.velocities[:] *= -1.0
+    turning, forces = engine.snapshot(), engine.forces.copy()
+    guard.make_steps(n_steps)
+    returned = engine.positions.copy()
+    engine.restore(turning)
+    _disturb(engine, forces)
+    guard.make_steps(n_steps)
+    growth = longest(engine.positions - returned)[1]
     one = max(growth / AMPLIFIED, ROUNDING["double"] * way)  # two roundings may undo each other, as where nothing acts
     rounding = one * (2.0 * n_steps) ** 0.5 if growth <= CHAOS * way else np.inf
-    return Reversibility(n_steps, longest(returned - start.positions)[1], way, rounding, dynamics.system.units.length)
+    return Reversibility(n_steps, longest(returned - start.positions)[1], way, rounding, engine.system.units.length)
 
 
-def _go(dynamics: "Dynamics", n_steps: int) -> None:
-    for done in range(0, n_steps, CHUNK):
-        dynamics.make_steps(min(CHUNK, n_steps - done))
-
-
-def _disturb(dynamics: "Dynamics", forces: NDArray[np.float64]) -> None:
+def _disturb(engine: Engine, forces: NDArray[np.float64]) -> None:
     """Move the state by some roundings, of random sign: of the coordinates, or of the tolerance of a solver; and of the forces."""
-    random, shape = np.random.default_rng(1), dynamics.positions.shape
-    precision, exact = AMPLIFIED * ROUNDING[dynamics.options.precision], AMPLIFIED * ROUNDING["double"]
-    kicks = np.abs(forces) * dynamics.inverse_masses[:, None] * abs(dynamics.method.timestep)
-    swept = 0.0 if dynamics.rigid_bonds is None else dynamics.rigid_bonds.accuracy
-    step = AMPLIFIED * swept + exact * np.abs(dynamics.positions)
-    dynamics.positions[:] += random.choice([-1.0, 1.0], shape) * step * (dynamics.inverse_masses[:, None] > 0.0)
-    dynamics.velocities[:] += random.choice([-1.0, 1.0], shape) * (precision * kicks + exact * np.abs(dynamics.velocities))
+    random, shape, moving = np.random.default_rng(1), engine.positions.shape, engine.inverse_masses[:, None]
+    precision, exact = AMPLIFIED * ROUNDING[engine.options.precision], AMPLIFIED * ROUNDING["double"]
+    kicks = np.abs(forces) * moving * abs(engine.method.timestep)
+    swept = 0.0 if engine.rigid_bonds is None else engine.rigid_bonds.accuracy
+    engine.positions[:] += random.choice([-1.0, 1.0], shape) * (AMPLIFIED * swept + exact * np.abs(engine.positions)) * (moving > 0.0)
+    engine.velocities[:] += random.choice([-1.0, 1.0], shape) * (precision * kicks + exact * np.abs(engine.velocities))

@@ -1,215 +1,196 @@
-"""Dynamics: makes steps, and finds out what went wrong when one fails."""
+"""The run guard: makes steps in blocks; a block that fails is undone, made again step by step, and its failure explained."""
 
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from math import isfinite
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, NoReturn
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, NoReturn
 
 from minimd.compiled.kernels import compile_clock
-from minimd.diagnosis.causes import Moment
-from minimd.diagnosis.crash_report import Acting, Failure, examine
-from minimd.diagnosis.faults import (
-    RUNAWAY,
-    broken_constraint,
-    failure_sentence,
-    fault_at_start,
-    fault_of,
-    largest_acceleration,
-    runaway,
-    unstable_bond,
-)
-from minimd.diagnosis.hessian import stiffest_bond
-from minimd.engine.engine import Motion
-from minimd.forces.forces import Potential
-from minimd.forces.options import Options
-from minimd.integrators.splitting.splitting import Splitting
+from minimd.diagnosis.crash_report import Failure, examine
+from minimd.diagnosis.faults import RUNAWAY, fault_at_start, fault_of, runaway
+from minimd.diagnosis.hessian import unstable_bond
+from minimd.engine.engine import Array, Engine, Snapshot
+from minimd.engine.observation import observe
+from minimd.engine.record import Frame
 from minimd.potentials.pair_loop import PER_ATOM
 from minimd.structure import observables
 from minimd.structure.console import outside_minimd
-from minimd.structure.constraints import Constraint
 from minimd.structure.errors import ConstraintError, NonFiniteError
-from minimd.structure.system import System
 
-if TYPE_CHECKING:
-    import ase
+BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
+SNAPSHOTS_APART, LEAST_REPLAY = (
+    40,
+    20,
+)  # steps between two snapshots that are kept, and from the one a replay begins with to the failure, if there were as many
 
-MOMENTS_APART, LEAST_REPLAY = 40, 20  # steps between two moments that are kept, and, where there were as many, from one to a failure
 
+class RunGuard:
+    """Makes the steps of an engine, and finds out what went wrong when one fails.
 
-class Dynamics(Motion):
-    """A motion that goes on, step by step; see Simulation for the parameters."""
+    Attributes
+    ----------
+    seconds, n_steps : of the present run, without compilation.  failed_from : Snapshot from which the last failure can be replayed.
+    """
 
-    def __init__(
-        self,
-        system: "System | ase.Atoms",
-        potentials: Potential | Sequence[Potential],
-        method: Splitting,
-        constraints: Constraint | Sequence[Constraint] | None,
-        options: Options,
-    ) -> None:
-        super().__init__(system, potentials, method, constraints, options)
-        self._run_seconds, self._run_steps = 0.0, 0
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        self.seconds, self.n_steps = 0.0, 0
+        self.failed_from: Snapshot | None = None
         self._checked_timestep = 0.0  # none yet
-        self._first: dict[str, Any] | None = None  # observables at the first look of a run
-        self._reason: ArithmeticError | None = None  # why the last attempt failed
-        self._before: Moment | None = None  # the last steps that were made together
-        self._moments: list[Moment] = []  # two to go back to, of which one is new
+        self._first: Mapping[str, Any] | None = None  # observables at the first look of a run
+        self._reason: NonFiniteError | ConstraintError | None = None  # why the last block failed, if something was raised
+        self._before: Snapshot | None = None  # the start of the last block
+        self._snapshots: list[Snapshot] = []  # at most two, at least SNAPSHOTS_APART steps apart
         self._first_step = 0  # of the present run
-        self.failed_from: Moment | None = None  # where a replay of the last failure begins
 
-    def make_steps(self, n_steps: int) -> None:
-        """Make steps that nobody looks at.  Raises NonFiniteError, ConstraintError, KeyboardInterrupt."""
-        self._advance(n_steps, look=False)
-
-    def _advance(self, n_steps: int, look: bool) -> None:
-        """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why."""
-        before = self._saved()
-        self._before = Moment(self.step, self.time, *before)
-        self._keep(self._before)
-        started, compiled = perf_counter(), compile_clock.seconds
-        try:
-            done = self._attempt(n_steps, look)
-        except ValueError:  # the scene no longer fits the list it needs
-            self._restore(before)
-            raise
-        self._run_seconds += perf_counter() - started - (compile_clock.seconds - compiled)
-        if done is None:
-            self._replay(before, n_steps)
-        self._count(done)
-        if self._state.stop_requested:
-            raise KeyboardInterrupt(f"stopped after step {self.step}")
+    def begin_run(self) -> None:
+        """Count from zero: steps, seconds, evaluations, list builds, iterations of constraints."""
+        self.seconds, self.n_steps, self._first = 0.0, 0, None
+        self.engine.interactions.reset_counts()
+        if self.engine.rigid_bonds is not None:
+            self.engine.rigid_bonds.iterations = 0
 
     @contextmanager
-    def _uncounted(self) -> Iterator[None]:
+    def uncounted(self) -> Iterator[None]:
         """What is computed inside is no part of the last run, of which the report tells."""
-        counted = self._run_seconds, self._run_steps, self._forces.counts
+        interactions = self.engine.interactions
+        counted = self.seconds, self.n_steps, interactions.counts
         try:
             yield
         finally:
-            self._run_seconds, self._run_steps, self._forces.counts = counted
+            self.seconds, self.n_steps, interactions.counts = counted
 
-    def _attempt(self, n_steps: int, look: bool) -> int | None:
-        """Steps made, or None if the state after them is no longer a possible one."""
-        self._state.step = self.step + self.noise_shift
+    def check_start(self) -> None:
+        """Take the state as it is now, and raise NonFiniteError if the first step would throw atoms across the scene."""
+        engine = self.engine
+        self._snapshots, self._first_step, self._reason, self._before, self._first = [], engine.step, None, None, None
+        engine.begin()
+        if self._checked_timestep != engine.method.timestep:
+            self._checked_timestep = engine.method.timestep
+            if warning := unstable_bond(engine):
+                warnings.warn(warning, stacklevel=outside_minimd())
+        engine.interactions.fit_skin(observables.largest_speed(engine.velocities) * abs(engine.method.timestep))
+        engine.evaluate()
+        if fault := fault_at_start(engine):
+            raise self._failure(fault, engine.step)
+
+    def make_steps(self, n_steps: int) -> None:
+        """Make steps that nobody looks at, in blocks.  Raises as advance."""
+        for done in range(0, n_steps, BLOCK):
+            self.advance(min(BLOCK, n_steps - done), with_energy=False)
+
+    def advance(self, n_steps: int, with_energy: bool) -> None:
+        """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why.
+
+        Raises
+        ------
+        NonFiniteError, ConstraintError : if a step fails; the engine is then in the last good state.
+        KeyboardInterrupt : after Ctrl-C.  ValueError : if the scene no longer fits the list it needs.
+        """
+        engine = self.engine
+        self._before = before = engine.snapshot()
+        if not self._snapshots or before.step - self._snapshots[-1].step >= SNAPSHOTS_APART:
+            self._snapshots = [*self._snapshots[-1:], before]
+        started, compiled, self._reason = perf_counter(), compile_clock.seconds, None
         try:
-            done = self.method.advance(self._state, self._compute_forces, n_steps, look)
-        except (NonFiniteError, ConstraintError) as reason:
-            self._reason = reason
-            return None
-        self._reason = None
-        return done if self._fault() is None else None
+            done = engine.advance(n_steps, with_energy)
+        except (NonFiniteError, ConstraintError):
+            self._replay(before, n_steps)
+        except ValueError:
+            engine.restore(before)
+            raise
+        self.seconds += perf_counter() - started - (compile_clock.seconds - compiled)
+        if fault_of(engine):
+            self._replay(before, n_steps)
+        self._count(done)
+        if engine.surroundings.stop_requested:
+            raise KeyboardInterrupt(f"stopped after step {engine.step}")
 
-    def _keep(self, moment: Moment) -> None:
-        """Remember the present moment, if the last one is some steps old."""
-        if not self._moments or moment.step - self._moments[-1].step >= MOMENTS_APART:
-            self._moments = [*self._moments[-1:], moment]
-
-    def _replay(self, before: tuple[NDArray, NDArray, float], n_steps: int) -> NoReturn:
-        """Repeat a failed run of steps one by one, up to the last good state; raise the error of the next."""
-        self._restore(before)
+    def _replay(self, before: Snapshot, n_steps: int) -> NoReturn:
+        """Repeat a failed block step by step, up to the last good state; raise the error of the next step."""
+        engine = self.engine
+        engine.restore(before)
         for _ in range(n_steps):
-            good = self._saved()
-            made = self._attempt(1, look=True)
-            fault = self._runaway() if made else self._fault() or "the forces are not finite"
+            good = engine.snapshot()
+            try:
+                engine.advance(1)
+                fault = fault_of(engine)
+                if not fault:
+                    engine.evaluate()  # a method that ends with a drift has not
+                    fault = self._runaway()
+            except (NonFiniteError, ConstraintError) as reason:
+                self._reason, fault = reason, fault_of(engine) or "the forces are not finite"
             if fault:
-                at = self.positions.copy()
-                self._restore(good)
-                raise self._failure(fault, self.step + 1, at)
+                at = engine.positions.copy()
+                engine.restore(good)
+                raise self._failure(fault, engine.step + 1, at)
             self._count(1)
-        raise self._failure("a run of steps failed that succeeded one by one", self.step)
+        raise self._failure("a block of steps failed that succeeded one by one", engine.step)
 
     def _count(self, done: int) -> None:
-        self.step += done
-        self._run_steps += done
-        self.time += done * self.method.timestep
+        self.engine.step += done
+        self.engine.time += done * self.engine.method.timestep
+        self.n_steps += done
 
-    def _check_start(self) -> None:
-        """Look at the state anew, and raise NonFiniteError if the first step would throw atoms across the scene."""
-        self._moments, self._first_step, self._reason, self._before = [], self.step, None, None
-        self._state.forces_are_current = False
-        self._share_energy()
-        self._rigidity.begin(self.system)
-        self._state.constraints = self._rigidity.bonds
-        self._warn_of_timestep()
-        self._forces.fit_skin(observables.largest_speed(self.velocities) * abs(self.method.timestep))
-        self._look()
-        acceleration = largest_acceleration(self.forces, self._rigidity.inverse_masses)
-        fault = fault_at_start(self.system, acceleration, self._forces.potential_energy, self.method.timestep, self._forces.longest_stride)
-        if fault:
-            raise self._failure(fault, self.step)
+    def observe(self) -> Frame:
+        """The present state, checked.
 
-    def _warn_of_timestep(self) -> None:
-        """Say, once for each time step, that it is longer than the stiffest harmonic bond allows."""
-        if self._checked_timestep == self.method.timestep:
-            return
-        self._checked_timestep = self.method.timestep
-        warning = unstable_bond(self.system, stiffest_bond(self.system, self._forces.potentials, self._rigidity), self.method)
-        if warning:
-            warnings.warn(warning, stacklevel=outside_minimd())
-
-    def _fault(self) -> str | None:
-        return fault_of(self.system, self.method.timestep, self._forces.longest_stride)
-
-    def _check_energy(self, seen: dict[str, Any]) -> None:
-        """Raise NonFiniteError if the energy seen is not finite or has run away, back in the state before the last steps."""
-        if not np.isfinite(seen["total_energy"]):
-            raise self._failure("the potential energy is not finite", self.step)
+        Raises
+        ------
+        NonFiniteError : if its energy is not finite or has run away; the engine is back in the state before the last block.
+        """
+        frame = observe(self.engine)
         if self._first is None:
-            self._first = seen
-        self._fail_if(self._runaway())
+            self._first = frame.observables
+        self._fail_if(self._runaway() if isfinite(frame.observables["total_energy"]) else "the potential energy is not finite")
+        return frame
 
-    def _check_heat(self, most: float) -> None:
-        """Raise NonFiniteError, likewise, if the kinetic energy is larger than this."""
-        kinetic = observables.kinetic_energy(self.velocities, self.system.masses)
-        self._fail_if(f"the kinetic energy has gone to {kinetic:.3g} {self.system.units.energy}" if kinetic > most else None)
+    def check_kinetic_energy(self, most: float) -> None:
+        """Raise NonFiniteError, as observe, if the kinetic energy [energy] is larger than this."""
+        kinetic = self.engine.kinetic_energy
+        self._fail_if(f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}" if kinetic > most else None)
+
+    def is_hot(self) -> bool:
+        """Whether the kinetic energy alone, which costs nothing, makes a look at the energies worthwhile."""
+        first = self._first
+        return first is not None and self.engine.kinetic_energy > RUNAWAY * (first["kinetic_energy"] + abs(first["potential_energy"]))
+
+    def forget(self) -> None:
+        """The state was changed from outside: energies and snapshots from before say nothing about it."""
+        self._snapshots, self._first, self._first_step = [], None, self.engine.step
+
+    def drop_snapshots(self) -> None:
+        """The velocities were rescaled: a replay from before would not come to the present state."""
+        self._snapshots = []
 
     def _fail_if(self, fault: str | None) -> None:
         if fault:
-            step, at = self.step, self.positions.copy()
+            step, at = self.engine.step, self.engine.positions.copy()
             if self._before is not None:
-                self.go_to(self._before)
+                self.engine.restore(self._before)
             raise self._failure(fault, step, at)
 
-    def _energy_in_motion(self) -> float:
-        """K + |U| [energy]."""
-        return observables.kinetic_energy(self.velocities, self.system.masses) + abs(self._forces.potential_energy)
-
-    def _is_hot(self) -> bool:
-        """Whether the kinetic energy alone, which costs nothing, makes a look at the energies worthwhile."""
-        kinetic, first = observables.kinetic_energy(self.velocities, self.system.masses), self._first
-        return first is not None and kinetic > RUNAWAY * (first["kinetic_energy"] + abs(first["potential_energy"]))
-
-    def _fingerprint(self) -> tuple[Any, ...]:
-        """Numbers that change when somebody moves atoms, changes velocities or the cell."""
-        masses = self.system.masses
-        sums = observables.momentum(self.positions, masses), observables.momentum(self.velocities, masses)
-        return observables.kinetic_energy(self.velocities, masses), *np.concatenate(sums).tolist(), id(self.system.cell)
-
     def _runaway(self) -> str | None:
-        """Whether the energies of the present state, which were just evaluated, have run away from those of the first look."""
-        kinetic, potential = observables.kinetic_energy(self.velocities, self.system.masses), self._forces.potential_energy
-        now = {"kinetic_energy": kinetic, "potential_energy": potential, "total_energy": kinetic + potential}
-        if self.method.is_thermostat:
-            now["conserved_energy"] = kinetic + potential - self._state.heat
-        return runaway(self.system, self.method.timestep, self._first, now) if self._first else None
+        """Whether the energies, which are current, have run away from those of the first look."""
+        return None if self._first is None else runaway(self.engine, self._first)
 
-    def _failure(self, fault: str, step: int, at: NDArray[np.float64] | None = None) -> NonFiniteError | ConstraintError:
-        """The error for a run that failed in a step, with its crash report; the system is in the last good state.  at : (N, 3), of the failure."""
-        reason, here = self._reason, (step, self.method.timestep, self.step)
-        error: NonFiniteError | ConstraintError = NonFiniteError(failure_sentence(self.system, fault, *here))
-        if isinstance(reason, ConstraintError):
-            error, fault = ConstraintError(broken_constraint(self.system, reason, *here)), str(reason)
-        moments = self._moments or [self.moment]
-        start = next((moment for moment in reversed(moments) if self.step - moment.step >= LEAST_REPLAY), moments[0])
-        self.failed_from = start
-        failure = Failure(fault, step, self.step, getattr(reason, "atoms", None), at, start, is_first=start.step == self._first_step)
-        with suppress(Exception):  # whatever terms of the user's own raise: what is broken must not hide that it is
-            self._forces.compute(PER_ATOM)
-            acting = Acting(self._forces.potentials, self.forces, self._forces.energies, self._rigidity.inverse_masses)
-            error.crash_report = examine(self.system, acting, self.method, failure)
-            error.args = (f"{error}. Likely cause: {error.crash_report.cause}",)
+    def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
+        """The error for a run that failed in a step, with its crash report; the engine is in the last good state.  at : (N, 3), of the failure."""
+        engine, reason = self.engine, self._reason
+        snapshots = self._snapshots or [engine.snapshot()]
+        self.failed_from = start = next((one for one in reversed(snapshots) if engine.step - one.step >= LEAST_REPLAY), snapshots[0])
+        kind, fault = (ConstraintError, str(reason)) if isinstance(reason, ConstraintError) else (NonFiniteError, fault)
+        report, why = None, ""
+        try:
+            engine.interactions.compute(PER_ATOM)
+        except Exception as broken:  # whatever a term of the user's own raises
+            why = f"There is no crash report: {type(broken).__name__}: {broken}"
+        else:
+            failure = Failure(fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step)
+            report = examine(engine, failure)
+            why = f"Likely cause: {report.cause}; {report.advice}"
+        error = kind(f"{fault}, at step {step}. {why}. The system holds the last good state, that of step {engine.step}")
+        error.crash_report = report
         return error

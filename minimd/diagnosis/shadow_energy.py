@@ -14,16 +14,21 @@ E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IX.3; R
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
+from minimd.engine.engine import Engine
+from minimd.engine.observation import Observable, register
 from minimd.integrators.splitting.substeps import Substeps
 from minimd.integrators.splitting.verlet import PositionVerlet, VelocityVerlet
 
-if TYPE_CHECKING:
-    from minimd.diagnosis.run_guard import Dynamics
-    from minimd.simulation.simulation import Simulation
+
+class HasEngine(Protocol):
+    """A Simulation."""
+
+    engine: Engine
+
 
 NUDGE = 0.05  # of a step by which atoms are moved along their velocities to see the forces change
 COEFFICIENTS: dict[Substeps, tuple[float, float]] = {  # of v·(∇²U) v and of F·M⁻¹F
@@ -32,51 +37,56 @@ COEFFICIENTS: dict[Substeps, tuple[float, float]] = {  # of v·(∇²U) v and of
 }
 
 
-def shadow_energy(simulation: "Simulation") -> float:
+def shadow_energy(simulation: HasEngine) -> float:
     """H̃ of the present state [energy], conserved to Δt⁴. It costs three evaluations of the forces; the state stays as it is.
 
     Raises
     ------
     ValueError : for a method other than velocity Verlet, leapfrog and position Verlet, for a thermostat, and for rigid bonds.
     """
-    bend = motion_curvature(simulation)
-    return simulation.frame().observables["total_energy"] + correction(simulation, bend)
+    engine = simulation.engine
+    check_has_shadow(engine)
+    engine.moved()
+    engine.evaluate()
+    return engine.interactions.potential_energy + engine.kinetic_energy + correction(engine)
 
 
-def motion_curvature(simulation: "Dynamics") -> float:
-    """v·(∇²U) v [energy/time²], by a central difference of the forces along v.
-
-    Raises
-    ------
-    ValueError : as shadow_energy.
-    """
-    check_has_shadow(simulation)
-    duration = NUDGE * abs(simulation.method.timestep)
-    ahead, behind = (simulation.forces_displaced(sign * duration * simulation.velocities) for sign in (1.0, -1.0))
-    return -float(np.einsum("ij,ij->", simulation.velocities, ahead - behind)) / (2.0 * duration)
-
-
-def correction(simulation: "Dynamics", bend: float) -> float:
-    """H̃ − H [energy], from v·(∇²U) v and the forces of the last evaluation."""
-    of_motion, of_forces = COEFFICIENTS[simulation.method.sequence()]
-    squares = float(np.einsum("ij,ij,i->", simulation.forces, simulation.forces, simulation.inverse_masses))
-    return simulation.method.timestep**2 * (of_motion * bend + of_forces * squares)
+def correction(engine: Engine) -> float:
+    """H̃ − H [energy], with the forces current; v·(∇²U) v [energy/time²] is a central difference of the forces along v."""
+    of_motion, of_forces = COEFFICIENTS[engine.method.sequence()]
+    squares = float(np.einsum("ij,ij,i->", engine.forces, engine.forces, engine.inverse_masses))
+    duration, change = NUDGE * abs(engine.method.timestep), np.zeros_like(engine.forces)
+    for sign in (1.0, -1.0):
+        with engine.displaced(sign * duration * engine.velocities) as forces:
+            change += sign * forces
+    v_hessian_v = -float(np.einsum("ij,ij->", engine.velocities, change)) / (2.0 * duration)
+    return engine.method.timestep**2 * (of_motion * v_hessian_v + of_forces * squares)
 
 
-def check_extras(simulation: "Dynamics", names: Sequence[str]) -> None:
-    """Raise ValueError unless these are names of observables that the simulation has beside the usual ones."""
+register(
+    Observable(
+        "shadow_energy",
+        "energy",
+        lambda look: look.total_energy + correction(look.engine),
+        lambda engine: "shadow_energy" in engine.extra_observables,
+    )
+)
+
+
+def check_extras(engine: Engine, names: Sequence[str]) -> None:
+    """Raise ValueError unless these are names of observables that the engine has beside the usual ones."""
     if isinstance(names, str) or not set(names) <= {"shadow_energy"}:
         raise ValueError(f"extra_observables must be ('shadow_energy',) or empty; they are {names!r}")
     if names:
-        check_has_shadow(simulation)
+        check_has_shadow(engine)
 
 
-def check_has_shadow(simulation: "Dynamics") -> None:
+def check_has_shadow(engine: Engine) -> None:
     """Raise ValueError where the shadow energy is not known, as shadow_energy says."""
-    method = simulation.method
+    method = engine.method
     if method.is_thermostat:
         raise ValueError(f"there is no shadow energy with a thermostat, which takes energy and gives it; the method is {method.name}")
     if method.sequence() not in COEFFICIENTS:
         raise ValueError(f"the shadow energy is known of velocity-verlet, leapfrog and position-verlet; the method is {method.name}")
-    if simulation.rigid_bonds is not None:
+    if engine.rigid_bonds is not None:
         raise ValueError("the shadow energy is known without rigid bonds only; leave the constraints out, or do not ask for it")

@@ -1,18 +1,17 @@
 """Lines of the report that need no run: what jumps at a cutoff, how long a list is good for, how well velocities obey constraints."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from minimd.diagnosis.contacts import law_at
+from minimd.diagnosis.report import Line
+from minimd.diagnosis.reversibility import Reversibility
+from minimd.engine.engine import Engine
 from minimd.potentials.pair import PairPotential
 from minimd.structure.observables import largest_speed
 from minimd.structure.system import System
-
-if TYPE_CHECKING:
-    from minimd.simulation.simulation import Simulation
 
 CONTINUOUS = 1e-9  # of what the law is at INSIDE r_c: a jump below is rounding
 INSIDE = 0.9
@@ -20,26 +19,12 @@ FEW_STEPS = 3.0  # that a list lasts: it is rebuilt so often that a wider skin i
 TURNING = 1e-8  # of the speed, along a rigid bond
 
 
-@dataclass(frozen=True)
-class Line:
-    """One thing that was looked at.  name : at most 14 letters.  words : with figures.  verdict : plain.  is_good : whether it is as it should be."""
-
-    name: str
-    words: str
-    verdict: str
-    is_good: bool
-
-    def __str__(self) -> str:
-        return f"{self.name:<14} {self.summary}: {self.verdict}"
-
-
-def safety_lines(simulation: "Simulation") -> list[Line]:
-    """All lines that apply to a simulation as it stands."""
-    lines = [*cutoff_lines(simulation.system, simulation.potentials), *list_lines(simulation), *constraint_lines(simulation)]
-    if simulation.reversibility is not None:
-        found = simulation.reversibility
-        words, _, verdict = str(found).rpartition(": ")
-        lines.append(Line("reversibility", words, verdict, found.is_reversible is not False))
+def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[Line]:
+    """All lines that apply to an engine as it stands."""
+    lines = [*cutoff_lines(engine.system, engine.potentials), *list_lines(engine), *constraint_lines(engine)]
+    if reversibility is not None:
+        words, _, verdict = str(reversibility).rpartition(": ")
+        lines.append(Line("reversibility", words, verdict, reversibility.is_reversible is not False))
     return lines
 
 
@@ -70,10 +55,10 @@ def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float
     return u, slope, size, size / cutoff
 
 
-def list_lines(simulation: "Simulation") -> Iterator[Line]:
+def list_lines(engine: Engine) -> Iterator[Line]:
     """How many steps of the fastest atom each list with a skin lasts."""
-    stride, length = largest_speed(simulation.velocities) * abs(simulation.method.timestep), simulation.system.units.length
-    for skin in simulation.skins:
+    stride, length = largest_speed(engine.velocities) * abs(engine.method.timestep), engine.system.units.length
+    for skin in engine.skins:
         steps = 0.5 * skin / stride if stride > 0.0 else np.inf
         words = f"skin/2 {0.5 * skin:.3g} {length}, fastest atom {stride:.2g} {length} a step: lasts {steps:.3g} steps"
         often = steps < FEW_STEPS
@@ -81,9 +66,9 @@ def list_lines(simulation: "Simulation") -> Iterator[Line]:
         yield Line("list margin", words, verdict, not often)
 
 
-def constraint_lines(simulation: "Simulation") -> Iterator[Line]:
+def constraint_lines(engine: Engine) -> Iterator[Line]:
     """How well the velocities of the present state obey the constraints."""
-    if simulation.rigid_bonds is not None:
-        turning = float(simulation.rigid_bonds.velocity_violation(simulation.positions, simulation.velocities).max())
+    if engine.rigid_bonds is not None:
+        turning = float(engine.rigid_bonds.velocity_violation(engine.positions, engine.velocities).max())
         good = turning < TURNING
         yield Line("rigid bonds", f"velocities along them {turning:.1e} of the speed", "obeyed" if good else "NOT OBEYED", good)

@@ -62,17 +62,14 @@ class StepAdvice:
         if self.frequency == 0.0:
             return "stiffest mode  none: nothing oscillates in this state, which limits no time step"
         lines = [
-            f"stiffest mode  ω = {self.frequency:.4g} / {self.units.time}, period {self._time(self.period)}",
+            f"stiffest mode  ω = {self.frequency:.4g} / {self.units.time}, period {self.units.shown(self.period)}",
             f"               {self._motion()}",
-            f"limit          {self._time(self.limit)} for {self.method}: longer steps blow up, and at a temperature shorter ones may",
-            f"recommended    {self._time(self.recommended)}: {self.period / self.recommended:.3g} steps a period",
+            f"limit          {self.units.shown(self.limit)} for {self.method}: longer steps blow up, and at a temperature shorter ones may",
+            f"recommended    {self.units.shown(self.recommended)}: {self.period / self.recommended:.3g} steps a period",
         ]
         if self.timestep is not None:
-            lines.append(f"given          {self._time(self.timestep)}: {abs(self.timestep) / self.limit:.3g} of the limit")
+            lines.append(f"given          {self.units.shown(self.timestep)}: {abs(self.timestep) / self.limit:.3g} of the limit")
         return "\n".join(lines)
-
-    def _time(self, duration: float) -> str:
-        return f"{duration * self.units.to_picosecond * self.units.shown_small_time:.4g} {self.units.small_time}"
 
     def _motion(self) -> str:
         """Who moves in the mode, in words."""
@@ -114,10 +111,10 @@ def advise_timestep(
     if not (isinstance(method, Splitting) or (isinstance(method, type) and issubclass(method, Splitting))):
         raise TypeError(f"method must be a splitting, such as VelocityVerlet or VelocityVerlet(0.005); got {method!r}")
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
-    rigidity = ConstraintSet(system, system.constraints if constraints is None else constraints)
+    constraint_set = ConstraintSet(system, system.constraints if constraints is None else constraints)
     forces = Forces(system, potentials)
-    curvature = Curvature(forces, rigidity)
-    square, mode = _stiffest_mode(curvature, system, forces.potentials, rigidity)
+    curvature = Curvature(forces, constraint_set)
+    square, mode = _stiffest_mode(curvature, system, forces.potentials, constraint_set)
     frequency = float(np.sqrt(max(square, 0.0)))
     row, shares = method.sequence(), np.einsum("ij,ij->i", mode, mode)
     atoms = [int(i) for i in np.argsort(-shares, kind="stable")[:SHOWN_ATOMS] if shares[i] >= SHOWN_SHARE]
@@ -138,11 +135,11 @@ def advise_timestep(
 
 
 def _stiffest_mode(
-    curvature: Curvature, system: System, potentials: Sequence[Potential], rigidity: ConstraintSet
+    curvature: Curvature, system: System, potentials: Sequence[Potential], constraint_set: ConstraintSet
 ) -> tuple[float, NDArray[np.float64]]:
     """ω² and the mode, (N, 3) mass-weighted; or what is wrong with the state."""
     if curvature.is_finite():
-        square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, rigidity)))
+        square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, constraint_set)))
         if np.isfinite(square):
             return square, mode
     raise NonFiniteError(f"the forces around this state are not finite; the closest pair is {closest_pair(system)}: md.minimize moves atoms apart")

@@ -1,55 +1,128 @@
-"""Motion: a system, its forces, its constraints and a method; the state, and what can be asked of it."""
+"""The engine: one system, its forces, its constraints and one method. It advances the state, and can go back to an earlier one."""
 
 import warnings
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.solver import ConstraintSolver
-from minimd.diagnosis.causes import Moment
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options
-from minimd.integrators.splitting.splitting import Splitting, State
+from minimd.integrators.splitting.splitting import Splitting
+from minimd.integrators.splitting.state import Bath, State, Surroundings
 from minimd.potentials.pair_loop import FORCES, TOTALS
 from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint
+from minimd.structure.observables import kinetic_energy
 from minimd.structure.system import System
 from minimd.structure.velocities import maxwell_boltzmann, rescaled
 
 if TYPE_CHECKING:
     import ase
 
+Array = NDArray[np.float64]
 
-class Motion:
-    """The state of a simulation and what can be asked of it; see Simulation for the parameters."""
+
+class Snapshot(NamedTuple):
+    """A state to go back to.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy]."""
+
+    step: int
+    time: float
+    positions: Array
+    velocities: Array
+    reservoir_energy: float
+
+
+class Engine:
+    """One system, its forces, its constraints and one method; see Simulation for the parameters.
+
+    Attributes
+    ----------
+    system : System, the state; its arrays can be changed.  step, time : made so far, [time].
+    interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  surroundings : Surroundings of the method.
+    noise_shift : the noise of step n is that of n + noise_shift.  extra_observables : names of observables beside the usual ones.
+    """
 
     def __init__(
         self,
         system: "System | ase.Atoms",
         potentials: Potential | Sequence[Potential],
         method: Splitting,
-        constraints: Constraint | Sequence[Constraint] | None,
-        options: Options,
+        constraints: Constraint | Sequence[Constraint] | None = None,
+        options: Options | None = None,
     ) -> None:
         self._method = _checked(method)
         self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
-        self.step = 0
-        self.time = 0.0
-        self._forces = Forces(self.system, potentials, options)
-        _warn_of_dropped(self._system.constraints, constraints)
-        self._rigidity = ConstraintSet(self.system, self.system.constraints if constraints is None else constraints, options.most_threads)
-        self.system.constraints = self._rigidity.kept
-        self._state = State(self.system.positions, self.system.velocities, self._forces.forces, self._rigidity.inverse_masses)
-        self._state.constraints = self._rigidity.bonds
-        self._state.k_B = self.system.units.k_B
-        self._share_energy()
-        self.noise_shift, self._equilibrated = 0, 0  # noise of step n is that of n + shift; steps of equilibrations so far
+        self.step, self.time, self.noise_shift = 0, 0.0, 0
+        self.extra_observables: Sequence[str] = ()
+        self.interactions = Forces(self.system, potentials, options)
+        _warn_of_dropped(self.system.constraints, constraints)
+        held = self.system.constraints if constraints is None else constraints
+        self.constraint_set = ConstraintSet(self.system, held, self.interactions.options.most_threads)
+        self.system.constraints = self.constraint_set.kept
+        self._state = State(self.system.positions, self.system.velocities, self.interactions.forces, self.constraint_set.inverse_masses)
+        self._bath = Bath(k_B=self.system.units.k_B)
+        self.surroundings = Surroundings(self.constraint_set.bonds, self._bath)
+        self._describe_bath()
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.system!r}, {self.method!r}, step {self.step})"
+    def advance(self, n_steps: int, with_energy: bool = True) -> int:
+        """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many. step and time stay as they are.
+
+        Raises
+        ------
+        NonFiniteError, ConstraintError : if a step fails; the state is then spoilt.
+        """
+        self._bath.step, self._bath.contact = self.step + self.noise_shift, 0
+        return self.method.advance(self._state, self._compute_forces, n_steps, with_energy, self.surroundings)
+
+    def _compute_forces(self, _state: State, with_energy: bool) -> None:
+        self.interactions.compute(TOTALS if with_energy else FORCES)
+
+    def begin(self) -> None:
+        """Take the state as it is now: images of rigid bonds, lengths and velocities put right, forces to be computed anew."""
+        self.moved()
+        self._describe_bath()
+        self.constraint_set.begin(self.system)
+        self.surroundings.constraints = self.constraint_set.bonds
+
+    def moved(self) -> None:
+        """Somebody has moved atoms, or changed the cell: the forces are no longer those of the positions."""
+        self._state.forces_are_current = False
+
+    def evaluate(self) -> None:
+        """Make sure that forces, energy and virial are those of the present positions."""
+        if not (self._state.forces_are_current and self.interactions.has_energy):
+            self.interactions.compute(TOTALS)
+            self._state.forces_are_current = True
+
+    def fit_images(self) -> None:
+        """Take rigid bonds at their present images: between two runs atoms may have been moved by lattice vectors."""
+        self.constraint_set.fit(self.system)
+        self.surroundings.constraints = self.constraint_set.bonds
+
+    @contextmanager
+    def displaced(self, displacements: Array) -> Iterator[Array]:
+        """While active, all atoms stand elsewhere, moved by (N, 3) [length], with the forces there, (N, 3); then all is as before."""
+        here = self.positions.copy()
+        with self.interactions.set_aside():
+            self.positions[:] += displacements
+            try:
+                yield self.interactions.compute(FORCES)
+            finally:
+                self.positions[:] = here
+
+    def snapshot(self) -> Snapshot:
+        """A copy of the present state, for restore."""
+        return Snapshot(self.step, self.time, self.positions.copy(), self.velocities.copy(), self.reservoir_energy)
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to a state."""
+        self.step, self.time, self.positions[:], self.velocities[:], self.reservoir_energy = snapshot
+        self.moved()
 
     @property
     def system(self) -> System:
@@ -58,7 +131,7 @@ class Motion:
 
     @property
     def method(self) -> Splitting:
-        """The integrator with its time step; another one takes over from the next run on.
+        """The integrator with its time step; another one can take over.
 
         Raises, when it is set
         ----------------------
@@ -68,93 +141,83 @@ class Motion:
 
     @method.setter
     def method(self, method: Splitting) -> None:
-        self._rigidity.degrees_of_freedom(_checked(method).conserves_momentum)
+        self.constraint_set.degrees_of_freedom(_checked(method).conserves_momentum)
         self._method = method
-        self._share_energy()
+        self._describe_bath()
+
+    def _describe_bath(self) -> None:
+        """Tell the bath which motions share the kinetic energy."""
+        self._bath.n_dof = self.n_dof
+        self._bath.conserves_momentum = self.conserves_momentum and len(self.system) > 1
 
     @property
     def n_dof(self) -> int:
         """Degrees of freedom that share the kinetic energy."""
-        return self._rigidity.degrees_of_freedom(self.method.conserves_momentum)
-
-    @property
-    def heat(self) -> float:
-        """What a thermostat has put in since the start [energy]; set it when a run is resumed."""
-        return self._state.heat
-
-    @heat.setter
-    def heat(self, heat: float) -> None:
-        self._state.heat = heat
+        return self.constraint_set.degrees_of_freedom(self.method.conserves_momentum)
 
     @property
     def conserves_momentum(self) -> bool:
-        """Whether the total momentum is a constant: nothing is fixed, and no bath acts on atoms one by one."""
-        return self.method.conserves_momentum and not self._rigidity.n_fixed
+        """Whether the total momentum is a constant: no atom is held fixed, and no bath acts on atoms one by one."""
+        return self.method.conserves_momentum and not self.constraint_set.n_fixed
+
+    @property
+    def reservoir_energy(self) -> float:
+        """Given by a thermostat since the start [energy]; set it when a run is resumed."""
+        return self._bath.energy
+
+    @reservoir_energy.setter
+    def reservoir_energy(self, energy: float) -> None:
+        self._bath.energy = energy
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
-        """What is held fixed, with the lengths that are kept; also those of system."""
-        return self._rigidity.kept
+        """What is held fixed, with the lengths that are kept."""
+        return self.constraint_set.kept
 
     @property
     def potentials(self) -> tuple[Potential, ...]:
         """What acts on the atoms."""
-        return self._forces.potentials
+        return self.interactions.potentials
 
     @property
     def options(self) -> Options:
         """Threads, precision and skin, as they were asked for."""
-        return self._forces.options
-
-    @property
-    def moment(self) -> Moment:
-        """A copy of the present state, for go_to."""
-        return Moment(self.step, self.time, *self._saved())
-
-    def go_to(self, moment: Moment) -> None:
-        """Go back to a state."""
-        self.step, self.time = moment.step, moment.time
-        self._restore(moment[2:])
-
-    @property
-    def rigid_bonds(self) -> ConstraintSolver | None:
-        """Lengths that are held, as they are kept in a run; None without."""
-        return self._rigidity.bonds
+        return self.interactions.options
 
     @property
     def skins(self) -> list[float]:
         """Of all lists that have one [length]."""
-        return self._forces.skins
+        return self.interactions.skins
 
     @property
-    def inverse_masses(self) -> NDArray[np.float64]:
+    def rigid_bonds(self) -> ConstraintSolver | None:
+        """Lengths that are held, as they are kept in a run; None without."""
+        return self.constraint_set.bonds
+
+    @property
+    def inverse_masses(self) -> Array:
         """(N,) [1/mass], zero of atoms that are held fixed."""
-        return self._rigidity.inverse_masses
-
-    def forces_displaced(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Forces, (N, 3) [energy/length], with all atoms moved by (N, 3) [length]; they are put back."""
-        here = self.positions.copy()
-        self.positions[:] += displacements
-        try:
-            return self._forces.compute(FORCES).copy()
-        finally:
-            self.positions[:] = here
-            self._state.forces_are_current = False
+        return self.constraint_set.inverse_masses
 
     @property
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> Array:
         """(N, 3) [length], never wrapped."""
         return self.system.positions
 
     @property
-    def velocities(self) -> NDArray[np.float64]:
+    def velocities(self) -> Array:
         """(N, 3) [length/time]."""
         return self.system.velocities
 
     @property
-    def forces(self) -> NDArray[np.float64]:
+    def forces(self) -> Array:
         """(N, 3) [energy/length], of the last evaluation."""
-        return self._forces.forces
+        return self.interactions.forces
+
+    @property
+    def kinetic_energy(self) -> float:
+        """K [energy]."""
+        return kinetic_energy(self.velocities, self.system.masses)
 
     def set_temperature(self, temperature: float, seed: int | None = None) -> None:
         """Draw Maxwell-Boltzmann velocities: kinetic temperature exactly this one, total momentum zero (of several free atoms).
@@ -164,8 +227,8 @@ class Motion:
         ValueError : if the temperature is negative or not finite.
         """
         self.velocities[:] = maxwell_boltzmann(self.system.masses, temperature, self.system.units.k_B, seed)
-        self._fit_images()
-        self._rigidity.project(self.velocities, self.positions)
+        self.fit_images()
+        self.constraint_set.project(self.velocities, self.positions)
         if temperature > 0.0:
             self.rescale_temperature(temperature)
 
@@ -177,32 +240,6 @@ class Motion:
         ValueError : if the temperature is negative or not finite, or nothing moves.
         """
         self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B, self.n_dof)
-
-    def _fit_images(self) -> None:
-        """Take rigid bonds at their present images: between two runs atoms may have been moved by lattice vectors."""
-        self._rigidity.fit(self.system)
-        self._state.constraints = self._rigidity.bonds
-
-    def _share_energy(self) -> None:
-        """Tell the state which motions share the kinetic energy; a single atom keeps its three."""
-        self._state.n_dof = self.n_dof
-        self._state.conserves_momentum = self.conserves_momentum and len(self.system) > 1
-
-    def _look(self) -> None:
-        """Make sure that forces, energy and virial are those of the present positions."""
-        if not (self._state.forces_are_current and self._forces.has_energy):
-            self._compute_forces(self._state, True)
-            self._state.forces_are_current = True
-
-    def _compute_forces(self, _state: State, look: bool) -> None:
-        self._forces.compute(TOTALS if look else FORCES)
-
-    def _saved(self) -> tuple[NDArray, NDArray, float]:
-        return self.positions.copy(), self.velocities.copy(), self._state.heat
-
-    def _restore(self, state: tuple[NDArray, NDArray, float]) -> None:
-        self.positions[:], self.velocities[:], self._state.heat = state
-        self._state.forces_are_current = False
 
 
 def _checked(method: Splitting) -> Splitting:

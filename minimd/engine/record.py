@@ -7,26 +7,14 @@ from numpy.typing import NDArray
 
 from minimd.structure.units import UnitSystem
 
-SERIES = {  # name in record and file: the attribute of UnitSystem that names its unit
-    "potential_energy": "energy",
-    "kinetic_energy": "energy",
-    "total_energy": "energy",
-    "conserved_energy": "energy",
-    "shadow_energy": "energy",
-    "temperature": "temperature",
-    "pressure": "pressure",
-    "momentum": "momentum",
-    "angular_momentum": "angular_momentum",
-    "absolute_momentum": "momentum",
-    "absolute_angular_momentum": "angular_momentum",
-}
+SERIES: dict[str, str] = {}  # name in record and file: attribute of UnitSystem that names its unit; see observation.register
 
 
 class Frame(NamedTuple):
     """One observed moment. Arrays are those of the running simulation: copy what is to be kept.
 
     step, time [time].  positions, velocities, forces : (N, 3).  observables : name in SERIES to number or (3,) array;
-    pressure is missing unless the cell has a volume.  heat : what a thermostat has put in [energy].
+    pressure is missing unless the cell has a volume.  reservoir_energy : given by a thermostat since the start [energy].
     """
 
     step: int
@@ -35,7 +23,7 @@ class Frame(NamedTuple):
     velocities: NDArray[np.float64]
     forces: NDArray[np.float64]
     observables: dict[str, Any]
-    heat: float = 0.0
+    reservoir_energy: float = 0.0
 
 
 class Record:
@@ -45,7 +33,7 @@ class Record:
     ----------
     step : (T,) int.  time : (T,) [time].
     potential_energy, kinetic_energy, total_energy : (T,) [energy].  temperature : (T,).
-    conserved_energy : (T,) [energy], total energy minus heat, only with a thermostat.
+    conserved_energy : (T,) [energy], total energy minus reservoir energy, only with a thermostat.
     shadow_energy : (T,) [energy], only where asked for: see minimd.shadow_energy.
     constraint_violation : (T,) largest |r² − d²|/d², only with lengths held fixed.
     pressure : (T,) [energy/length³], only where the cell has a volume.

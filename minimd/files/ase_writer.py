@@ -6,8 +6,8 @@ import ase.io
 from ase.calculators.singlepoint import SinglePointCalculator
 from ase.io.trajectory import TrajectoryWriter
 
+from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
-from minimd.simulation.simulation import Simulation
 from minimd.structure.ase_atoms import atoms_from_system
 
 
@@ -18,8 +18,8 @@ class ASEWriter:
     potential energy as that of a calculator, forces if they are to be stored, and step and time in info.
     """
 
-    def __init__(self, file: Path, simulation: Simulation, store_forces: bool) -> None:
-        self._template = atoms_from_system(simulation.system)
+    def __init__(self, file: Path, engine: Engine, store_forces: bool) -> None:
+        self._template = atoms_from_system(engine.system)
         self._store_forces = store_forces
         self._output = TrajectoryWriter(file, "w") if file.suffix.lower() == ".traj" else file.open("w", encoding="utf-8")
 

@@ -1,27 +1,30 @@
 """The file that a failed run leaves: an H5MD file with the last good state, an earlier one, and what it takes to go there again.
 
-frames               the earlier state and the last good one, with forces and observables; the restart is the last good one
-minimd/crash_report       findings, method, options and potentials in words, as JSON
-    positions ...    the earlier state to the last bit
+frames                 the earlier state and the last good one, with forces and observables; the restart is the last good one
+minimd/crash_report    findings, method, options and potentials in words, as JSON
+    positions ...      the earlier state to the last bit
 """
 
 import json
 import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from minimd.diagnosis.causes import Moment
-from minimd.diagnosis.crash_report import SUFFIX, CrashReport
-from minimd.files.h5md_schema import opened
-from minimd.files.h5md_writer import H5MDWriter, read_file
-from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting
+from minimd.diagnosis.crash_report import CrashReport
+from minimd.diagnosis.run_guard import RunGuard
+from minimd.engine.engine import Snapshot
+from minimd.engine.observation import observe
+from minimd.integrators.methods import METHODS
+from minimd.integrators.splitting.splitting import Splitting
+from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.system import System
 
-if TYPE_CHECKING:
-    from minimd.simulation.simulation import Simulation
+SUFFIX = ".crash.h5md"
 
 
 @dataclass(frozen=True)
@@ -29,12 +32,12 @@ class CrashFile:
     """What such a file holds.
 
     findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.  method : as it was.
-    precision, skin, noise_shift : of the simulation.  potentials : in words.  scene, title : texts; the scene is empty if the run came from a script.
+    precision, skin, noise_shift : of the engine.  potentials : in words.  scene, title : texts; the scene is empty if the run came from a script.
     """
 
     findings: CrashReport
     system: System
-    start: Moment
+    start: Snapshot
     method: Splitting
     precision: Any
     skin: float | None
@@ -44,60 +47,82 @@ class CrashFile:
     title: str
 
 
-def free_name(path: Path, overwrite: bool) -> Path:
-    """The path; where a file stands there that may not be replaced, the first free one with a number."""
+def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
+    """Where a run leaves its crash file: where it was asked to, beside its first trajectory if True, nowhere if there is none.
+
+    Raises ValueError for one of the trajectories, which it would replace.
+    """
+    several = [Path(file) for file in ([trajectories] if isinstance(trajectories, (str, Path)) else trajectories)]
+    if isinstance(crash_report, bool):
+        return several[0].with_suffix(SUFFIX) if crash_report and several else None
+    if Path(crash_report).resolve() in [file.resolve() for file in several]:
+        raise ValueError(f"crash_report must be a file of its own; {str(crash_report)!r} is a trajectory of the run: choose another name")
+    return Path(crash_report)
+
+
+@contextmanager
+def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iterator[None]:
+    """If a run fails, leave its crash file, and name it in the error; without overwrite a file that exists is kept, and the new one gets a number."""
+    try:
+        yield
+    except (NonFiniteError, ConstraintError) as error:
+        if path is not None and error.crash_report is not None:
+            file = path if overwrite else _free_name(path)
+            try:
+                write_crash_report(file, guard, error.crash_report)
+                error.file = file
+                hint = f"Crash report in {file}; look again with: minimd replay {file}, or, in a script, minimd.replay(file, potentials)"
+            except Exception as reason:  # whatever it is: the failure itself must be heard
+                hint = f"No crash report was written: {reason}"
+            error.args = (f"{error}. {hint}",)
+        raise
+
+
+def _free_name(path: Path) -> Path:
+    """The path; where a file stands there, the first free one with a number."""
     suffix = SUFFIX if path.name.endswith(SUFFIX) else path.suffix
     stem, number, found = path.name.removesuffix(suffix), 1, path
-    while found.exists() and not overwrite:
+    while found.exists():
         number += 1
         found = path.with_name(f"{stem}-{number}{suffix}")
     return found
 
 
-def write_crash_report(path: Path, simulation: "Simulation", findings: CrashReport) -> None:
-    """Write the file of a simulation that has just failed and stands in its last good state, where it is left.
+def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> None:
+    """Write the file of a run that has just failed; its engine stands in the last good state, and is left there.
 
     Raises
     ------
     OSError : if it cannot be written.
     """
+    from minimd.files.h5md_writer import H5MDWriter, opened  # h5py takes its time to load
+
     part = path.with_name(f"{path.name}.part")  # so that nothing half written stands where somebody looks for a crash report
+    engine, last = guard.engine, guard.engine.snapshot()
+    start = guard.failed_from or last
     try:
-        _write(part, simulation, findings)
+        writer = H5MDWriter(part, engine, store_forces=True)
+        try:
+            for snapshot in (start, last):
+                engine.restore(snapshot)
+                engine.fit_images()
+                writer.write(observe(engine))
+        finally:
+            engine.restore(last)
+            writer.close(completed=False)
+        with opened(part, "r+") as h5:
+            group = h5.create_group("minimd/crash_report")
+            group["positions"], group["velocities"] = start.positions, start.velocities
+            at = {"step": np.int64(start.step), "time": np.float64(start.time), "reservoir_energy": np.float64(start.reservoir_energy)}
+            group.attrs.update(at)
+            group["findings"], group["words"] = json.dumps(findings.asdict()), str(findings)
+            known = {"method": engine.method.name, "parameters": engine.method.parameters, "noise_shift": engine.noise_shift}
+            options = {"precision": engine.options.precision, "skin": engine.options.skin}
+            potentials = [f"{type(one).__name__}: {one!r}" for one in engine.potentials]
+            group["simulation"] = json.dumps({**known, **options, "potentials": potentials})
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
-
-
-def _write(path: Path, simulation: "Simulation", findings: CrashReport) -> None:
-    last, start = simulation.moment, simulation.failed_from or simulation.moment
-    writer = H5MDWriter(path, simulation, store_forces=True)
-    try:
-        for moment in (start, last):
-            simulation.go_to(moment)
-            writer.write(simulation.frame())
-    finally:
-        simulation.go_to(last)
-        writer.close(completed=False)
-    with opened(path, "r+") as h5:
-        group = h5.create_group("minimd/crash_report")
-        group["positions"], group["velocities"] = start.positions, start.velocities
-        group.attrs.update({"step": np.int64(start.step), "time": np.float64(start.time), "heat": np.float64(start.heat)})
-        group["findings"] = json.dumps(findings.asdict())
-        group["simulation"] = json.dumps(_description(simulation))
-        group["words"] = str(findings)
-
-
-def _description(simulation: "Simulation") -> dict[str, Any]:
-    method, options = simulation.method, simulation.options
-    return {
-        "method": method.name,
-        "parameters": method.parameters,
-        "precision": options.precision,
-        "skin": options.skin,
-        "noise_shift": simulation.noise_shift,
-        "potentials": [f"{type(one).__name__}: {one!r}" for one in simulation.potentials],
-    }
 
 
 def read_crash_report(path: str | Path) -> CrashFile:
@@ -105,32 +130,22 @@ def read_crash_report(path: str | Path) -> CrashFile:
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as minimd.h5md.read_file, or if it is not the file of a failed run.
+    FileNotFoundError, OSError, ValueError : as read_file, or if it is not the file of a failed run.
     """
+    from minimd.files.h5md_reader import opened, read_file
+
     contents = read_file(path)
     with opened(path, "r") as h5:
-        if "minimd/crash_report/simulation" not in h5:
-            raise ValueError(f"file {str(path)!r} holds no crash report; give the .crash.h5md file of a run that failed")
+        if "minimd/crash_report" not in h5:
+            raise ValueError(f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed")
         group = h5["minimd/crash_report"]
         told, findings = (json.loads(group[name].asstr()[()]) for name in ("simulation", "findings"))
-        at = group.attrs
-        start = Moment(int(at["step"]), float(at["time"]), group["positions"][:], group["velocities"][:], float(at["heat"]))
-    methods = {**SPLITTINGS, **THERMOSTATS}
-    if told["method"] not in methods:
-        raise ValueError(
-            f"the run in {str(path)!r} was made with the method {told['method']!r}, which is not one of minimd; run it again from its script"
-        )
-    system = contents.system
-    system.positions[:], system.velocities[:] = start.positions, start.velocities
-    return CrashFile(
-        findings=CrashReport.of(findings),
-        system=system,
-        start=start,
-        method=methods[told["method"]](**told["parameters"]),
-        precision=told["precision"],
-        skin=told["skin"],
-        noise_shift=told["noise_shift"],
-        potentials=told["potentials"],
-        scene=contents.scene,
-        title=contents.title,
-    )
+        at, system = group.attrs, contents.system
+        system.positions[:], system.velocities[:] = group["positions"][:], group["velocities"][:]
+        start = Snapshot(int(at["step"]), float(at["time"]), group["positions"][:], group["velocities"][:], float(at["reservoir_energy"]))
+    method, parameters = told.pop("method"), told.pop("parameters")
+    if method not in METHODS:
+        raise ValueError(f"the run in {str(path)!r} was made with the method {method!r}, which is not one of minimd; run it again from its script")
+    made: Any = METHODS[method](**parameters)
+    texts: dict[str, Any] = {"scene": contents.scene, "title": contents.title}
+    return CrashFile(findings=CrashReport.of(findings), system=system, start=start, method=made, **told, **texts)

@@ -1,4 +1,4 @@
-"""Where everything lies in a minimd file, and how it is read back; minimd.h5md writes it.
+"""Where everything lies in a minimd file, laid out as H5MD.
 
     particles/trajectory    box/edges, position, velocity, force [Å, Å/ps, kJ/mol/Å; times in ps], species, mass
     connectivity/bonds      pairs of bonded atoms
@@ -12,56 +12,25 @@ P. de Buyl, P. H. Colberg, F. Höfling, Comput. Phys. Commun. 185, 1546 (2014); 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.machine import version
-from minimd.engine.record import SERIES, Frame, Record
-from minimd.files.h5md_constraints import describe_constraints, read_constraints
+from minimd.engine.engine import Engine
+from minimd.engine.record import SERIES, Frame
+from minimd.files.h5md_constraints import describe_constraints
 from minimd.structure.cell import Cell
 from minimd.structure.system import System
-from minimd.structure.units import SYSTEMS
-
-if TYPE_CHECKING:
-    from minimd.simulation.simulation import Simulation
 
 CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own
 CHUNK_ROWS = 512  # at most
 LARGEST_ENUMERATION = 1000  # labels that fit into the header of a dataset, 64 KiB
 TRAJECTORY = "particles/trajectory"
 STEPS, TIMES = f"{TRAJECTORY}/position/step", f"{TRAJECTORY}/position/time"
-
-
-@dataclass(frozen=True)
-class H5MDContents:
-    """What a minimd file holds apart from its frames.
-
-    Attributes
-    ----------
-    record : Record, one entry for each frame.  system : System at the restart, to the last bit, with the constraints of the run.
-    step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
-    heat : [energy], that a thermostat had put in at the restart; 0 without one.  conserves_momentum : whether the run did.
-    n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
-    """
-
-    record: Record
-    system: System
-    step: int
-    time: float
-    timestep: float
-    method: str
-    heat: float
-    conserves_momentum: bool
-    n_frames: int
-    has_forces: bool
-    title: str
-    scene: str
 
 
 class Column(NamedTuple):
@@ -123,15 +92,15 @@ def series_of(h5: h5py.File, column: Column, frame: Frame) -> h5py.Dataset:
     return series
 
 
-def describe(h5: h5py.File, simulation: "Simulation") -> None:
+def describe(h5: h5py.File, engine: Engine) -> None:
     """Everything that does not change: who wrote the file, species, masses, bonds, cell, method, constraints; and an empty restart."""
-    system = simulation.system
+    system = engine.system
     _describe_standard(h5, system)
     group = h5.create_group("minimd")
     group.attrs.update({"version": version("minimd"), "units": system.units.name, "pbc": system.cell.pbc, "scene": ""})
     group.attrs["title"] = f"{len(system)} atoms of {', '.join(str(name) for name in system.species_names)}"
-    describe_method(group, simulation)
-    describe_constraints(group, simulation.constraints)
+    describe_method(group, engine)
+    describe_constraints(group, engine.constraints)
     group["cell"] = system.cell.vectors
     group["species_index"] = system.species_index
     names = system.species_names
@@ -139,13 +108,13 @@ def describe(h5: h5py.File, simulation: "Simulation") -> None:
     group["masses"], group["bonds"] = h5[f"{TRAJECTORY}/mass"], h5["connectivity/bonds"]
     restart = group.create_group("restart")
     restart["positions"], restart["velocities"] = system.positions, system.velocities
-    restart.attrs.update({"step": np.int64(simulation.step), "time": np.float64(simulation.time), "heat": np.float64(simulation.heat)})
+    restart.attrs.update({"step": np.int64(engine.step), "time": np.float64(engine.time), "reservoir_energy": np.float64(engine.reservoir_energy)})
 
 
-def describe_method(group: h5py.Group, simulation: "Simulation") -> None:
+def describe_method(group: h5py.Group, engine: Engine) -> None:
     """Method and time step of the frames that come next."""
-    group.attrs.update({"method": simulation.method.name, "conserves_momentum": simulation.conserves_momentum})
-    group.attrs.update({name: np.asarray(value) for name, value in simulation.method.parameters.items()})
+    group.attrs.update({"method": engine.method.name, "conserves_momentum": engine.conserves_momentum})
+    group.attrs.update({name: np.asarray(value) for name, value in engine.method.parameters.items()})
 
 
 def _describe_standard(h5: h5py.File, system: System) -> None:
@@ -177,11 +146,6 @@ def all_series(h5: h5py.File) -> list[h5py.Dataset]:
     return found
 
 
-def whole_frames(h5: h5py.File) -> int:
-    """Frames of which every series has its part."""
-    return min((len(series) for series in all_series(h5)), default=0)
-
-
 def opened(path: str | Path, mode: Literal["r", "r+", "w"]) -> h5py.File:
     """An HDF5 file.
 
@@ -207,58 +171,3 @@ def _reason(words: str) -> str:
     if "truncated file" in words:
         return "it is damaged, it ends before its data do; copy it again, or run again"
     return words.splitlines()[0]
-
-
-def read_file(path: str | Path) -> H5MDContents:
-    """Record, restart and description of a minimd file.
-
-    Frames that are not in every series, which only a machine that went down while writing can leave, do not count.
-
-    Raises
-    ------
-    FileNotFoundError, OSError : as opened.  ValueError : if it is not HDF5, not written by minimd, or holds no frame.
-    """
-    with opened(path, "r") as h5:
-        if "minimd/restart" not in h5:
-            raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
-        n_frames, group = whole_frames(h5), h5["minimd"]
-        if n_frames == 0:
-            raise ValueError(f"file {str(path)!r} holds no frame; the run ended before its first")
-        system, restart = _system(group), group["restart"].attrs
-        return H5MDContents(
-            record=_record(h5, system, n_frames),
-            system=system,
-            step=int(restart["step"]),
-            time=float(restart["time"]),
-            timestep=float(group.attrs["timestep"]),
-            method=str(group.attrs["method"]),
-            heat=float(restart["heat"]),
-            conserves_momentum=bool(group.attrs["conserves_momentum"]),
-            n_frames=n_frames,
-            has_forces=f"{TRAJECTORY}/force" in h5,
-            title=str(group.attrs["title"]),
-            scene=str(group.attrs["scene"]),
-        )
-
-
-def _system(group: h5py.Group) -> System:
-    names = group["species_names"]
-    labels = names.asstr()[:] if h5py.check_string_dtype(names.dtype) else names[:]
-    return System(
-        group["restart/positions"][:],
-        masses=group["masses"][:],
-        velocities=group["restart/velocities"][:],
-        cell=Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
-        species=np.array(labels.tolist())[group["species_index"][:]],
-        bonds=group["bonds"][:],
-        units=SYSTEMS[group.attrs["units"]],
-        constraints=read_constraints(group),
-    )
-
-
-def _record(h5: h5py.File, system: System, n_frames: int) -> Record:
-    known = [name for name in SERIES if name in h5["observables"]]
-    names = known + [name for name in h5["observables"] if name not in SERIES]
-    series: dict[str, NDArray[Any]] = {"step": h5[STEPS][:n_frames], "time": h5["minimd/time"][:n_frames]}
-    series.update({name: h5[f"observables/{name}/value"][:n_frames] for name in names})
-    return Record.of(system.units, len(system), series)

@@ -1,4 +1,4 @@
-"""One float64 file for a run: trajectory, observables and restart, laid out as H5MD; see minimd.h5md_layout.
+"""One float64 file for a run: trajectory, observables and restart, laid out as H5MD; see h5md_schema.
 
 A frame is whole or absent. Frames are collected in memory for up to a second; then the room for them is reserved on the disk,
 and only then does HDF5 append them. (Where HDF5 itself runs out of room it leaves a file that cannot be opened, or crashes.)
@@ -10,21 +10,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files import h5md_schema as layout
 from minimd.files.h5md_constraints import difference, n_bytes
-from minimd.files.h5md_schema import H5MDContents, read_file
-
-if TYPE_CHECKING:
-    from minimd.simulation.simulation import Simulation
-
-__all__ = ["H5MDContents", "H5MDWriter", "annotate", "read_file"]
+from minimd.files.h5md_reader import H5MDContents, read_file
+from minimd.files.h5md_schema import opened
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 BUFFER_BYTES = 8 * 1024**2  # of frames kept in memory between two flushes
@@ -41,7 +37,7 @@ class H5MDWriter:
 
     Parameters
     ----------
-    file : replaced if it exists.  simulation : whose frames will come.  store_forces : also write forces.
+    file : replaced if it exists.  engine : whose frames will come.  store_forces : also write forces.
 
     Raises
     ------
@@ -52,16 +48,16 @@ class H5MDWriter:
     _last_step: int  # that was taken
     _flushed: float  # when [s]
 
-    def __init__(self, file: Path, simulation: "Simulation", store_forces: bool) -> None:
-        self._begin(Path(file), simulation, layout.opened(file, "w"), store_forces)
-        system = simulation.system
+    def __init__(self, file: Path, engine: Engine, store_forces: bool) -> None:
+        self._begin(Path(file), engine, opened(file, "w"), store_forces)
+        system = engine.system
         with self._telling("begin"):
-            self._reserve(BYTES_PER_ATOM * len(system) + BYTES_PER_BOND * len(system.bonds) + n_bytes(simulation.constraints))
-            layout.describe(self._h5, simulation)
+            self._reserve(BYTES_PER_ATOM * len(system) + BYTES_PER_BOND * len(system.bonds) + n_bytes(engine.constraints))
+            layout.describe(self._h5, engine)
             self._h5.flush()
 
     @classmethod
-    def append_to(cls, file: Path, simulation: "Simulation", store_forces: bool = False) -> "H5MDWriter":
+    def append_to(cls, file: Path, engine: Engine, store_forces: bool = False) -> "H5MDWriter":
         """A writer that continues a file from its restart; frames behind the restart are dropped.
 
         Forces are written if the file has them. The frame at the restart, which a resumed run observes again, is not doubled.
@@ -72,12 +68,12 @@ class H5MDWriter:
             simulation does not stand at the step of the restart.  OSError : if the file cannot be written.
         """
         contents = read_file(file)
-        _check_continues(file, contents, simulation, store_forces)
+        _check_continues(file, contents, engine, store_forces)
         writer = cls.__new__(cls)
-        writer._begin(Path(file), simulation, layout.opened(file, "r+"), contents.has_forces)
+        writer._begin(Path(file), engine, opened(file, "r+"), contents.has_forces)
         with writer._telling("be continued"):
             writer._cut(int(np.searchsorted(contents.record.step, contents.step, side="right")))
-            layout.describe_method(writer._h5["minimd"], simulation)
+            layout.describe_method(writer._h5["minimd"], engine)
         return writer
 
     def write(self, frame: Frame) -> None:
@@ -111,15 +107,15 @@ class H5MDWriter:
             return
         try:
             self._flush()
-            simulation = self._simulation
-            if completed and simulation.step > self._last_step:
-                with self._telling(f"take the end of the run, step {simulation.step}"):
-                    self._write_restart(simulation.step, simulation.time, simulation.positions, simulation.velocities, simulation.heat)
+            engine = self._engine
+            if completed and engine.step > self._last_step:
+                with self._telling(f"take the end of the run, step {engine.step}"):
+                    self._write_restart(engine.step, engine.time, engine.positions, engine.velocities, engine.reservoir_energy)
         finally:
             self._shut()
 
-    def _begin(self, file: Path, simulation: "Simulation", h5: h5py.File, store_forces: bool) -> None:
-        self._file, self._simulation, self._h5, self._store_forces = file, simulation, h5, store_forces
+    def _begin(self, file: Path, engine: Engine, h5: h5py.File, store_forces: bool) -> None:
+        self._file, self._engine, self._h5, self._store_forces = file, engine, h5, store_forces
         self._pending: list[Frame] = []
         self._n_frames, self._last_step = 0, -1
         self._flushed = -np.inf
@@ -138,13 +134,13 @@ class H5MDWriter:
         with self._telling(f"take the frame of step {frames[0].step}"):
             self._append(frames)
             last = frames[-1]
-            self._write_restart(last.step, last.time, last.positions, last.velocities, last.heat)
+            self._write_restart(last.step, last.time, last.positions, last.velocities, last.reservoir_energy)
         self._n_frames += len(frames)
         self._pending = []
         self._flushed = monotonic()
 
     def _append(self, frames: list[Frame]) -> None:
-        table = layout.columns(self._simulation.system, list(frames[0].observables), self._store_forces)
+        table = layout.columns(self._engine.system, list(frames[0].observables), self._store_forces)
         self._reserve(sum(_room(column, frames) for column in table))
         end = self._n_frames + len(frames)
         for column in table:
@@ -152,12 +148,14 @@ class H5MDWriter:
             series.resize(end, axis=0)
             series[self._n_frames :] = np.array([column.entry(frame) for frame in frames])
 
-    def _write_restart(self, step: int, time: float, positions: NDArray[np.float64], velocities: NDArray[np.float64], heat: float) -> None:
+    def _write_restart(
+        self, step: int, time: float, positions: NDArray[np.float64], velocities: NDArray[np.float64], reservoir_energy: float
+    ) -> None:
         restart = self._h5["minimd/restart"]
         restart["positions"][...], restart["velocities"][...] = positions, velocities
         restart.attrs.modify("step", np.int64(step))
         restart.attrs.modify("time", np.float64(time))
-        restart.attrs.modify("heat", np.float64(heat))
+        restart.attrs.modify("reservoir_energy", np.float64(reservoir_energy))
         self._h5.flush()
 
     def _reserve(self, n_bytes: int) -> None:
@@ -219,7 +217,7 @@ def annotate(path: str | Path, *, title: str | None = None, scene: str | None = 
     ------
     FileNotFoundError, OSError, ValueError : if there is no such file.
     """
-    with layout.opened(path, "r+") as h5:
+    with opened(path, "r+") as h5:
         if "minimd" not in h5:
             raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
         h5["minimd"].attrs.update({name: text for name, text in (("title", title), ("scene", scene)) if text is not None})
@@ -231,9 +229,9 @@ def _room(column: layout.Column, frames: list[Frame]) -> int:
     return entry.nbytes * (len(frames) + layout.chunk_rows(entry))
 
 
-def _check_continues(file: Path, contents: H5MDContents, simulation: "Simulation", store_forces: bool) -> None:
+def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_forces: bool) -> None:
     """Raise ValueError unless the simulation can continue the file."""
-    ours, theirs = simulation.system, contents.system
+    ours, theirs = engine.system, contents.system
     same = {
         "units": ours.units.name == theirs.units.name,
         "the number of atoms": len(ours) == len(theirs),
@@ -245,18 +243,18 @@ def _check_continues(file: Path, contents: H5MDContents, simulation: "Simulation
     for name, is_same in same.items():
         if not is_same:
             raise ValueError(f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new file")
-    held = difference(theirs.constraints, simulation.constraints, theirs.positions)
+    held = difference(theirs.constraints, engine.constraints, theirs.positions)
     if held:
         raise ValueError(f"trajectory {str(file)!r} holds a run with other constraints: {held}; go on with those of the file, or write to a new file")
-    if simulation.step != contents.step:
-        raise ValueError(f"trajectory {str(file)!r} continues from step {contents.step}; the simulation stands at step {simulation.step}")
-    if simulation.method.is_thermostat != ("conserved_energy" in contents.record):
+    if engine.step != contents.step:
+        raise ValueError(f"trajectory {str(file)!r} continues from step {contents.step}; the simulation stands at step {engine.step}")
+    if engine.method.is_thermostat != ("conserved_energy" in contents.record):
         raise ValueError(
-            f"trajectory {str(file)!r} was written {'without' if simulation.method.is_thermostat else 'with'} a thermostat, "
-            f"{simulation.method.name} would continue it otherwise; write to a new file"
+            f"trajectory {str(file)!r} was written {'without' if engine.method.is_thermostat else 'with'} a thermostat, "
+            f"{engine.method.name} would continue it otherwise; write to a new file"
         )
-    if ("shadow_energy" in contents.record) != ("shadow_energy" in simulation.extra_observables):
+    if ("shadow_energy" in contents.record) != ("shadow_energy" in engine.extra_observables):
         wanted = "('shadow_energy',)" if "shadow_energy" in contents.record else "()"
-        raise ValueError(f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set them so, or write to a new file")
+        raise ValueError(f"trajectory {str(file)!r} was begun with engine.extra_observables = {wanted}; set them so, or write to a new file")
     if store_forces and not contents.has_forces:
         raise ValueError(f"trajectory {str(file)!r} was begun without forces; resume without storing them, or write to a new file")

@@ -6,20 +6,18 @@ from contextlib import contextmanager, suppress
 from errno import ENOSPC
 from pathlib import Path
 from shutil import disk_usage
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import MDAnalysis
 import numpy as np
 from MDAnalysis.lib.mdamath import triclinic_box, triclinic_vectors
 from numpy.typing import NDArray
 
+from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.h5md_schema import has_edges
 from minimd.structure.cell import Cell
 from minimd.structure.console import outside_minimd
-
-if TYPE_CHECKING:
-    from minimd.simulation.simulation import Simulation
 
 FORMATS = {".nc": "NCDF"}  # of suffixes that are not their name
 XTC_DECIMALS = 4  # of nm, one more than usual, because σ is written as 0.1 nm
@@ -45,11 +43,11 @@ class MDAnalysisWriter:
     OSError : if the file cannot be written.
     """
 
-    def __init__(self, file: Path, simulation: "Simulation") -> None:
-        system = simulation.system
+    def __init__(self, file: Path, engine: Engine) -> None:
+        system = engine.system
         self._file, self._format = Path(file), FORMATS.get(Path(file).suffix.lower(), Path(file).suffix[1:].upper())
         self._angstrom, self._picosecond = system.units.to_angstrom, system.units.to_picosecond
-        self._timestep = simulation.method.timestep * self._picosecond
+        self._timestep = engine.method.timestep * self._picosecond
         self._dimensions = cell_dimensions(system.cell, self._angstrom)
         self._waiting: list[Frame] = []
         self._writer: Any = None

@@ -8,12 +8,10 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
+from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
-
-if TYPE_CHECKING:
-    from minimd.simulation.simulation import Simulation
 
 MDANALYSIS_SUFFIXES = (".xtc", ".dcd", ".trr", ".ncdf", ".nc")
 ASE_SUFFIXES = (".xyz", ".extxyz", ".traj")
@@ -30,9 +28,7 @@ class Writer(Protocol):
 
 
 @contextmanager
-def open_trajectories(
-    paths: str | Path | Sequence[str | Path], simulation: "Simulation", *, store_forces: bool, overwrite: bool
-) -> Iterator[list[Writer]]:
+def open_trajectories(paths: str | Path | Sequence[str | Path], engine: Engine, *, store_forces: bool, overwrite: bool) -> Iterator[list[Writer]]:
     """Writers for some files, all checked before the first is opened, all closed at the end; if one cannot be opened, none is left.
 
     Raises
@@ -47,7 +43,7 @@ def open_trajectories(
         for file in files:
             if not file.exists():
                 undoing.callback(file.unlink, missing_ok=True)
-            writers.append(_opened(file, simulation, store_forces))
+            writers.append(_opened(file, engine, store_forces))
             closing.push(_close_of(writers[-1]))
         undoing.pop_all()
         yield writers
@@ -87,16 +83,16 @@ def checked_output(path: str | Path, overwrite: bool) -> Path:
     return file
 
 
-def _opened(file: Path, simulation: "Simulation", store_forces: bool) -> Writer:
+def _opened(file: Path, engine: Engine, store_forces: bool) -> Writer:
     suffix = file.suffix.lower()
     if suffix in MDANALYSIS_SUFFIXES:
         from minimd.files.mdanalysis_writer import MDAnalysisWriter
 
-        return MDAnalysisWriter(file, simulation)
+        return MDAnalysisWriter(file, engine)
     if suffix in ASE_SUFFIXES:
         from minimd.files.ase_writer import ASEWriter
 
-        return ASEWriter(file, simulation, store_forces)
+        return ASEWriter(file, engine, store_forces)
     from minimd.files.h5md_writer import H5MDWriter
 
-    return H5MDWriter(file, simulation, store_forces)
+    return H5MDWriter(file, engine, store_forces)

@@ -1,7 +1,8 @@
 """Forces: the sum of all terms of a scene, each step; energies and virial when somebody looks."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -105,6 +106,15 @@ class Forces:
         self.n_evaluations += 1
         self._detail = detail
         return self.forces
+
+    @contextmanager
+    def set_aside(self) -> Iterator[None]:
+        """While active, something else can be computed; then forces, energies and virials are those of before."""
+        forces, energies, virials, detail = self.forces.copy(), self._energies.copy(), self._virials.copy(), self._detail
+        try:
+            yield
+        finally:
+            self.forces[:], self._energies, self._virials, self._detail = forces, energies, virials, detail
 
     def _open_books(self, detail: int) -> None:
         """Room for energies and virials: of all atoms, or, where nothing but cluster lists asks for their totals, of one."""

@@ -1,6 +1,16 @@
 """The tables of methods, by name."""
 
+from minimd.integrators.method import Method
 from minimd.integrators.ode.bdf import BDF1, BDF2, BDF3, BDF4, BDF5
+from minimd.integrators.ode.runge_kutta import (
+    GaussLegendre1,
+    GaussLegendre2,
+    GaussLegendre3,
+    GaussLegendre4,
+    ImplicitEuler,
+    RadauIIA2,
+    RadauIIA3,
+)
 from minimd.integrators.splitting.compositions import (
     PEFRL,
     BlanesMoan4,
@@ -11,16 +21,6 @@ from minimd.integrators.splitting.compositions import (
     Ruth3,
     Suzuki4,
     Yoshida6,
-)
-from minimd.integrators.method import Method
-from minimd.integrators.ode.runge_kutta import (
-    GaussLegendre1,
-    GaussLegendre2,
-    GaussLegendre3,
-    GaussLegendre4,
-    ImplicitEuler,
-    RadauIIA2,
-    RadauIIA3,
 )
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.thermostats import THERMOSTATS

@@ -17,7 +17,7 @@ from MDAnalysis.guesser.tables import SYMB2Z
 from MDAnalysis.lib.mdamath import triclinic_box, triclinic_vectors
 from numpy.typing import NDArray
 
-from minimd.files.h5md_writer import read_file
+from minimd.files.h5md_reader import read_file
 from minimd.files.mdanalysis_writer import quiet
 from minimd.structure.cell import Cell
 from minimd.structure.units import ASE

@@ -78,7 +78,7 @@ def steer(velocities, forces, timestep, mixing, most):
                 velocities[i, c] *= most / stride
 
 
-class Descent:
+class FIRE:
     """A way down, made in place on the positions of the system of some forces.
 
     Attributes
@@ -87,8 +87,8 @@ class Descent:
     stop_requested : set it to True to end after the present step.
     """
 
-    def __init__(self, forces: Forces, rigidity: ConstraintSet, max_step_length: float) -> None:
-        self._engine, self._rigidity, self._longest = forces, rigidity, max_step_length
+    def __init__(self, forces: Forces, constraint_set: ConstraintSet, max_step_length: float) -> None:
+        self._engine, self._constraint_set, self._longest = forces, constraint_set, max_step_length
         self._system, self._positions = forces.system, forces.system.positions
         self._forces = np.zeros_like(self._positions)
         self._velocities = np.zeros_like(self._positions)
@@ -105,7 +105,7 @@ class Descent:
         NonFiniteError : for two atoms on one spot, and where forces are not finite for another reason.
         ConstraintError : if the lengths cannot be put right.
         """
-        bonds = self._rigidity.bonds
+        bonds = self._constraint_set.bonds
         if bonds is not None and bonds.violation(self._positions).max() > bonds.tolerance:
             bonds.project_positions(self._positions)
         n_pushes = self._evaluate()
@@ -174,7 +174,7 @@ class Descent:
         """κ from power iterations, which go on where the last series ended; at least so large that a first step is no longer than the longest."""
         before, forces, largest, shown = self._positions.copy(), self._forces.copy(), self.largest_force, 0.0
         for _ in range(PROBES):
-            self._rigidity.project(self._probe, before)
+            self._constraint_set.project(self._probe, before)
             if not self._probe.any():  # no curvature at all
                 self._probe = _random_like(before)
                 break
@@ -192,7 +192,7 @@ class Descent:
 
     def _moved(self, velocities: Array, duration: float) -> bool:
         """Move all atoms, velocities being changed as constraints demand; False, and nothing moved, if they cannot be kept."""
-        bonds = self._rigidity.bonds
+        bonds = self._constraint_set.bonds
         if bonds is None:
             self._positions += duration * velocities
             return True
@@ -212,7 +212,7 @@ class Descent:
             n_pushes += 1
             self._push_apart(n_pushes)
         self._forces[:] = self._engine.forces * min(1.0, LARGEST / max(largest, 1.0))
-        self._rigidity.project(self._forces, self._positions)
+        self._constraint_set.project(self._forces, self._positions)
         self.largest_force = longest(self._forces)[1]
         return n_pushes
 
@@ -227,7 +227,7 @@ class Descent:
         arm = self._positions[j] - self._positions[i] + nearest_images(self._system.positions, self._system.cell, np.array([[i, j]]))[0]
         velocities = np.zeros_like(self._positions)
         velocities[i], velocities[j] = -arm / pair.distance, arm / pair.distance
-        self._rigidity.project(velocities, self._positions)
+        self._constraint_set.project(velocities, self._positions)
         if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):
             raise NonFiniteError(f"forces are not finite; the closest pair is {pair}, and constraints hold it there")
 

@@ -3,18 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
-from numbers import Integral, Real
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces, Potential
-from minimd.minimization.fire import Descent
+from minimd.minimization.fire import FIRE
 from minimd.potentials.pair_loop import TOTALS
 from minimd.structure.console import Progress, stop_on_interrupt
 from minimd.structure.constraints import Constraint
-from minimd.structure.errors import Interrupted
+from minimd.structure.errors import Interrupted, checked_count
 from minimd.structure.system import System
 
 if TYPE_CHECKING:
@@ -93,25 +93,25 @@ def minimize(
     E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006); J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020).
     """
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
-    rigidity = ConstraintSet(system, system.constraints if constraints is None else constraints)
+    constraint_set = ConstraintSet(system, system.constraints if constraints is None else constraints)
     forces = Forces(system, potentials)
-    return minimized(forces, rigidity, force_tolerance, max_steps, max_step_length, progress)
+    return minimized(forces, constraint_set, force_tolerance, max_steps, max_step_length, progress)
 
 
 def minimized(
-    forces: Forces, rigidity: ConstraintSet, force_tolerance: float, max_steps: int, max_step_length: float, progress: bool | None
+    forces: Forces, constraint_set: ConstraintSet, force_tolerance: float, max_steps: int, max_step_length: float, progress: bool | None
 ) -> Minimization:
     """Minimize the system of some forces in place; see minimize."""
     _check(force_tolerance, max_steps, max_step_length)
     system = forces.system
     evaluated = forces.n_evaluations
     energy_before = _potential_energy(forces)
-    rigidity.fit(system)
-    descent = Descent(forces, rigidity.with_equal_masses(system), max_step_length)
+    constraint_set.fit(system)
+    descent = FIRE(forces, constraint_set.with_equal_masses(system), max_step_length)
     with Progress(max_steps, "minimizing", progress) as bar, stop_on_interrupt(descent):
         largest_before = descent.begin()
         descent.run(force_tolerance, max_steps, bar.advance_to)
-    rigidity.project(system.velocities, system.positions)
+    constraint_set.project(system.velocities, system.positions)
     result = Minimization(
         system=system,
         converged=descent.largest_force <= force_tolerance,
@@ -139,5 +139,4 @@ def _check(force_tolerance: float, max_steps: int, max_step_length: float) -> No
     for name, value in (("force_tolerance", force_tolerance), ("max_step_length", max_step_length)):
         if not (isinstance(value, Real) and isfinite(value) and value > 0.0):
             raise ValueError(f"{name} must be positive and finite; {name} = {value!r}")
-    if not isinstance(max_steps, Integral) or isinstance(max_steps, bool) or max_steps < 0:
-        raise ValueError(f"max_steps must be a whole number, at least 0; max_steps = {max_steps!r}")
+    checked_count("max_steps", max_steps, 0)

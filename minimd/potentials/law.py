@@ -15,7 +15,6 @@ from numba.extending import overload
 
 from minimd.compiled.kernels import scalar
 
-
 STEP = 1e-5  # of a central difference, relative to the distance
 ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative, and beside the size of u
 

@@ -82,7 +82,7 @@ class Scene:
         if self.sections.output.shadow_energy:
             simulation.extra_observables = ("shadow_energy",)
             with _blamed_on(f"{self.path}: output.shadow_energy"):
-                check_has_shadow(simulation)
+                check_has_shadow(simulation.engine)
         if system is None and dynamics.temperature is not None:
             simulation.set_temperature(dynamics.temperature, dynamics.seed)
         return simulation

@@ -5,7 +5,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import time
 
-from minimd.files.h5md_writer import read_file
+from minimd.files.h5md_reader import read_file
 from minimd.structure.errors import ConstraintError, NonFiniteError
 
 CLOCK = 1.0  # seconds by which a file system may date a file too early

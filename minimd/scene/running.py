@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from minimd.diagnosis.crash_report import place_of
-from minimd.files.h5md_writer import H5MDContents, H5MDWriter, annotate, read_file
+from minimd.files.crash_file import crash_file_place
+from minimd.files.h5md_reader import H5MDContents, read_file
+from minimd.files.h5md_writer import H5MDWriter, annotate
 from minimd.files.trajectory import checked_output
 from minimd.integrators import DistanceConstraints
 from minimd.potentials import PairPotential
@@ -51,7 +52,7 @@ def run_scene(
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
-    place = place_of(True, files)
+    place = crash_file_place(True, files)
     with scene_kept(scene):
         minimize(scene, simulation, progress, tell)
         equilibrate(scene, simulation, progress, tell, place)
@@ -112,10 +113,10 @@ def resume_run(
     if contents.scene and (other := differences(parse_scene(contents.scene, Path(file)), scene)):
         tell(f"NOTE           {', '.join(other)} differ from those of the run so far: its energies before and after are not comparable")
     simulation = scene.simulation(contents.system)
-    simulation.step, simulation.time, simulation.heat = contents.step, contents.time, contents.heat
+    simulation.step, simulation.time, simulation.reservoir_energy = contents.step, contents.time, contents.reservoir_energy
     for line in description(scene, simulation, steps):
         tell(line)
-    tell(f"resumed        at step {contents.step}, {_time(contents.time, scene.units)}, behind {contents.n_frames} frames")
+    tell(f"resumed        at step {contents.step}, {scene.units.shown(contents.time)}, behind {contents.n_frames} frames")
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories of the scene stay as they are")
     with kept([Path(file)], contents.step + steps), scene_kept(scene):
@@ -133,10 +134,10 @@ def differences(one: Scene, other: Scene) -> list[str]:
 
 def _append(file: Path, simulation: Simulation, steps: int, every: int, progress: bool | None) -> None:
     """Run, and append the frames to a file."""
-    writer, completed = H5MDWriter.append_to(file, simulation), False
+    writer, completed = H5MDWriter.append_to(file, simulation.engine), False
     try:
         observers = [lambda run: writer.write(run.frame())]
-        simulation.run(steps, every=every, observers=observers, progress=progress, crash_report=place_of(True, file) or False)
+        simulation.run(steps, every=every, observers=observers, progress=progress, crash_report=crash_file_place(True, file) or False)
         completed = True
     finally:
         writer.close(completed)
@@ -222,16 +223,16 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
         f"cell           {_cell(simulation)}",
         *([f"constraints    {_constraints(simulation)}"] if simulation.constraints else []),
         *(f"potential      {_potential(potential, scene.units)}" for potential in scene.potentials()),
-        f"method         {dynamics.method}, timestep {_time(dynamics.timestep, scene.units)}" + _bath(scene),
+        f"method         {dynamics.method}, timestep {scene.units.shown(dynamics.timestep)}" + _bath(scene),
     ]
-    return [*lines, f"run            {n_steps} steps = {_time(duration, scene.units)}, observed every {output.every}"]
+    return [*lines, f"run            {n_steps} steps = {scene.units.shown(duration)}, observed every {output.every}"]
 
 
 def _bath(scene: Scene) -> str:
     dynamics = scene.sections.dynamics
     if dynamics.relaxation_time is None:
         return ""
-    return f", bath at {dynamics.temperature:g} {scene.units.temperature}, relaxation time {_time(dynamics.relaxation_time, scene.units)}"
+    return f", bath at {dynamics.temperature:g} {scene.units.temperature}, relaxation time {scene.units.shown(dynamics.relaxation_time)}"
 
 
 def _atoms(simulation: Simulation) -> str:
@@ -264,10 +265,3 @@ def _potential(potential: object, unit_system: units.UnitSystem) -> str:
     if np.isinf(potential.cutoff):
         return f"{name}, no cutoff"
     return f"{name}, cutoff {potential.cutoff:g} {unit_system.length}, {potential.truncation}"
-
-
-def _time(duration: float, unit_system: units.UnitSystem) -> str:
-    if unit_system is units.LJ:
-        return f"{duration:.4g} {unit_system.time}"
-    femtoseconds = duration / units.FEMTOSECOND
-    return f"{femtoseconds:.4g} fs" if femtoseconds < 1000.0 else f"{femtoseconds / 1000.0:.6g} ps"

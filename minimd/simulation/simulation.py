@@ -1,38 +1,60 @@
-"""Simulation: a system, its forces and a method; runs steps and lets observers look between them."""
+"""Simulation: runs an engine, and lets observers look between its steps."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from minimd.diagnosis.crash_report import left_at, place_of
+from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.report import Cost, Report, conservation_report
 from minimd.diagnosis.reversibility import Reversibility, probe
-from minimd.diagnosis.run_guard import Dynamics
-from minimd.diagnosis.shadow_energy import check_extras, correction, motion_curvature
-from minimd.diagnosis.static_checks import safety_lines
-from minimd.engine.frames import observe
+from minimd.diagnosis.run_guard import BLOCK, RunGuard
+from minimd.diagnosis.shadow_energy import check_extras
+from minimd.diagnosis.static_checks import static_checks
+from minimd.engine.engine import Engine, Snapshot
+from minimd.engine.observation import observe
 from minimd.engine.record import Frame, Record
+from minimd.files.crash_file import crash_file_left, crash_file_place
 from minimd.files.trajectory import Writer, open_trajectories
 from minimd.forces.forces import Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
+from minimd.structure import observables
 from minimd.structure.console import Progress, stop_on_interrupt
 from minimd.structure.constraints import Constraint
+from minimd.structure.errors import checked_count
 from minimd.structure.system import System
 
 if TYPE_CHECKING:
     import ase
 
-STEPS_BETWEEN_CHECKS = 100  # at most; a failure is then replayed to find its step
 Observer = Callable[["Simulation"], None]
+Array = NDArray[np.float64]
+T = TypeVar("T")
 
 
-class Simulation(Dynamics):
+class EngineAttribute(Generic[T]):
+    """An attribute of a simulation that is one of its engine, under the same name."""
+
+    def __init__(self, doc: str) -> None:
+        self.__doc__ = doc
+
+    def __set_name__(self, _owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, simulation: "Simulation", _owner: type) -> T:
+        return self if simulation is None else getattr(simulation.engine, self._name)
+
+    def __set__(self, simulation: "Simulation", value: T) -> None:
+        setattr(simulation.engine, self._name, value)
+
+
+class Simulation:
     """Molecular dynamics of one system.
 
     Parameters
@@ -45,14 +67,30 @@ class Simulation(Dynamics):
 
     Attributes
     ----------
-    system : System, the state.  step : int, steps made so far.  time : [time].  record : Record of the last run.
-    extra_observables : names of more that is to be observed, ("shadow_energy",): see minimd.shadow_energy.
-    reversibility : Reversibility that was probed last.
+    engine : Engine, which holds state, forces, constraints and method.  guard : RunGuard, which makes its steps.
+    record : Record of the last run, None before.  reversibility : Reversibility that was probed last, or None.
 
     Raises
     ------
     TypeError, ValueError : for arguments of another kind, and as Forces does.
     """
+
+    system = EngineAttribute[System]("The state; its arrays can be changed, not replaced by those of another system.")
+    method = EngineAttribute[Splitting]("The integrator with its time step; another one takes over from the next run on. See Engine.method.")
+    step = EngineAttribute[int]("Steps made so far; set it when a run is resumed.")
+    time = EngineAttribute[float]("[time] since the start; set it when a run is resumed.")
+    reservoir_energy = EngineAttribute[float]("Given by a thermostat since the start [energy]; set it when a run is resumed.")
+    extra_observables = EngineAttribute[Sequence[str]]('Names of observables beside the usual ones, ("shadow_energy",): see minimd.shadow_energy.')
+    positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
+    velocities = EngineAttribute[Array]("(N, 3) [length/time].")
+    forces = EngineAttribute[Array]("(N, 3) [energy/length], of the last evaluation.")
+    n_dof = EngineAttribute[int]("Degrees of freedom that share the kinetic energy.")
+    conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant: nothing is fixed, no bath acts on atoms one by one.")
+    constraints = EngineAttribute[tuple[Constraint, ...]]("What is held fixed, with the lengths that are kept; also those of system.")
+    rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.")
+    potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.")
+    options = EngineAttribute[Options]("Threads, precision and skin, as they were asked for.")
+    skins = EngineAttribute[list[float]]("Of all lists that have one [length].")
 
     def __init__(
         self,
@@ -65,64 +103,15 @@ class Simulation(Dynamics):
         precision: Literal["double", "mixed"] = "double",
         skin: float | None = None,
     ) -> None:
-        super().__init__(system, potentials, method, constraints, Options(threads, precision, skin))
+        self.engine = Engine(system, potentials, method, constraints, Options(threads, precision, skin))
+        self.guard = RunGuard(self.engine)
         self.record: Record | None = None
-        self.extra_observables: Sequence[str] = ()
         self.reversibility: Reversibility | None = None
         self._is_running = False
+        self._equilibrated = 0  # steps of equilibrations so far: none of them has the noise of another
 
-    def equilibrate(
-        self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None, crash_report: str | Path | None = None
-    ) -> None:
-        """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again.
-
-        The noise of a thermostat is that of steps before the start, other ones for each equilibration of this simulation.
-        crash_report : a file to leave if it fails, as that of run.
-
-        Raises
-        ------
-        NonFiniteError, KeyboardInterrupt : as run does.  ValueError : for counts or a temperature out of range.
-        """
-        _check_counts(n_steps, every)
-        with self._running():
-            self._equilibrated += n_steps
-            self.noise_shift = -self._equilibrated - self.step
-            try:
-                with self._uncounted(), left_at(place_of(crash_report or False, ()), self, False):
-                    self._equilibrate(n_steps, temperature, every, progress)
-            finally:
-                self.noise_shift = 0
-        self.step, self.time, self._state.heat = 0, 0.0, 0.0
-
-    def _equilibrate(self, n_steps: int, temperature: float, every: int, progress: bool | None) -> None:
-        self._first = None
-        with Progress(n_steps, "equilibrating", progress) as bar, stop_on_interrupt(self._state):
-            self._check_start()
-            most = RUNAWAY * (self._energy_in_motion() + self.n_dof * self.system.units.k_B * temperature)
-            for done in range(every, n_steps + every, every):
-                self._advance(min(every, n_steps - done + every), look=False)
-                self._check_heat(most)
-                self.rescale_temperature(temperature)
-                self._moments = []  # a replay does not rescale
-                bar.advance_to(min(done, n_steps))
-
-    def minimize(
-        self,
-        *,
-        force_tolerance: float = FORCE_TOLERANCE,
-        max_steps: int = MAX_STEPS,
-        max_step_length: float = MAX_STEP_LENGTH,
-        progress: bool | None = None,
-    ) -> Minimization:
-        """Move the atoms to a minimum of the potential energy nearby; step and time do not change. See minimd.minimize.
-
-        Raises
-        ------
-        NonFiniteError, ConstraintError, ValueError, KeyboardInterrupt : as minimize; sim.system then holds the state reached.
-        """
-        self._state.forces_are_current = False
-        with self._uncounted():
-            return minimized(self._forces, self._rigidity, force_tolerance, max_steps, max_step_length, progress)
+    def __repr__(self) -> str:
+        return f"Simulation({self.system!r}, {self.method!r}, step {self.step})"
 
     def run(
         self,
@@ -141,13 +130,13 @@ class Simulation(Dynamics):
         Parameters
         ----------
         every : steps between observations, for record, trajectory and observers alike.
-        trajectory : a file or several, of the format that the suffix names: see minimd.trajectory.
+        trajectory : a file or several, of the format that the suffix names: see minimd.files.trajectory.
         store_forces : write forces into formats that can hold them.
         overwrite : replace files that exist.
         observers : functions called with this simulation at each observation.
         progress : show a progress bar; if not given, on a terminal only.
-        crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere (False).
-            The file holds the last good state and what minimd.replay needs; where one stands that may not be replaced, it gets a number.
+        crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere
+            (False). It holds the last good state and what minimd.replay needs; where one stands that may not be replaced, it gets a number.
 
         Raises
         ------
@@ -156,68 +145,133 @@ class Simulation(Dynamics):
         KeyboardInterrupt : after Ctrl-C, with the state of the last whole step, all files valid.
         FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
         """
-        _check_counts(n_steps, every)
-        check_extras(self, self.extra_observables)
-        with self._running():
-            return self._run(n_steps, every, (trajectory, store_forces, overwrite), observers, progress, crash_report)
+        engine, guard = self.engine, self.guard
+        n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
+        check_extras(engine, engine.extra_observables)
+        place, start, end = crash_file_place(crash_report, trajectory), engine.step, engine.step + n_steps
+        with self._running(), crash_file_left(place, guard, overwrite):  # the file is left after all others are closed
+            guard.check_start()
+            with (
+                stop_on_interrupt(engine.surroundings),
+                open_trajectories(trajectory, engine, store_forces=store_forces, overwrite=overwrite) as writers,
+                Progress(n_steps, "running", progress) as bar,
+            ):
+                self.record = record = Record(self.system.units, len(self.system))
+                guard.begin_run()
+                self._observe(writers, observers)
+                while engine.step < end:
+                    next_look = engine.step + every - (engine.step - start) % every
+                    n_now = min(BLOCK, next_look - engine.step, end - engine.step)
+                    guard.advance(n_now, with_energy=engine.step + n_now in (next_look, end))
+                    bar.advance_to(engine.step - start)
+                    if engine.step == next_look:
+                        self._observe(writers, observers)
+                    elif engine.step == end or guard.is_hot():
+                        guard.observe()
+        return record
 
-    def _run(
+    def _observe(self, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
+        frame = self.guard.observe()
+        if self.record is not None:
+            self.record.append(frame)
+        for writer in writers:
+            writer.write(frame)
+        if observers:
+            before = self._fingerprint()
+            for observer in observers:
+                observer(self)
+                self.engine.moved()
+            if self._fingerprint() != before:
+                self.guard.forget()
+            self.engine.begin()
+
+    def _fingerprint(self) -> tuple[Any, ...]:
+        """Numbers that change when somebody moves atoms, changes velocities or the cell."""
+        masses = self.system.masses
+        sums = observables.momentum(self.positions, masses), observables.momentum(self.velocities, masses)
+        return self.engine.kinetic_energy, *np.concatenate(sums).tolist(), id(self.system.cell)
+
+    def make_steps(self, n_steps: int) -> None:
+        """Make steps that nobody looks at.  Raises ValueError for a negative count, and as run."""
+        self.guard.make_steps(checked_count("n_steps", n_steps, 0))
+
+    def equilibrate(
+        self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None, crash_report: str | Path | None = None
+    ) -> None:
+        """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again.
+
+        The noise of a thermostat is that of steps before the start, and differs between the equilibrations of a simulation.
+        crash_report : a file to leave if it fails, as that of run.
+
+        Raises
+        ------
+        NonFiniteError, KeyboardInterrupt : as run does.  ValueError : for counts or a temperature out of range.
+        """
+        engine, guard = self.engine, self.guard
+        n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
+        self._equilibrated += n_steps
+        place = crash_file_place(crash_report or False, ())
+        with self._running(), self._noise_shifted(), guard.uncounted(), crash_file_left(place, guard, overwrite=False):
+            with Progress(n_steps, "equilibrating", progress) as bar, stop_on_interrupt(engine.surroundings):
+                guard.check_start()
+                thermal = engine.n_dof * self.system.units.k_B * temperature
+                most = RUNAWAY * (engine.kinetic_energy + abs(engine.interactions.potential_energy) + thermal)
+                for done in range(every, n_steps + every, every):
+                    guard.advance(min(every, n_steps - done + every), with_energy=False)
+                    guard.check_kinetic_energy(most)
+                    engine.rescale_temperature(temperature)
+                    guard.drop_snapshots()  # a replay does not rescale
+                    bar.advance_to(min(done, n_steps))
+        engine.step, engine.time, engine.reservoir_energy = 0, 0.0, 0.0
+
+    @contextmanager
+    def _noise_shifted(self) -> Iterator[None]:
+        """While active, the noise is that of steps before the start."""
+        self.engine.noise_shift = -self._equilibrated - self.step
+        try:
+            yield
+        finally:
+            self.engine.noise_shift = 0
+
+    def minimize(
         self,
-        n_steps: int,
-        every: int,
-        files: tuple[str | Path | Sequence[str | Path], bool, bool],
-        observers: Sequence[Observer],
-        progress: bool | None,
-        crash_report: str | Path | bool,
-    ) -> Record:
-        trajectory, store_forces, overwrite = files
-        with left_at(place_of(crash_report, trajectory), self, overwrite):
-            self._check_start()
-        self.record = Record(self.system.units, len(self.system))
-        self._run_seconds, self._run_steps, self._first = 0.0, 0, None
-        self._forces.reset_counts()
-        if self._state.constraints is not None:
-            self._state.constraints.iterations = 0
-        start, end = self.step, self.step + n_steps
-        with (
-            left_at(place_of(crash_report, trajectory), self, overwrite),  # behind the closing of all files
-            stop_on_interrupt(self._state),
-            open_trajectories(trajectory, self, store_forces=store_forces, overwrite=overwrite) as writers,
-            Progress(n_steps, "running", progress) as bar,
-        ):
-            self._observe(self.record, writers, observers)
-            while self.step < end:
-                next_look = self.step + every - (self.step - start) % every
-                n_steps_now = min(STEPS_BETWEEN_CHECKS, next_look - self.step, end - self.step)
-                self._advance(n_steps_now, look=self.step + n_steps_now in (next_look, end))
-                bar.advance_to(self.step - start)
-                if self.step == next_look:
-                    self._observe(self.record, writers, observers)
-                elif self.step == end or self._is_hot():
-                    self._check_energy(self._frame().observables)
-        return self.record
+        *,
+        force_tolerance: float = FORCE_TOLERANCE,
+        max_steps: int = MAX_STEPS,
+        max_step_length: float = MAX_STEP_LENGTH,
+        progress: bool | None = None,
+    ) -> Minimization:
+        """Move the atoms to a minimum of the potential energy nearby; step and time do not change. See minimd.minimize.
+
+        Raises
+        ------
+        NonFiniteError, ConstraintError, ValueError, KeyboardInterrupt : as minimize; sim.system then holds the state reached.
+        """
+        self.engine.moved()
+        with self.guard.uncounted():
+            return minimized(self.engine.interactions, self.engine.constraint_set, force_tolerance, max_steps, max_step_length, progress)
 
     def probe_reversibility(self, n_steps: int) -> Reversibility:
-        """Make n_steps, turn all velocities round, make as many again, and say how far from the start that ends; the state is restored.
+        """Make n_steps, reverse all velocities, make as many again, and say how far from the start that ends; the state is restored.
 
-        Three times n_steps are made: how far rounding would lead astray is measured too. Later reports repeat the answer.
+        Three times n_steps are made: how far rounding alone would lead is measured too. Later reports repeat the answer.
 
         Raises
         ------
         ValueError : with a thermostat, whose noise cannot be undone, or for a number of steps below 1.
         NonFiniteError, ConstraintError : as run.
         """
-        _check_count("n_steps", n_steps, 1)
+        n_steps = checked_count("n_steps", n_steps)
         if self.method.is_thermostat:
             raise ValueError(f"{self.method.name} is a thermostat: its noise cannot be undone, so that no run of it is reversible")
-        before = self.moment
-        with self._uncounted():
-            self._check_start()
+        before = self.engine.snapshot()
+        with self.guard.uncounted():
+            self.guard.check_start()
             try:
-                with stop_on_interrupt(self._state):
-                    self.reversibility = probe(self, int(n_steps))
+                with stop_on_interrupt(self.engine.surroundings):
+                    self.reversibility = probe(self.guard, n_steps)
             finally:
-                self.go_to(before)
+                self.engine.restore(before)
         return self.reversibility
 
     @contextmanager
@@ -240,60 +294,48 @@ class Simulation(Dynamics):
         """
         if self.record is None:
             raise ValueError("there is nothing to report yet; call run first")
-        self._fit_images()
-        forces, bonds = self._forces, self._state.constraints
+        self.engine.fit_images()
+        interactions, bonds, is_free = self.engine.interactions, self.engine.rigid_bonds, self.engine.conserves_momentum
         cost = Cost(
-            n_steps=self._run_steps,
-            seconds=self._run_seconds,
-            list_builds=forces.n_builds,
-            n_evaluations=forces.n_evaluations,
-            pair_search=forces.pair_search,
-            skipped=forces.skipped(),
+            n_steps=self.guard.n_steps,
+            seconds=self.guard.seconds,
+            list_builds=interactions.n_builds,
+            n_evaluations=interactions.n_evaluations,
+            pair_search=interactions.pair_search,
+            skipped=interactions.skipped(),
             constraints=f"{bonds.summary}; at most {bonds.iterations} iterations in a drift" if bonds else "",
         )
-        is_free = self.conserves_momentum
-        angular = is_free and not self.system.cell.is_periodic
-        return conservation_report(self.record, linear=is_free, angular=angular, cost=cost, lines=safety_lines(self))
+        angular, lines = is_free and not self.system.cell.is_periodic, static_checks(self.engine, self.reversibility)
+        return conservation_report(self.record, linear=is_free, angular=angular, cost=cost, lines=lines)
 
     def frame(self) -> Frame:
         """The state as it is now, with its observables; the forces are evaluated."""
-        self._state.forces_are_current = False
-        self._fit_images()
-        return self._frame()
+        self.engine.moved()
+        self.engine.fit_images()
+        return observe(self.engine)
 
-    def _frame(self) -> Frame:
-        bend = motion_curvature(self) if "shadow_energy" in self.extra_observables else None
-        self._look()
-        forces, virial = self._forces, self._forces.virial
-        bonds = self._state.constraints
-        if bonds is not None:
-            virial = virial + bonds.virial(self.positions, self.velocities, forces.forces)
-        frame = observe(self, virial, forces.potential_energy, bonds)
-        if bend is not None:
-            frame.observables["shadow_energy"] = frame.observables["total_energy"] + correction(self, bend)
-        return frame
+    def set_temperature(self, temperature: float, seed: int | None = None) -> None:
+        """Draw Maxwell-Boltzmann velocities: kinetic temperature exactly this one, total momentum zero (of several free atoms).
 
-    def _observe(self, record: Record, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
-        frame = self._frame()
-        self._check_energy(frame.observables)
-        record.append(frame)
-        for writer in writers:
-            writer.write(frame)
-        if observers:
-            before = self._fingerprint()
-            for observer in observers:
-                observer(self)
-                self._state.forces_are_current = False  # it may have moved atoms
-            self._first = self._first if self._fingerprint() == before else None  # its heat, its work on the cell: no fault of the method
-            self._rigidity.begin(self.system)
-            self._state.constraints = self._rigidity.bonds
+        Raises
+        ------
+        ValueError : if the temperature is negative or not finite.
+        """
+        self.engine.set_temperature(temperature, seed)
 
+    def rescale_temperature(self, temperature: float) -> None:
+        """Multiply all velocities so that the kinetic temperature is exactly this one.
 
-def _check_counts(n_steps: int, every: int) -> None:
-    _check_count("n_steps", n_steps, 0)
-    _check_count("every", every, 1)
+        Raises
+        ------
+        ValueError : if the temperature is negative or not finite, or nothing moves.
+        """
+        self.engine.rescale_temperature(temperature)
 
+    def snapshot(self) -> Snapshot:
+        """A copy of the present state, for restore."""
+        return self.engine.snapshot()
 
-def _check_count(name: str, value: int, least: int) -> None:
-    if not isinstance(value, (int, np.integer)) or value < least:
-        raise ValueError(f"{name} must be a whole number, at least {least}; {name} = {value!r}")
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to a state."""
+        self.engine.restore(snapshot)

@@ -9,18 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel
-from minimd.integrators.splitting.splitting import kinetic_energy as kinetic_energy_of
 
 Array = NDArray[np.float64]
 
 
+@kernel
+def _kinetic_energy(velocities, masses):
+    total = 0.0
+    for i in range(velocities.shape[0]):
+        total += 0.5 * masses[i] * (velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
+    return total
+
+
 def kinetic_energy(velocities: Array, masses: Array) -> float:
     """K = Σ ½ m v² [energy].  velocities : (N, 3).  masses : (N,)."""
-    return float(kinetic_energy_of(np.ascontiguousarray(velocities), masses))
+    return _kinetic_energy(np.ascontiguousarray(velocities), masses)
 
 
 def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True) -> int:
-    """3N − 3 − n_constraints where the total momentum is a constant, else 3N − n_constraints; a single atom keeps its three.
+    """3N − 3 − n_constraints where the total momentum is a constant, else 3N − n_constraints.
+
+    A single atom has three degrees of freedom, whether its momentum is a constant or not.
 
     n_atoms : those that are not held fixed.
 

@@ -142,7 +142,7 @@ def test_a_cell_that_changes_in_an_observer_is_followed(precision):
     def change(sim):
         sim.system.cell = md.Cell.of(next(sizes))
         fresh = md.evaluate(md.System(sim.positions, cell=sim.system.cell), GENTLE)
-        differences.append(np.abs(sim._forces.compute() - fresh.forces).max())
+        differences.append(np.abs(sim.engine.interactions.compute() - fresh.forces).max())
 
     def gentle(r2):
         return 0.1 * np.exp(-r2), 0.2 * np.exp(-r2)

@@ -72,7 +72,7 @@ def test_skins_of_any_width_give_the_same_path(cell, precision):
     paths = [ran(solid(4, cell=cell), SMOOTH, 0.004, 100, temperature=1.0, skin=skin, precision=precision) for skin in (0.3, 0.0, 1e-300, 1.5, 4.2)]
     for other in paths[1:]:
         assert np.abs(other.positions - paths[0].positions).max() < tolerance
-    assert paths[1]._forces.n_builds >= 99
+    assert paths[1].engine.interactions.n_builds >= 99
 
 
 def test_a_skin_beyond_all_bounds_is_refused_or_right():
@@ -104,7 +104,7 @@ def test_a_huge_scene_without_a_cutoff_is_refused():
 def test_one_to_eight_threads_give_the_same_bits(precision):
     with atoms_in_a_chunk(60):
         one, *others = (ran(solid(6), SMOOTH, 0.004, 100, temperature=1.5, threads=n, precision=precision) for n in range(1, 9))
-    assert one._forces.n_builds > 1
+    assert one.engine.interactions.n_builds > 1
     for other in others:
         assert np.array_equal(other.positions, one.positions)
         assert np.array_equal(other.record.total_energy, one.record.total_energy)
@@ -132,7 +132,7 @@ def test_a_hundred_thousand_list_builds_conserve_energy(n_atoms):
     simulation = md.Simulation(system, SMOOTH, md.VelocityVerlet(0.002), skin=0.0)
     simulation.set_temperature(0.3, seed=1)
     record = simulation.run(100_000, every=50)
-    assert simulation.report().cost.list_builds >= 99_999 or "all pairs" in simulation._forces.pair_search
+    assert simulation.report().cost.list_builds >= 99_999 or "all pairs" in simulation.engine.interactions.pair_search
     assert oscillation(simulation) < 1e-2
     assert simulation.report().energy_is_conserved
     assert np.abs(record.momentum).max() < 1e-12 * record.absolute_momentum[0]

@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.integrators.ode.differences import CENTRAL, central_differences
 from minimd.compiled.machine import EPS
+from minimd.integrators.ode.differences import CENTRAL, central_differences
 
 Array = NDArray[np.float64]
 SPACINGS = 0.1 / 3.0 ** np.arange(12)  # of the points of a difference formula, in units of the time in which the path changes by its size

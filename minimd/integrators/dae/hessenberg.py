@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.integrators.dae.consistent_start import KEPT, REFUSED, WIDE, are_independent, nearest_root, time_derivative, unit_of_time
-from minimd.integrators.ode.differences import CENTRAL
 from minimd.integrators.dae.problem import DifferentialAlgebraic, Function, taking
+from minimd.integrators.ode.differences import CENTRAL
 from minimd.integrators.ode.newton import Newton, Solver
 
 Array = NDArray[np.float64]

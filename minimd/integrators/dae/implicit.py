@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.integrators.dae.consistent_start import WIDE, nearest_root, time_derivative, unit_of_time
-from minimd.integrators.ode.differences import CENTRAL, central_differences
-from minimd.integrators.dae.problem import DifferentialAlgebraic, Function, taking
-from minimd.integrators.ode.newton import Newton, Solver
 from minimd.integrators.dae.pencil import pencil_index
+from minimd.integrators.dae.problem import DifferentialAlgebraic, Function, taking
+from minimd.integrators.ode.differences import CENTRAL, central_differences
+from minimd.integrators.ode.newton import Newton, Solver
 
 Array = NDArray[np.float64]
 ABSENT = 1e-12  # of the largest derivative of F: those below count as none

@@ -10,9 +10,9 @@ E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, eq. 1.46.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.integrators.ode.differences import central_differences, forward_differences
-from minimd.integrators.dae.problem import Function, taking
 from minimd.integrators.dae.hessenberg import Hessenberg3
+from minimd.integrators.dae.problem import Function, taking
+from minimd.integrators.ode.differences import central_differences, forward_differences
 from minimd.integrators.ode.newton import Newton, Solver
 
 Array = NDArray[np.float64]

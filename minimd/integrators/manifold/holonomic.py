@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.structure.errors import ConvergenceError
-from minimd.integrators.ode.differences import central_differences
 from minimd.integrators.method import Step
+from minimd.integrators.ode.differences import central_differences
 from minimd.integrators.ode.newton import Newton, Solver
-from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.ode.partitioned import push
 from minimd.integrators.ode.problems import Function, SecondOrder
+from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substeps
+from minimd.structure.errors import ConvergenceError
 
 Array = NDArray[np.float64]
 KEPT = 1e-12  # violations of a start, relative to its size, that are put right without a word
@@ -145,7 +145,9 @@ def is_made_of_verlet(row: Substeps) -> bool:
     kicks, drifts = row[::2], (0.0, *(substep.coefficient for substep in row[1::2]), 0.0)
     halves = [(one + other) / 2.0 for one, other in pairwise(drifts)]
     return (
-        isinstance(row[0], Kick) and len(kicks) == len(halves) and all(abs(k.coefficient - w) < COEFFICIENT_ROUNDING for k, w in zip(kicks, halves, strict=True))
+        isinstance(row[0], Kick)
+        and len(kicks) == len(halves)
+        and all(abs(k.coefficient - w) < COEFFICIENT_ROUNDING for k, w in zip(kicks, halves, strict=True))
     )
 
 

@@ -15,10 +15,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.structure.errors import ConvergenceError
 from minimd.integrators.ode.arguments import argument_names
 from minimd.integrators.ode.differences import central_differences
 from minimd.integrators.ode.problems import Field, FirstOrder, Function, Partitioned, Problem
+from minimd.structure.errors import ConvergenceError
 
 Array = NDArray[np.float64]
 Shape = tuple[int, ...] | None

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.structure.errors import ConvergenceError
+from minimd.compiled.machine import EPS
 from minimd.integrators.dae.hessenberg import Hessenberg2
 from minimd.integrators.manifold.invariants import Invariants, Manifold, Shape, check_invariants, corrected
 from minimd.integrators.method import Method, Step
 from minimd.integrators.ode.problems import FirstOrder, Partitioned, Problem
-from minimd.compiled.machine import EPS
+from minimd.structure.errors import ConvergenceError
 
 Array = NDArray[np.float64]
 Arrival = Callable[[Array], Array]

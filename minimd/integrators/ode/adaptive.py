@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.structure.errors import ConvergenceError, checked_count
-from minimd.integrators.dae.problem import begun, error_weights
-from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_problem
-from minimd.integrators.method import Method, Step
-from minimd.integrators.ode.problems import Problem
 from minimd.compiled.machine import EPS
+from minimd.integrators.dae.problem import begun, error_weights
+from minimd.integrators.method import Method, Step
+from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_problem
+from minimd.integrators.ode.problems import Problem
 from minimd.integrators.ode.solution import Solution, ended
+from minimd.structure.errors import ConvergenceError, checked_count
 
 Array = NDArray[np.float64]
 SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0  # of the step that the error estimate proposes; largest changes from one step to the next
@@ -101,7 +101,7 @@ def run_adaptive(
     start: Any,
     t_end: float,
     t0: float = 0.0,
-    control: StepControl = StepControl(),  # noqa: B008
+    control: StepControl = StepControl(),
 ) -> Solution:
     """Steps to t_end whose length follows from their error, estimated by step doubling. solution.n_rejected counts those tried in vain.
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 from minimd.integrators.dae.problem import begun
 from minimd.integrators.method import Method, Step
 from minimd.integrators.ode.problems import Problem
 from minimd.integrators.ode.solution import Solution, with_path
+from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 
 Array = NDArray[np.float64]
 LEFTOVER = 1e-12  # of a step: a last one shorter than this is nothing but rounding, and made with the one before

@@ -16,9 +16,9 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
-from minimd.structure.errors import ConvergenceError, checked_count
-from minimd.integrators.ode.differences import forward_differences
 from minimd.compiled.machine import EPS
+from minimd.integrators.ode.differences import forward_differences
+from minimd.structure.errors import ConvergenceError, checked_count
 
 Array = NDArray[np.float64]
 Residual = Callable[[Array], Array]

@@ -16,11 +16,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.integrators.ode.arguments import argument_names
 from minimd.integrators.method import Step
+from minimd.integrators.ode.arguments import argument_names
 from minimd.integrators.ode.newton import Newton, Solver
-from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
 from minimd.integrators.ode.partitioned import EulerStep, SequenceStep
+from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
 from minimd.integrators.splitting.substeps import Substeps
 
 Array = NDArray[np.float64]

@@ -15,12 +15,12 @@ from math import copysign, isfinite, log
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 from minimd.integrators.dae.problem import begun
-from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_method, check_problem
 from minimd.integrators.method import Method
+from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_method, check_problem
 from minimd.integrators.ode.problems import Partitioned
 from minimd.integrators.ode.solution import Solution, ended, with_path
+from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 
 Array = NDArray[np.float64]
 Rate = Callable[[float, Array, Array], float]
@@ -65,7 +65,7 @@ def run_reversible(
     start: tuple[ArrayLike, ArrayLike],
     t_end: float,
     t0: float = 0.0,
-    control: DensityControl = DensityControl(),  # noqa: B008
+    control: DensityControl = DensityControl(),
     every: int = 1,
 ) -> ReversibleSolution:
     """Steps of length timestep/ρ up to t_end, the last one shortened to end there.

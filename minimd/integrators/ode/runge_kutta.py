@@ -13,12 +13,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.structure.errors import ConvergenceError
 from minimd.integrators.dae.problem import DifferentialAlgebraic
 from minimd.integrators.method import Answer, Method, Step
 from minimd.integrators.ode.problems import Problem
 from minimd.integrators.ode.stages import StageEquations
 from minimd.integrators.ode.tableau import TABLEAU_ROUNDING, Tableau, gauss, radau_iia
+from minimd.structure.errors import ConvergenceError
 
 Array = NDArray[np.float64]
 FARTHEST = 3.0  # lengths of the last step to which its slopes are continued

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from itertools import chain
 
-from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, merged, mirrored, scaled
 from minimd.integrators.splitting.splitting import Splitting
+from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, merged, mirrored, scaled
 
 Part = Substep | type[Splitting]
 

@@ -6,8 +6,8 @@ is zero or not finite. Surveys: R. I. McLachlan, G. R. W. Quispel, Acta Numerica
 G. Wanner, Geometric Numerical Integration (2006), V.3.
 """
 
-from minimd.integrators.splitting.substeps import Drift, Kick, alternating, palindrome, repeated
 from minimd.integrators.splitting.splitting import Splitting
+from minimd.integrators.splitting.substeps import Drift, Kick, alternating, palindrome, repeated
 from minimd.integrators.splitting.verlet import VelocityVerlet
 
 CBRT2 = 2.0 ** (1.0 / 3.0)

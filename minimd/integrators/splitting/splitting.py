@@ -8,59 +8,17 @@ reads the same from both ends. E. Hairer, C. Lubich, G. Wanner, Geometric Numeri
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from inspect import signature
-from typing import TYPE_CHECKING, ClassVar
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import ClassVar
 
 from minimd.compiled.kernels import kernel
 from minimd.integrators.method import Answer, Method, Step
-from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.ode.problems import Partitioned, Problem
-from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize, is_palindrome, merged
+from minimd.integrators.splitting.order_conditions import nystrom_order
+from minimd.integrators.splitting.state import State, Surroundings
+from minimd.integrators.splitting.substeps import Kick, Substeps, Thermalize, is_palindrome, merged
 
-if TYPE_CHECKING:
-    from minimd.constraints.solver import ConstraintSolver
-
-
-@dataclass
-class State:
-    """What a splitting moves, in place.
-
-    positions, velocities, forces : (N, 3) [length], [length/time], [energy/length].  inverse_masses : (N,) [1/mass].
-    forces_are_current : whether forces belong to positions; whoever moves positions sets it to False.
-    stop_requested : set it to True to end a run of steps after the present one.
-    constraints : lengths to keep, if any; inverse_masses are then zero for atoms that are held fixed.
-    step : steps made since the start, contacts : with a bath since the step began; noise depends on both.
-    n_dof : degrees of freedom.  conserves_momentum : whether the motion of the whole is a constant, and none of them.
-    k_B : in units of the others.  heat : what a thermostat has put in since the start [energy].
-    """
-
-    positions: NDArray[np.float64]
-    velocities: NDArray[np.float64]
-    forces: NDArray[np.float64]
-    inverse_masses: NDArray[np.float64]
-    forces_are_current: bool = False
-    stop_requested: bool = False
-    constraints: "ConstraintSolver | None" = None
-    step: int = 0
-    contacts: int = 0
-    n_dof: int = 0
-    conserves_momentum: bool = False
-    k_B: float = 1.0
-    heat: float = 0.0
-
-    @cached_property
-    def masses(self) -> NDArray[np.float64]:
-        """(N,) [mass] of the atoms that move, zero for those that are held fixed."""
-        moving = self.inverse_masses > 0.0
-        return np.divide(1.0, self.inverse_masses, out=np.zeros(moving.shape), where=moving)
-
-
-ComputeForces = Callable[[State, bool], None]  # fills state.forces; True if somebody will look at the energy
+ComputeForces = Callable[[State, bool], None]  # fills state.forces; with True, evaluates the energy too
 
 
 @kernel
@@ -80,15 +38,6 @@ def drift(positions, velocities, duration):
         positions[i, 0] += duration * velocities[i, 0]
         positions[i, 1] += duration * velocities[i, 1]
         positions[i, 2] += duration * velocities[i, 2]
-
-
-@kernel
-def kinetic_energy(velocities, masses):
-    """K = Σ ½ m v² [energy].  velocities : (N, 3) [length/time].  masses : (N,) [mass]."""
-    total = 0.0
-    for i in range(velocities.shape[0]):
-        total += 0.5 * masses[i] * (velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
-    return total
 
 
 def stages(method: "type[Splitting]") -> int:
@@ -163,26 +112,46 @@ class Splitting(Method):
         """See Method."""
         return problem.sequence_order(cls.sequence()) if isinstance(problem, Partitioned) else cls.order
 
-    def advance(self, state: State, compute_forces: ComputeForces, n_steps: int, look: bool = True) -> int:
-        """Make n_steps steps, at least one, fewer if state.stop_requested becomes true; return how many.
+    def advance(
+        self, state: State, compute_forces: ComputeForces, n_steps: int, with_energy: bool = True, surroundings: Surroundings | None = None
+    ) -> int:
+        """Make n_steps steps, at least one, fewer if surroundings.stop_requested becomes true; return how many.
 
-        look : compute the forces of the last step with the flag that somebody looks at the energy.
+        with_energy : evaluate the energy with the forces of the last step.  surroundings : constraints and bath, if there are any.
+
+        Raises
+        ------
+        ConstraintError : if a length cannot be kept.  ValueError : from a thermostat without a bath.
         """
-        opening, body, between, closing = self._merged() if state.constraints is None or isinstance(self.substeps[0], Kick) else self._unmerged()
-        state.contacts = 0
-        self._apply(opening, state, compute_forces)
+        around = Surroundings() if surroundings is None else surroundings
+        opening, body, between, closing = self._merged() if around.constraints is None or isinstance(self.substeps[0], Kick) else self._unmerged()
         for step in range(1, n_steps + 1):
-            is_last = step == n_steps or state.stop_requested
-            self._apply(body + (closing if is_last else between), state, compute_forces, look_at_last=look and is_last)
-            state.step, state.contacts = state.step + 1, 0
+            is_last = step == n_steps or around.stop_requested
+            substeps = (opening if step == 1 else ()) + body + (closing if is_last else between)
+            for k, substep in enumerate(substeps, start=1):
+                duration = substep.coefficient * self.timestep
+                if isinstance(substep, Kick):
+                    if not state.forces_are_current:
+                        compute_forces(state, with_energy and is_last and k == len(substeps))
+                        state.forces_are_current = True
+                    kick(state.velocities, state.forces, state.inverse_masses, duration)
+                elif isinstance(substep, Thermalize):
+                    self.thermalize(state, duration, around)
+                else:
+                    if around.constraints is None:
+                        drift(state.positions, state.velocities, duration)
+                    else:
+                        around.constraints.drift(state.positions, state.velocities, duration)
+                    state.forces_are_current = False
+            if around.bath is not None:
+                around.bath.step, around.bath.contact = around.bath.step + 1, 0
             if is_last:
                 break
-        if state.constraints is not None:
-            state.constraints.project_velocities(state.velocities, state.positions)
+        around.project(state)
         return step
 
-    def thermalize(self, state: State, duration: float) -> None:
-        """What a substep Thermalize does. Methods without a bath have no such substep."""
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+        """Contact with the bath over a duration: what a substep Thermalize does. Methods without a bath have no such substep."""
         raise NotImplementedError(f"{self.name} has no thermostat")
 
     def _unmerged(self) -> tuple[Substeps, ...]:
@@ -196,20 +165,3 @@ class Splitting(Method):
             return self.opening, self.substeps, (), self.closing
         merged = type(first)(first.coefficient + last.coefficient)
         return (*self.opening, first), self.substeps[1:-1], (merged,), (last, *self.closing)
-
-    def _apply(self, substeps: Substeps, state: State, compute_forces: ComputeForces, look_at_last: bool = False) -> None:
-        for k, substep in enumerate(substeps, start=1):
-            duration = substep.coefficient * self.timestep
-            if isinstance(substep, Kick):
-                if not state.forces_are_current:
-                    compute_forces(state, look_at_last and k == len(substeps))
-                    state.forces_are_current = True
-                kick(state.velocities, state.forces, state.inverse_masses, duration)
-            elif isinstance(substep, Thermalize):
-                self.thermalize(state, duration)
-            else:
-                if state.constraints is None:
-                    drift(state.positions, state.velocities, duration)
-                else:
-                    state.constraints.drift(state.positions, state.velocities, duration)
-                state.forces_are_current = False

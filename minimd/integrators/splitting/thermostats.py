@@ -11,13 +11,14 @@ from numbers import Integral, Real
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel
 from minimd.integrators.method import Step
 from minimd.integrators.ode.problems import Problem
+from minimd.integrators.splitting.splitting import Splitting
+from minimd.integrators.splitting.state import Bath, State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Thermalize
-from minimd.integrators.splitting.splitting import Splitting, State, kinetic_energy
+from minimd.structure.observables import kinetic_energy, momentum
 
 SEEDS = 2**128  # keys of numpy's Philox
 AT_REST = 1e-12  # of the kinetic energy: what is less, beside the motion of the whole, is rounding
@@ -70,11 +71,17 @@ class Thermostat(Splitting):
         """
         raise TypeError(f"{cls.name} runs in a Simulation, where atoms have masses and a temperature has a unit")
 
-    def noise(self, state: State) -> np.random.Generator:
-        """The random numbers of one contact with the bath: of this step, and of its place among those of the step."""
-        counter = np.array([0, 0, state.contacts, state.step % STEPS], dtype=np.uint64)
-        state.contacts += 1
+    def noise(self, bath: Bath) -> np.random.Generator:
+        """The random numbers of one contact with the bath: of this step, and of the place of the contact in it."""
+        counter = np.array([0, 0, bath.contact, bath.step % STEPS], dtype=np.uint64)
+        bath.contact += 1
         return np.random.Generator(np.random.Philox(key=self.seed, counter=counter))
+
+    def bath_of(self, around: Surroundings) -> Bath:
+        """The bath.  Raises ValueError if there is none."""
+        if around.bath is None:
+            raise ValueError(f"{self.name} needs a bath to count what it gives: pass surroundings = Surroundings(bath=Bath(k_B, n_dof))")
+        return around.bath
 
 
 class LangevinBAOAB(Thermostat):
@@ -114,16 +121,17 @@ class LangevinBAOAB(Thermostat):
         """See Thermostat; γ = 1/τ."""
         return cls(timestep, temperature, 1.0 / relaxation_time, seed)
 
-    def thermalize(self, state: State, duration: float) -> None:
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration."""
+        bath = self.bath_of(around)
         kept = exp(-self.friction * duration)
-        spread = sqrt(state.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
-        _project(state)
+        spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
+        around.project(state)
         before = kinetic_energy(state.velocities, state.masses)
-        noise = self.noise(state).standard_normal(state.velocities.shape)
+        noise = self.noise(bath).standard_normal(state.velocities.shape)
         mix(state.velocities, noise, state.inverse_masses, kept, spread)
-        _project(state)
-        state.heat += kinetic_energy(state.velocities, state.masses) - before
+        around.project(state)
+        bath.energy += kinetic_energy(state.velocities, state.masses) - before
 
 
 class StochasticVelocityRescaling(Thermostat):
@@ -162,22 +170,24 @@ class StochasticVelocityRescaling(Thermostat):
         """See Thermostat."""
         return cls(timestep, temperature, relaxation_time, seed)
 
-    def thermalize(self, state: State, duration: float) -> None:
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The exact change of the kinetic energy over a duration."""
-        _project(state)
-        drift = np.zeros(3)
-        whole = kinetic_energy(state.velocities, state.masses)
-        kinetic = whole - (motion_of_whole(state.velocities, state.masses, drift) if state.conserves_momentum else 0.0)
+        bath = self.bath_of(around)
+        around.project(state)
+        whole, drift = kinetic_energy(state.velocities, state.masses), np.zeros(3)
+        if bath.conserves_momentum:
+            drift = momentum(state.velocities, state.masses) / state.masses.sum()
+        kinetic = whole - 0.5 * state.masses.sum() * float(drift @ drift)
         if kinetic <= AT_REST * whole:
             return
-        noise, kept = self.noise(state), exp(-duration / self.relaxation_time)
-        one, others = noise.standard_normal(), 2.0 * noise.standard_gamma(0.5 * (state.n_dof - 1))
-        share = (1.0 - kept) * 0.5 * state.k_B * self.temperature / kinetic
+        noise, kept = self.noise(bath), exp(-duration / self.relaxation_time)
+        one, others = noise.standard_normal(), 2.0 * noise.standard_gamma(0.5 * (bath.n_dof - 1))
+        share = (1.0 - kept) * 0.5 * bath.k_B * self.temperature / kinetic
         scale = sqrt(max(kept + share * (others + one * one) + 2.0 * one * sqrt(kept * share), 0.0))
         if share > 0.0 and one < -sqrt(kept / share):
             scale = -scale
         rescale(state.velocities, drift, scale)
-        state.heat += kinetic * (scale * scale - 1.0)
+        bath.energy += kinetic * (scale * scale - 1.0)
 
 
 @kernel
@@ -190,19 +200,6 @@ def mix(velocities, noise, inverse_masses, kept, spread):
 
 
 @kernel
-def motion_of_whole(velocities, masses, drift):
-    """½ M V² [energy], with V = Σ m v/M, M = Σ m.  (N, 3), (N,); drift = V, (3,) [length/time]."""
-    mass, px, py, pz = 0.0, 0.0, 0.0, 0.0
-    for i in range(velocities.shape[0]):
-        mass += masses[i]
-        px += masses[i] * velocities[i, 0]
-        py += masses[i] * velocities[i, 1]
-        pz += masses[i] * velocities[i, 2]
-    drift[0], drift[1], drift[2] = px / mass, py / mass, pz / mass
-    return 0.5 * (px * px + py * py + pz * pz) / mass
-
-
-@kernel
 def rescale(velocities, drift, scale):
     """velocities = V + scale · (velocities − V), with V = drift.  (N, 3), (3,) [length/time], dimensionless."""
     x, y, z = (1.0 - scale) * drift[0], (1.0 - scale) * drift[1], (1.0 - scale) * drift[2]
@@ -210,12 +207,6 @@ def rescale(velocities, drift, scale):
         velocities[i, 0] = x + scale * velocities[i, 0]
         velocities[i, 1] = y + scale * velocities[i, 1]
         velocities[i, 2] = z + scale * velocities[i, 2]
-
-
-def _project(state: State) -> None:
-    """Velocities without what constraints will take from them, for their kinetic energy to be counted."""
-    if state.constraints is not None:
-        state.constraints.project_velocities(state.velocities, state.positions)
 
 
 def _not_negative(name: str, value: float) -> float:

@@ -5,8 +5,8 @@
 E. Hairer, C. Lubich, G. Wanner, Acta Numerica 12, 399 (2003).
 """
 
-from minimd.integrators.splitting.substeps import Drift, Kick
 from minimd.integrators.splitting.splitting import Splitting
+from minimd.integrators.splitting.substeps import Drift, Kick
 
 
 class SE1(Splitting):

@@ -1,0 +1,100 @@
+"""What is observed of an engine: the table of observables, and one look at all of them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from minimd.engine.engine import Engine
+from minimd.engine.record import SERIES, Frame
+from minimd.structure import observables
+
+
+class Look:
+    """One look at an engine whose forces, energy and virial are current: what several observables share is computed once."""
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine, self.system = engine, engine.system
+        self.volume: Any = engine.system.volume
+        self.bonds: Any = engine.rigid_bonds
+        self.motion = (engine.velocities, engine.system.masses)
+        self.path = (engine.positions, *self.motion)
+        self.potential_energy = engine.interactions.potential_energy
+        self.kinetic_energy = observables.kinetic_energy(*self.motion)
+
+    @property
+    def total_energy(self) -> float:
+        """E = K + U [energy]."""
+        return self.potential_energy + self.kinetic_energy
+
+    @cached_property
+    def virial(self) -> Any:
+        """(3, 3) [energy], of forces and constraint forces."""
+        engine, virial = self.engine, self.engine.interactions.virial
+        return virial if self.bonds is None else virial + self.bonds.virial(engine.positions, engine.velocities, engine.forces)
+
+
+@dataclass(frozen=True)
+class Observable:
+    """A number, or an array of numbers, that frames, records and files hold under a name.
+
+    name : in record and file.  unit : the attribute of UnitSystem that names its unit, empty for a pure number.
+    measure : its value, from a Look.  exists : whether it means anything for an engine.
+    """
+
+    name: str
+    unit: str
+    measure: Callable[[Look], Any]
+    exists: Callable[[Engine], bool] = lambda _engine: True
+
+
+OBSERVABLES: dict[str, Observable] = {}
+
+
+def register(observable: Observable) -> None:
+    """Observe this in every run from now on, where it exists; files hold it without further ado.
+
+    Raises
+    ------
+    ValueError : if there is one of this name.
+    """
+    if observable.name in OBSERVABLES:
+        raise ValueError(f"an observable must have a name of its own; {observable.name!r} is known already")
+    OBSERVABLES[observable.name] = observable
+    SERIES[observable.name] = observable.unit
+
+
+for _observable in (
+    Observable("potential_energy", "energy", lambda look: look.potential_energy),
+    Observable("kinetic_energy", "energy", lambda look: look.kinetic_energy),
+    Observable("total_energy", "energy", lambda look: look.total_energy),
+    Observable("temperature", "temperature", lambda look: observables.temperature(*look.motion, look.system.units.k_B, look.engine.n_dof)),
+    Observable("momentum", "momentum", lambda look: observables.momentum(*look.motion)),
+    Observable("angular_momentum", "angular_momentum", lambda look: observables.angular_momentum(*look.path)),
+    Observable("absolute_momentum", "momentum", lambda look: observables.absolute_momentum(*look.motion)),
+    Observable("absolute_angular_momentum", "angular_momentum", lambda look: observables.absolute_angular_momentum(*look.path)),
+    Observable(
+        "pressure",
+        "pressure",
+        lambda look: observables.pressure(look.kinetic_energy, look.virial, look.volume),
+        lambda engine: engine.system.volume is not None,
+    ),
+    Observable(
+        "conserved_energy", "energy", lambda look: look.total_energy - look.engine.reservoir_energy, lambda engine: engine.method.is_thermostat
+    ),
+    Observable(
+        "constraint_violation",
+        "",
+        lambda look: float(look.bonds.violation(look.system.positions).max()),
+        lambda engine: engine.rigid_bonds is not None,
+    ),
+):
+    register(_observable)
+
+
+def observe(engine: Engine) -> Frame:
+    """The present state with its observables; forces, energy and virial are evaluated if they are not current."""
+    engine.evaluate()
+    look = Look(engine)
+    values = {one.name: one.measure(look) for one in OBSERVABLES.values() if one.exists(engine)}
+    return Frame(engine.step, engine.time, engine.positions, engine.velocities, engine.forces, values, engine.reservoir_energy)

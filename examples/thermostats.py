@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 import minimd as md
-from minimd.integrators import State
+from minimd.integrators import Bath, State, Surroundings
 from minimd.structure.lattice import crystal
 
 n_cells, lattice_constant, temperature, seed = 3, 5.78, 94.4, 1  # 108 atoms at Rahman's density [Å, K]
@@ -44,15 +44,16 @@ figure.savefig("thermostats.png", dpi=150)
 n_oscillators, omega = 2000, 1.5  # of unit mass, with Δt = 1 and k_B T = 1
 q, v = np.random.default_rng(seed).standard_normal((2, n_oscillators, 3))
 state = State(q / omega, v, np.zeros_like(q), np.ones(n_oscillators))
-bath, squares = md.LangevinBAOAB(1.0, temperature=1.0, friction=1.0, seed=seed), []
+around = Surroundings(bath=Bath(n_dof=3 * n_oscillators))
+method, squares = md.LangevinBAOAB(1.0, temperature=1.0, friction=1.0, seed=seed), []
 
 
-def springs(state, look):
+def springs(state, with_energy):
     state.forces[:] = -(omega**2) * state.positions
 
 
 for _ in range(100):
-    bath.advance(state, springs, 5)
+    method.advance(state, springs, 5, surroundings=around)
     squares.append([(state.positions**2).mean(), (state.velocities**2).mean()])
 q2, v2 = np.mean(squares[20:], axis=0)
 print(f"oscillator at ωΔt = {omega}: ω²⟨q²⟩/k_B T = {omega**2 * q2:.3f}   (1, exactly), ⟨v²⟩/k_B T = {v2:.3f}   ({1 - omega**2 / 4:.3f})")

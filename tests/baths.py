@@ -5,6 +5,7 @@ from references import liquid
 
 import minimd as md
 from minimd.integrators import Drift, Kick, State
+from minimd.integrators.splitting.state import Bath, Surroundings
 from minimd.integrators.splitting.substeps import Thermalize
 
 LANGEVIN = md.LangevinBAOAB(0.01, temperature=1.3, friction=2.0, seed=5)
@@ -31,9 +32,13 @@ every = 10
 """
 
 
-def state(velocities, masses, n_dof=None, k_B=1.0):  # noqa: N803
+def state(velocities, masses):
     velocities = np.array(velocities, dtype=float)
-    return State(np.zeros_like(velocities), velocities, np.zeros_like(velocities), 1.0 / masses, n_dof=n_dof or velocities.size, k_B=k_B)
+    return State(np.zeros_like(velocities), velocities, np.zeros_like(velocities), 1.0 / masses)
+
+
+def in_contact(**bath):
+    return Surroundings(bath=Bath(**bath))
 
 
 class OBABO(md.LangevinBAOAB):

@@ -45,13 +45,13 @@ G = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 TRIPLE_JUMP = [G, 1.0 - 2.0 * G, G]
 
 
-def henon_heiles(s, look=False):
+def henon_heiles(s, with_energy=False):
     """H = (px² + py² + x² + y²)/2 + x² y − y³/3."""
     x, y = s.positions[0, :2]
     s.forces[0] = -x - 2.0 * x * y, -y - x * x + y * y, 0.0
 
 
-def kepler(s, look=False):
+def kepler(s, with_energy=False):
     s.forces[:] = -s.positions / np.linalg.norm(s.positions) ** 3
 
 

@@ -53,9 +53,9 @@ def test_doctor_notices_a_bit_that_depends_on_threads(monkeypatch):
 
 def test_doctor_notices_a_drift(monkeypatch):
     class Leaking(md.VelocityVerlet):
-        def advance(self, state, compute_forces, n_steps, look=True):
+        def advance(self, state, *arguments):
             state.velocities[:] *= 0.9999
-            return super().advance(state, compute_forces, n_steps, look)
+            return super().advance(state, *arguments)
 
     monkeypatch.setattr(doctor.md, "VelocityVerlet", Leaking)
     fine, sentence = doctor.conservation()

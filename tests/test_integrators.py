@@ -6,6 +6,7 @@ from scipy import optimize
 
 from minimd.integrators import SE1, SE2, SPLITTINGS, Drift, Kick, Leapfrog, PositionVerlet, Splitting, State, VelocityVerlet, adjoint, compose
 from minimd.integrators.ode.stormer import stormer_summed, stormer_two_step
+from minimd.integrators.splitting.state import Surroundings
 
 REVERSIBLE = [method for method in SPLITTINGS.values() if method.is_symmetric]
 OTHERS = [method for method in SPLITTINGS.values() if not method.is_symmetric]
@@ -19,18 +20,18 @@ def state(positions, velocities, masses=None):
     return State(positions, np.array(velocities, dtype=float).reshape(-1, 3), np.zeros_like(positions), 1.0 / masses)
 
 
-def kepler(s, look=False):
+def kepler(s, with_energy=False):
     s.forces[:] = -s.positions / np.linalg.norm(s.positions, axis=1, keepdims=True) ** 3
 
 
 def oscillator(omega):
-    def forces(s, look=False):
+    def forces(s, with_energy=False):
         s.forces[:] = -(omega**2) * s.positions
 
     return forces
 
 
-def springs(s, look=False):
+def springs(s, with_energy=False):
     """Three bodies in the plane, each pulling each: translation and rotation invariant, not linear."""
     for i in range(3):
         d = s.positions - s.positions[i]
@@ -121,7 +122,7 @@ def test_step_of_a_linear_problem_is_symplectic_to_rounding(method):
     """The step is a matrix M then, its columns the images of the unit vectors; MᵀJM = J and det M = 1."""
     stiffness = np.array([[2.0, 0.3, -0.1], [0.3, 1.0, 0.2], [-0.1, 0.2, 0.5]])
 
-    def forces(s, look):
+    def forces(s, with_energy):
         s.forces[:] = -s.positions @ stiffness
 
     columns = [state(unit[:3], unit[3:]) for unit in np.eye(6)]
@@ -176,18 +177,18 @@ def test_leapfrog_positions_are_those_of_velocity_verlet():
 
 
 @pytest.mark.parametrize("method", SPLITTINGS.values())
-def test_a_long_run_evaluates_forces_as_often_as_answered_and_one_is_looked_at(method):
-    looks = []
+def test_a_long_run_evaluates_forces_as_often_as_answered_and_one_is_with_energyed_at(method):
+    with_energys = []
 
-    def forces(s, look):
-        looks.append(look)
+    def forces(s, with_energy):
+        with_energys.append(with_energy)
         kepler(s)
 
     s = state([1, 0, 0], [0, 1, 0])
     method(0.01).advance(s, forces, 50)
-    assert 50 * method.stages <= len(looks) <= 50 * method.stages + 1
+    assert 50 * method.stages <= len(with_energys) <= 50 * method.stages + 1
     if isinstance((method.substeps + method.closing)[-1], Kick):
-        assert looks == [False] * (len(looks) - 1) + [True]
+        assert with_energys == [False] * (len(with_energys) - 1) + [True]
 
 
 @pytest.mark.parametrize("method", SPLITTINGS.values())
@@ -273,11 +274,12 @@ def test_the_recursions_run_backwards_and_refuse_bad_input(recursion):
 def test_stop_request_ends_at_a_whole_step():
     s = state([1, 0, 0], [0, 1, 0])
 
-    def forces(s, look):
+    def forces(s, with_energy):
         kepler(s)
-        s.stop_requested = s.positions[0, 0] < 0.9
+        around.stop_requested = s.positions[0, 0] < 0.9
 
-    done = VelocityVerlet(0.01).advance(s, forces, 1000)
+    around = Surroundings()
+    done = VelocityVerlet(0.01).advance(s, forces, 1000, surroundings=around)
     other = state([1, 0, 0], [0, 1, 0])
     VelocityVerlet(0.01).advance(other, kepler, done)
     assert done < 100

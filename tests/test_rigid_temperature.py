@@ -11,6 +11,7 @@ import pytest
 import minimd as md
 from minimd.constraints.solver import ConstraintSolver
 from minimd.integrators import State
+from minimd.integrators.splitting.state import Bath, Surroundings
 
 pytestmark = pytest.mark.slow
 TRIANGLE = 0.6 * np.array([[0.0, 0.0, 0.0], [0.816, 0.577, 0.0], [-0.816, 0.577, 0.0]])
@@ -37,10 +38,11 @@ def test_free_rigid_molecules_have_the_temperature_of_the_bath_at_any_timestep(n
     bonds = ConstraintSolver(md.DistanceConstraints(pairs), positions, 1.0 / m)
     velocities = np.random.default_rng(1).normal(size=positions.shape) / np.sqrt(m)[:, None]
     bonds.project_velocities(velocities, positions)
-    state = State(positions, velocities, np.zeros_like(positions), 1.0 / m, constraints=bonds)
+    state = State(positions, velocities, np.zeros_like(positions), 1.0 / m)
+    around = Surroundings(bonds, Bath())
     method, whole, inner = md.LangevinBAOAB(timestep, 1.0, friction=2.0, seed=3), [], []
     for _ in range(90):
-        method.advance(state, lambda state, look: None, max(1, round(0.4 / timestep)))
+        method.advance(state, lambda state, with_energy: None, max(1, round(0.4 / timestep)), surroundings=around)
         center = (m[:, None] * velocities).reshape(n, size, 3).sum(axis=1) / sum(masses)
         translation = sum(masses) * (center**2).sum()
         whole.append(translation / (3 * n))

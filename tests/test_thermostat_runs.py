@@ -95,7 +95,7 @@ def test_equilibration_and_run_have_different_noise():
     seen = []
     thermalize = sim.method.thermalize
     sim.method = md.LangevinBAOAB(0.01, 1.3, 2.0, 5)
-    sim.method.thermalize = lambda s, duration: (seen.append(s.step), thermalize(s, duration))
+    sim.method.thermalize = lambda s, duration, around: (seen.append(around.bath.step), thermalize(s, duration, around))
     sim.equilibrate(5, 1.3)
     sim.run(3)
     assert seen == [-5, -4, -3, -2, -1, 0, 1, 2]
@@ -109,7 +109,7 @@ def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition
         sim, seen = simulation(LANGEVIN), []
         sim.method = md.LangevinBAOAB(0.01, 1.3, 2.0, 5)
         thermalize = sim.method.thermalize
-        sim.method.thermalize = lambda s, duration: (seen.append(s.step), thermalize(s, duration))
+        sim.method.thermalize = lambda s, duration, around: (seen.append(around.bath.step), thermalize(s, duration, around))
         sim.equilibrate(5, 1.3)
         sim.equilibrate(3, 1.3)
         sim.run(4)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from baths import BUSSI, LANGEVIN, OBABO, SCENE, simulation, state
+from baths import BUSSI, LANGEVIN, OBABO, SCENE, in_contact, simulation, state
 from scipy import stats
 
 import minimd as md
@@ -13,8 +13,8 @@ from minimd.scene import parse_scene
 def test_the_bath_of_langevin_is_the_ornstein_uhlenbeck_process():
     """Mean e^(−γΔt) v, variance k_B T (1 − e^(−2γΔt))/m, normal."""
     n, k_B, masses = 40_000, 0.7, np.repeat([1.0, 4.0], 20_000)  # noqa: N806
-    s = state(np.full((n, 3), 0.8), masses, k_B=k_B)
-    LANGEVIN.thermalize(s, 0.3)
+    s = state(np.full((n, 3), 0.8), masses)
+    LANGEVIN.thermalize(s, 0.3, in_contact(k_B=k_B))
     kept = np.exp(-2.0 * 0.3)
     for mass in (1.0, 4.0):
         v = s.velocities[masses == mass].ravel()
@@ -28,11 +28,10 @@ def rescaled_energies(kinetic, n_dof, duration, n=40_000):
     """Kinetic energies after one contact with the bath, from many steps."""
     energies = np.empty(n)
     for k in range(n):
-        s = state(np.full((1, 3), np.sqrt(2.0 * kinetic / 3.0)), np.ones(1), n_dof)
-        s.step = k
-        BUSSI.thermalize(s, duration)
+        s, around = state(np.full((1, 3), np.sqrt(2.0 * kinetic / 3.0)), np.ones(1)), in_contact(n_dof=n_dof, step=k)
+        BUSSI.thermalize(s, duration, around)
         energies[k] = 0.5 * (s.velocities**2).sum()
-        assert s.reservoir_energy == pytest.approx(energies[k] - kinetic, abs=1e-12)
+        assert around.bath.energy == pytest.approx(energies[k] - kinetic, abs=1e-12)
     return energies
 
 
@@ -55,24 +54,25 @@ def test_rescaling_leaves_the_motion_of_the_whole_alone():
     rng, masses, drift = np.random.default_rng(3), np.array([1.0, 2.0, 5.0]), np.array([0.3, -2.0, 7.0])
     inner = rng.normal(size=(3, 3))
     inner -= masses @ inner / masses.sum()
-    rest, moving = state(inner, masses, n_dof=6), state(inner + drift, masses, n_dof=6)
+    rest, moving = state(inner, masses), state(inner + drift, masses)
+    given = []
     for s in (rest, moving):
-        s.conserves_momentum = True
-        BUSSI.thermalize(s, 0.2)
+        around = in_contact(n_dof=6, conserves_momentum=True)
+        BUSSI.thermalize(s, 0.2, around)
+        given.append(around.bath.energy)
     assert np.abs(rest.velocities - inner).max() > 1e-3
     assert moving.velocities - drift == pytest.approx(rest.velocities, abs=1e-13)  # rounding
     assert masses @ moving.velocities == pytest.approx(masses.sum() * drift, rel=1e-14)
-    assert moving.reservoir_energy == pytest.approx(rest.reservoir_energy, rel=1e-12)
-    assert rest.reservoir_energy == pytest.approx(0.5 * masses @ ((rest.velocities**2).sum(axis=1) - (inner**2).sum(axis=1)), rel=1e-12)
+    assert given[1] == pytest.approx(given[0], rel=1e-12)
+    assert given[0] == pytest.approx(0.5 * masses @ ((rest.velocities**2).sum(axis=1) - (inner**2).sum(axis=1)), rel=1e-12)
 
 
 def test_rescaling_leaves_atoms_that_move_together_alone():
     """Nothing but rounding is left beside the motion of the whole; it is not blown up to a temperature."""
-    s = state(np.full((7, 3), 0.1), np.linspace(1.0, 2.0, 7), n_dof=18)
-    s.conserves_momentum = True
-    BUSSI.thermalize(s, 0.2)
+    s, around = state(np.full((7, 3), 0.1), np.linspace(1.0, 2.0, 7)), in_contact(n_dof=18, conserves_momentum=True)
+    BUSSI.thermalize(s, 0.2, around)
     assert (s.velocities == 0.1).all()
-    assert s.reservoir_energy == 0.0
+    assert around.bath.energy == 0.0
 
 
 def test_a_liquid_that_flows_has_the_temperature_of_its_bath_and_keeps_its_flow():
@@ -105,8 +105,7 @@ def test_single_and_fixed_atoms_keep_all_their_degrees_of_freedom():
 def test_noise_depends_on_seed_and_step_alone():
     def after(step, seed=5):
         s = state(np.ones((4, 3)), np.ones(4))
-        s.step = step
-        md.LangevinBAOAB(0.01, 1.3, 2.0, seed).thermalize(s, 0.01)
+        md.LangevinBAOAB(0.01, 1.3, 2.0, seed).thermalize(s, 0.01, in_contact(step=step))
         return s.velocities
 
     assert (after(7) == after(7)).all()
@@ -118,7 +117,7 @@ def test_noise_depends_on_seed_and_step_alone():
 def test_two_contacts_in_a_step_have_two_noises():
     """Free atoms from rest: variance k_B T (1 − e^(−2γΔt))/m after one step, as after one contact; with equal noises it would be larger."""
     s = state(np.zeros((20_000, 3)), np.ones(20_000))
-    OBABO(1.0, 1.3, 0.5, seed=2).advance(s, lambda s, look: None, 1)
+    OBABO(1.0, 1.3, 0.5, seed=2).advance(s, lambda s, with_energy: None, 1, surroundings=in_contact())
     assert s.velocities.var() == pytest.approx(1.3 * (1.0 - np.exp(-1.0)), rel=4.0 * np.sqrt(2.0 / s.velocities.size))  # statistics
 
 
@@ -127,14 +126,15 @@ def test_configurations_of_an_oscillator_are_exact_at_large_timesteps():
     n, omega, temperature = 3000, 1.5, 1.0
     method = md.LangevinBAOAB(1.0, temperature, friction=1.0, seed=1)
     rng = np.random.default_rng(2)
-    s = State(rng.normal(size=(n, 3)) / omega, rng.normal(size=(n, 3)), np.zeros((n, 3)), np.ones(n), n_dof=3 * n)
+    s = State(rng.normal(size=(n, 3)) / omega, rng.normal(size=(n, 3)), np.zeros((n, 3)), np.ones(n))
+    around = in_contact(n_dof=3 * n)
 
-    def springs(s, look):
+    def springs(s, with_energy):
         s.forces[:] = -(omega**2) * s.positions
 
     squares = []
     for _ in range(60):
-        method.advance(s, springs, 5)
+        method.advance(s, springs, 5, surroundings=around)
         squares.append([(s.positions**2).mean(), (s.velocities**2).mean()])
     squares = np.array(squares[10:])
     error = squares.std(axis=0, ddof=1) / np.sqrt(len(squares))

@@ -65,7 +65,7 @@ class VelocityVerlet(MolecularDynamics):
             with stop_on_interrupt(engine.surroundings):
                 guard.check_start()
                 guard.observe()
-                guard.make_steps(n_steps)
+                guard.make_steps(n_steps, with_energy=True)
                 frame = guard.observe()
         finally:
             self.nsteps += engine.step - start

@@ -216,10 +216,10 @@ def too_hot(evidence: Evidence) -> Verdict | None:
     if mean > fast and mean * dt > HOT_STEP * sigma and speed <= HOT_SPOT * others:
         units = evidence.system.units
         hot = 2.0 * kinetic_energy(velocities, evidence.system.masses) / (3 * len(squares) * units.k_B)
-        return Verdict("hot", evidence.strongest, f"too hot: at {hot:.3g} {units.temperature} {passes}", advice)
+        return Verdict("hot", evidence.strongest, f"too hot for the timestep {evidence.shown_timestep}: at {hot:.3g} {units.temperature} {passes}", advice)
     if speed > max(fast, HOT_SPOT * others) and speed * dt > HOT_STEP * sigma:
         than = f"{speed / others:.2g} times as fast as the others" if others > 0.0 else "the only one in motion"
-        return Verdict("hot", evidence.strongest, f"too hot: {passes}, {than}", advice)
+        return Verdict("hot", evidence.strongest, f"too hot for the timestep {evidence.shown_timestep}: {passes}, {than}", advice)
     return None
 
 

@@ -14,6 +14,7 @@ from minimd.diagnosis.hessian import unstable_bond
 from minimd.engine.engine import Array, Engine, Snapshot
 from minimd.engine.observation import observe
 from minimd.engine.record import Frame
+from minimd.neighbors.queries import closest_pair
 from minimd.potentials.pair_loop import PER_ATOM
 from minimd.structure import observables
 from minimd.structure.console import outside_minimd
@@ -76,10 +77,10 @@ class RunGuard:
         if fault := fault_at_start(engine):
             raise self._failure(fault, engine.step)
 
-    def make_steps(self, n_steps: int) -> None:
-        """Make steps that nobody looks at, in blocks.  Raises as advance."""
+    def make_steps(self, n_steps: int, with_energy: bool = False) -> None:
+        """Make steps, in blocks.  with_energy : evaluate the energy with the last forces.  Raises as advance."""
         for done in range(0, n_steps, BLOCK):
-            self.advance(min(BLOCK, n_steps - done), with_energy=False)
+            self.advance(min(BLOCK, n_steps - done), with_energy and done + BLOCK >= n_steps)
 
     def advance(self, n_steps: int, with_energy: bool) -> None:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why.
@@ -191,6 +192,8 @@ class RunGuard:
             failure = Failure(fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step)
             report = examine(engine, failure)
             why = f"Likely cause: {report.cause}; {report.advice}"
-        error = kind(f"{fault}, at step {step}. {why}. The system holds the last good state, that of step {engine.step}")
+        pair = closest_pair(engine.system)
+        near = f"; the closest pair before it is {pair}" if pair else ""
+        error = kind(f"{fault}, at step {step}{near}. {why}. The system holds the last good state, that of step {engine.step}")
         error.crash_report = report
         return error

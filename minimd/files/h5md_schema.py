@@ -64,8 +64,8 @@ def observable(name: str, frame: Frame) -> Any:
 
 
 def unit_of(name: str, system: System) -> str:
-    """Name of the unit of an observable; empty for one that minimd does not know."""
-    return getattr(system.units, SERIES[name]) if name in SERIES else ""
+    """Name of the unit of an observable; empty for a pure number, or an observable that minimd does not know."""
+    return getattr(system.units, SERIES[name]) if SERIES.get(name) else ""
 
 
 def has_edges(cell: Cell) -> bool:

@@ -255,6 +255,6 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
         )
     if ("shadow_energy" in contents.record) != ("shadow_energy" in engine.extra_observables):
         wanted = "('shadow_energy',)" if "shadow_energy" in contents.record else "()"
-        raise ValueError(f"trajectory {str(file)!r} was begun with engine.extra_observables = {wanted}; set them so, or write to a new file")
+        raise ValueError(f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set them so, or write to a new file")
     if store_forces and not contents.has_forces:
         raise ValueError(f"trajectory {str(file)!r} was begun without forces; resume without storing them, or write to a new file")

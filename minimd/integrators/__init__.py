@@ -43,7 +43,8 @@ from minimd.integrators.splitting.compositions import (
 )
 from minimd.integrators.splitting.linear_stability import accurate_step, energy_oscillation, stability_limit
 from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
-from minimd.integrators.splitting.splitting import Splitting, State
+from minimd.integrators.splitting.splitting import Splitting
+from minimd.integrators.splitting.state import Bath, State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick
 from minimd.integrators.splitting.thermostats import LangevinBAOAB, StochasticVelocityRescaling
 from minimd.integrators.splitting.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
@@ -61,6 +62,7 @@ __all__ = [
     "SE2",
     "SPLITTINGS",
     "THERMOSTATS",
+    "Bath",
     "BlanesMoan4",
     "CandyRozmus4",
     "ConstraintSolver",
@@ -101,6 +103,7 @@ __all__ = [
     "State",
     "StepControl",
     "StochasticVelocityRescaling",
+    "Surroundings",
     "Suzuki4",
     "Tableau",
     "VelocityVerlet",

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiled.machine import EPS
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.engine.engine import Engine
 from minimd.forces.forces import Forces
@@ -20,8 +21,11 @@ Array = NDArray[np.float64]
 
 DISPLACEMENT = 1e-6  # of the closest pair: central differences are then right to some 1e-9, and few pairs cross their cutoff
 ROUNDINGS = 1e-9  # of the largest coordinate: the least displacement, which rounding leaves with six digits
+ROUNDINGS_OF_FORCES = 100.0  # in a sum over some fifty neighbors and its projection
 SMALL = 90  # coordinates, up to which the whole matrix is as cheap as iterations
 ACCURACY = 1e-4  # of ω², relative
+TRIED = 16  # bonds of the highest bare frequencies, whose freedom to stretch is examined
+RIGID = 1e-9  # of its bare 1/μ: a bond that constraints leave less cannot stretch
 SEED = 1  # of the vector from which iterations start
 
 
@@ -44,12 +48,24 @@ def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: Con
 
 def _stiffest_of(system: System, potential: HarmonicBond, constraint_set: ConstraintSet) -> StiffBond | None:
     pairs = bonded_pairs(system, potential)
-    if not len(pairs):
-        return None
     squares = potential.parameters[0] * constraint_set.inverse_masses[pairs].sum(axis=1)
     squares[_among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
-    b = int(np.argmax(squares))
-    return StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) if squares[b] > 0.0 else None
+    found = [StiffBond(*pairs[b].tolist(), float(squares[b])) for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
+    if constraint_set.bonds is not None:
+        found = [bond._replace(square=bond.square * _free_part(system, bond, constraint_set)) for bond in found]
+    return max((bond for bond in found if bond.square > 0.0), key=lambda bond: bond.square, default=None)
+
+
+def _free_part(system: System, bond: StiffBond, constraint_set: ConstraintSet) -> float:
+    """What constraints leave of 1/μ of a bond: the relative velocity that a unit impulse along it causes, times μ. Between 0 and 1."""
+    pair, inverse_masses = np.array([[bond.i, bond.j]]), constraint_set.inverse_masses[[bond.i, bond.j]]
+    arm = (system.positions[bond.j] - system.positions[bond.i] + nearest_images(system.positions, system.cell, pair))[0]
+    arm /= np.linalg.norm(arm)
+    velocities = np.zeros_like(system.positions)
+    velocities[[bond.i, bond.j]] = np.outer(inverse_masses * [-1.0, 1.0], arm)
+    constraint_set.project(velocities, system.positions)
+    part = float((velocities[bond.j] - velocities[bond.i]) @ arm / inverse_masses.sum())
+    return part if part > RIGID else 0.0
 
 
 def unstable_bond(engine: Engine) -> str | None:
@@ -102,6 +118,12 @@ class Curvature:
     def n_evaluations(self) -> int:
         """Of the forces so far."""
         return self._forces.n_evaluations
+
+    @property
+    def rounding(self) -> float:
+        """What the rounding of forces makes of D [1/time²]: smaller eigenvalues are none."""
+        largest = float(np.abs(self._first).max(initial=0.0)) * float(self._constraint_set.inverse_masses.max())
+        return ROUNDINGS_OF_FORCES * EPS * largest / self.displacement
 
     def is_finite(self) -> bool:
         """Whether the forces of the state are finite numbers."""

@@ -141,7 +141,7 @@ def _stiffest_mode(
     if curvature.is_finite():
         square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, constraint_set)))
         if np.isfinite(square):
-            return square, mode
+            return (square, mode) if square > curvature.rounding else (0.0, np.zeros_like(mode))
     raise NonFiniteError(f"the forces around this state are not finite; the closest pair is {closest_pair(system)}: md.minimize moves atoms apart")
 
 

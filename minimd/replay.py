@@ -52,7 +52,8 @@ class ReplayedStep(NamedTuple):
         return (str(self.step), f"{self.time:.5g}", f"{self.energy:.8g}", pair, *numbers)
 
 
-COLUMNS = (("step", 8), ("time", 11), ("total energy", 14), ("closest pair", 15), ("distance", 10), ("largest force", 14), ("on", 8), ("fastest", 9), ("speed", 11))  # fmt: skip
+HEADS = ("step", "time", "total energy", "closest pair", "distance", "largest force", "on", "fastest", "speed")
+WIDTHS = (8, 11, 14, 15, 10, 14, 8, 9, 11)
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,7 @@ class Replay:
 
     def __str__(self) -> str:
         shown = [row.cells() for k, row in enumerate(self.rows) if k % APART == 0 or k >= len(self.rows) - LAST_ROWS]
-        table = [tuple(head for head, _ in COLUMNS), *shown]
-        lines = ["".join(f"{cell:>{width}}" for cell, (_, width) in zip(row, COLUMNS, strict=True)) for row in table]
+        lines = ["".join(f"{cell:>{width}}" for cell, width in zip(row, WIDTHS, strict=True)) for row in (HEADS, *shown)]
         return "\n".join([*lines, self.ending])
 
 

@@ -100,7 +100,7 @@ def tetrahedron():
 
 
 def test_a_bond_that_constraints_keep_from_stretching_asks_for_no_short_step():
-    """Five lengths of a tetrahedron and the plane of two of its faces do not fix the sixth; a bond along a fixed one, given by the graph, is fixed."""
+    """Atoms that are fixed, or joined through other constraints, hold a bond however stiff it is."""
     fixed = md.FixedAtoms([0, 1])
     system = md.System(np.array([[0.0, 0, 0], [1.0, 0, 0], [0.5, 1.0, 0]]))
     stiff = md.HarmonicBond(1e6, 1.0, pairs=[[0, 1]])

@@ -212,11 +212,14 @@ def too_hot(evidence: Evidence) -> Verdict | None:
     squares, dt = np.einsum("ij,ij->i", velocities, velocities), evidence.timestep
     atom, mean = int(np.argmax(squares)), float(np.sqrt(squares.mean()))
     speed, others = float(np.sqrt(squares[atom])), float(np.sqrt((squares.sum() - squares.max()) / max(1, len(squares) - 1)))
-    passes, advice = f"atom {atom} moves {speed * dt / sigma:.2g} σ in a step", "cool the start, or reduce the timestep in proportion to the speed"
+    passes = f"atom {atom} moves {speed * dt / sigma:.2g} σ in a step"
+    advice = "cool the start, or reduce the timestep in proportion to the speed"
     if mean > fast and mean * dt > HOT_STEP * sigma and speed <= HOT_SPOT * others:
         units = evidence.system.units
         hot = 2.0 * kinetic_energy(velocities, evidence.system.masses) / (3 * len(squares) * units.k_B)
-        return Verdict("hot", evidence.strongest, f"too hot for the timestep {evidence.shown_timestep}: at {hot:.3g} {units.temperature} {passes}", advice)
+        return Verdict(
+            "hot", evidence.strongest, f"too hot for the timestep {evidence.shown_timestep}: at {hot:.3g} {units.temperature} {passes}", advice
+        )
     if speed > max(fast, HOT_SPOT * others) and speed * dt > HOT_STEP * sigma:
         than = f"{speed / others:.2g} times as fast as the others" if others > 0.0 else "the only one in motion"
         return Verdict("hot", evidence.strongest, f"too hot for the timestep {evidence.shown_timestep}: {passes}, {than}", advice)

@@ -1,0 +1,163 @@
+"""The house: a package is a floor, imports go down, nothing goes round in a circle; and what an import must not do."""
+
+import ast
+import re
+import subprocess
+import sys
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+import minimd
+
+PACKAGE = Path(minimd.__file__).parent
+REPOSITORY = Path(__file__).parents[1]
+FLOORS = [  # highest first; several on one floor do not know each other
+    "minimd.commands",
+    "minimd.bench",
+    "minimd",
+    "minimd.replay",
+    "minimd.scene",
+    "minimd.analysis",
+    "minimd.mdanalysis",
+    "minimd.simulation",
+    "minimd.ase",
+    "minimd.files",
+    "minimd.diagnosis",
+    "minimd.engine",
+    "minimd.minimization",
+    "minimd.forces",
+    "minimd.integrators",
+    "minimd.constraints",
+    "minimd.potentials",
+    "minimd.neighbors",
+    "minimd.structure",
+    "minimd.compiled",
+]
+STRANGERS = {("minimd.integrators", "minimd.potentials"), ("minimd.potentials", "minimd.integrators")}  # never import each other
+BRIDGES = {  # modules that may import ase or MDAnalysis when they are imported
+    "structure/ase_atoms.py",
+    "structure/ase_constraints.py",
+    "files/ase_writer.py",
+    "files/structure_file.py",
+    "files/mdanalysis_writer.py",
+    "mdanalysis/universe.py",
+}
+
+
+def name_of(path):
+    return "minimd." + path.relative_to(PACKAGE).with_suffix("").as_posix().replace("/", ".")
+
+
+MODULES = {name_of(path).removesuffix(".__init__").replace("minimd.__init__", "minimd"): path for path in PACKAGE.rglob("*.py")}
+
+
+def imports(path, when_imported=False):
+    """Modules a file imports, lazily and for type checkers too; with when_imported only those that its own import loads."""
+    tree = ast.parse(path.read_text())
+    for node in tree.body if when_imported else ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                submodule = f"{node.module}.{alias.name}"
+                yield submodule if submodule in MODULES else node.module
+
+
+def floor_of(module):
+    return max((floor for floor in FLOORS if f"{module}.".startswith(f"{floor}.")), key=len)
+
+
+def lines_of(module):
+    return MODULES[module].read_text().count("\n")
+
+
+def test_imports_go_down_the_floors():
+    """Lazy and TYPE_CHECKING imports count; nobody is exempt."""
+    upward = []
+    for module, path in MODULES.items():
+        here = FLOORS.index(floor_of(module))
+        for other in imports(path):
+            if other.split(".")[0] == "minimd" and floor_of(other) != floor_of(module):
+                there = FLOORS.index(floor_of(other))
+                if there < here or (floor_of(module), floor_of(other)) in STRANGERS:
+                    upward.append(f"{module} -> {other}")
+    assert not upward, "\n".join(upward)
+
+
+def test_there_are_no_circles():
+    graph = {module: {other for other in imports(path) if other in MODULES and other != module} for module, path in MODULES.items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as circle:
+        pytest.fail(f"a circle of imports: {' -> '.join(circle.args[1])}")
+
+
+def test_the_floors_can_be_printed(capsys):
+    """pytest -s tests/test_floors.py shows them, with the lines of each."""
+    total = 0
+    for floor in FLOORS:
+        n_lines = sum(lines_of(module) for module in MODULES if floor_of(module) == floor)
+        total += n_lines
+        with capsys.disabled():
+            print(f"\n{floor:<22} {n_lines:6}", end="")
+    with capsys.disabled():
+        print(f"\n{'in all':<22} {total:6}")
+    assert total == sum(path.read_text().count("\n") for path in MODULES.values())
+
+
+def test_no_module_reaches_for_the_private_name_of_another():
+    reached = []
+    for module, path in MODULES.items():
+        tree = ast.parse(path.read_text())
+        own = {node.name for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+        own |= {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)}
+        own |= {node.target.id for node in ast.walk(tree) if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("minimd"):
+                reached += [f"{module}: {alias.name}" for alias in node.names if re.match(r"_[^_]", alias.name)]
+            elif (
+                isinstance(node, ast.Attribute)
+                and re.match(r"_[^_]", node.attr)
+                and node.attr not in own | {"_asdict", "_replace", "_fields", "_make"}
+            ):
+                owner = node.value.id if isinstance(node.value, ast.Name) else ""
+                if owner not in ("self", "cls", "sys", "os"):
+                    reached.append(f"{module}: {ast.unparse(node)}")
+    allowed = {"minimd.bench.engines"}  # OpenMM's and LAMMPS' own
+    assert not [one for one in reached if one.split(":")[0] not in allowed], reached
+
+
+def test_only_the_bridges_import_ase_and_mdanalysis():
+    for path in PACKAGE.rglob("*.py"):
+        place = path.relative_to(PACKAGE)
+        if place.as_posix() not in BRIDGES and place.parts[0] not in ("ase", "bench"):
+            roots = {module.split(".")[0] for module in imports(path, when_imported=True)}
+            assert not roots & {"ase", "MDAnalysis"}, path
+
+
+def test_importing_minimd_loads_no_bridge_and_compiles_nothing():
+    code = """
+import sys
+from numba.core import event
+compiled = event.install_recorder("numba:compile")
+with compiled as recorder:
+    import minimd
+heavy = [m for m in ("ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm") if m in sys.modules]
+assert not heavy, heavy
+assert not recorder.buffer, len(recorder.buffer)
+"""
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
+
+
+def test_files_and_functions_keep_to_their_size():
+    for path in PACKAGE.rglob("*.py"):
+        text = path.read_text()
+        assert text.count("\n") <= 400, path
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef):
+                body = node.body[1:] if ast.get_docstring(node) else node.body
+                length = body[-1].end_lineno - body[0].lineno + 1 if body else 0
+                assert length <= 60, f"{path.name}: {node.name} has {length} lines"

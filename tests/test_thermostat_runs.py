@@ -34,7 +34,7 @@ def test_total_energy_minus_heat_is_conserved(method):
     conserved, total = record.conserved_energy, record.total_energy
     assert np.ptp(conserved) < 0.05 * np.ptp(total)
     assert sim.report().energy_is_conserved
-    assert "minus heat is conserved" in sim.report().verdict
+    assert "minus reservoir energy is conserved" in sim.report().verdict
     assert total[-1] - conserved[-1] == pytest.approx(sim.reservoir_energy, rel=1e-9)
 
 
@@ -166,7 +166,7 @@ def test_drift_of_a_walk_has_an_honest_error():
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [lambda s: md.LangevinBAOAB(0.004, 1.3, 5.0, s), lambda s: md.StochasticVelocityRescaling(0.004, 1.3, 0.1, s)])
 def test_long_runs_that_are_fine_are_told_so(make):
-    """Energy minus heat wanders by 1e-3 ε per atom in 25 000 steps; that is no drift."""
+    """Energy minus reservoir energy wanders by 1e-3 ε per atom in 25 000 steps; that is no drift."""
     ratios = []
     for seed in range(6):
         sim = simulation(make(seed), seed)

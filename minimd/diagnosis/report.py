@@ -15,9 +15,9 @@ RANGE_OF_ROUNDING = 1e-11  # of the potential energy
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
 FEW = 4  # frames below which nothing can be judged
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
-ROUNDING_OF_TURNS = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
+ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
 SETTLING = 0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
-KEPT = 1e-8  # of d², violation of a rigid length that no one will see
+LENGTHS_KEPT = 1e-8  # of d², violation of a rigid length that no one will see
 
 
 @dataclass(frozen=True)
@@ -59,26 +59,26 @@ def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = 
     if blocks < FEW or np.ptp(time) == 0.0:
         slope = (series[-1] - series[0]) / np.ptp(time) if np.ptp(time) > 0.0 else 0.0
         return Drift(float(slope), np.inf)
-    t = np.array([part.mean() for part in np.array_split(time, blocks)])
-    y = np.array([part.mean() for part in np.array_split(series, blocks)])
-    centered = t - t.mean()
-    slope = centered @ y / (centered @ centered)
-    residuals = y - y.mean() - slope * centered
-    return Drift(float(slope), float(np.sqrt(residuals @ residuals / (blocks - 2) / (centered @ centered))))
+    (slope, _), covariance = np.polyfit(_block_means(time, blocks), _block_means(series, blocks), 1, cov=True)
+    return Drift(float(slope), float(np.sqrt(covariance[0, 0])))
 
 
 def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS) -> Drift:
     """Slope of a series that wanders about its drift as a random walk does, with the standard error that this leaves.
 
-    Total energy minus heat is such a series: each contact with the bath also changes the part of the energy that the method conserves
-    and the Hamiltonian does not show. Only the ends tell a slope then, and the steps of the walk how uncertain it is. Averages over
-    blocks take steps 2/3 as large in the square as the walk does in that time.
+    Total energy minus reservoir energy is such a series: each contact with the bath also changes the difference between the energy and
+    the shadow Hamiltonian that the method conserves. Only the ends then tell the slope, and the steps of the walk its uncertainty. The
+    mean square of a step between two block averages is 2/3 of that of the walk over the same time.
     """
     blocks = min(blocks, len(series))
     if blocks < FEW or np.ptp(time) == 0.0:
         return drift(time, series, blocks)
-    t, y = (np.array([part.mean() for part in np.array_split(values, blocks)]) for values in (time, series))
+    t, y = _block_means(time, blocks), _block_means(series, blocks)
     return Drift(float((y[-1] - y[0]) / (t[-1] - t[0])), float(np.sqrt(1.5 * (blocks - 1)) * np.diff(y).std(ddof=1) / (t[-1] - t[0])))
+
+
+def _block_means(series: NDArray[np.float64], blocks: int) -> NDArray[np.float64]:
+    return np.array([part.mean() for part in np.array_split(series, blocks)])
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Report:
 
     Attributes
     ----------
-    energy_drift : Drift of the total energy per atom [energy/time], minus heat if has_bath; time in ps, or τ in reduced units.
+    energy_drift : Drift of the total energy per atom [energy/time], minus reservoir energy if has_bath; time in ps, or τ in reduced units.
     energy_oscillation : standard deviation of the total energy per atom about that line [energy].
     momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None where P is not a constant.
     angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None where L is not a constant.
@@ -149,9 +149,27 @@ class Report:
         """
         if not self.has_bath and self.energy_range > LARGEST_RANGE * self.kinetic_energy:
             return False
+        return self._has_no(self.energy_drift)
+
+    @property
+    def shadow_is_conserved(self) -> bool | None:
+        """Whether the shadow energy has no drift, likewise; None if it was not recorded, or in too few frames."""
+        return None if self.shadow_drift is None else self._has_no(self.shadow_drift)
+
+    def _has_no(self, slope: Drift) -> bool | None:
         if self.n_frames < FEW:
             return None
-        return not self.energy_drift.is_significant or abs(self.energy_drift.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
+        return not slope.is_significant or abs(slope.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
+
+    @property
+    def momentum_is_conserved(self) -> bool:
+        """True if the change is what rounding explains, which adds up like a random walk, or if the momentum is no constant."""
+        return self.momentum_change is None or self.momentum_change < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+
+    @property
+    def angular_momentum_is_conserved(self) -> bool:
+        """Likewise."""
+        return self.angular_momentum_change is None or self.angular_momentum_change < ANGULAR_MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
 
     @property
     def is_settling(self) -> bool:
@@ -159,68 +177,44 @@ class Report:
         first, last = self.temperatures
         return abs(last - first) > SETTLING * max(first, last)
 
-    @property
-    def _settling(self) -> str:
-        first, last = self.temperatures
-        return (
-            f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; " if self.is_settling else ""
-        )
-
-    @property
-    def momentum_is_conserved(self) -> bool:
-        """True if the change is what rounding explains, which adds up like a random walk, or if nothing else was promised."""
-        return self.momentum_change is None or self.momentum_change < MOMENTUM_KEPT * self._walk
-
-    @property
-    def angular_momentum_is_conserved(self) -> bool:
-        """Likewise."""
-        return self.angular_momentum_change is None or self.angular_momentum_change < ROUNDING_OF_TURNS * self._walk
-
-    @property
-    def shadow_is_conserved(self) -> bool | None:
-        """Whether the shadow energy has no drift, as energy_is_conserved; None if it was not recorded, or in too few frames."""
-        if self.shadow_drift is None or self.n_frames < FEW:
-            return None
-        return not self.shadow_drift.is_significant or abs(self.shadow_drift.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
-
-    @property
-    def _walk(self) -> float:
-        return max(1.0, (self.n_steps / 1e4) ** 0.5)
-
     def __str__(self) -> str:
         energy, time, temperature = self.units
-        drift_, per = self.energy_drift, f"{energy} per atom"
-        lines = [
-            f"{'energy - heat ' if self.has_bath else 'total energy  '} drift {drift_.slope:+.2e} ± {drift_.error:.1e} {per} per {time}",
-            f"               oscillation {self.energy_oscillation:.2e} {per} (standard deviation)",
-        ]
+        slope, per, lines = self.energy_drift, f"{energy} per atom", []
+
+        def tell(name: str, words: str) -> None:
+            lines.append(f"{name:<14} {words}")
+
+        tell("E - reservoir" if self.has_bath else "total energy", f"drift {slope.slope:+.2e} ± {slope.error:.1e} {per} per {time}")
+        tell("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)")
         if self.shadow_drift is not None:
             said = {None: "too few frames to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
-            lines.append(f"shadow energy  drift {self.shadow_drift.slope:+.2e} ± {self.shadow_drift.error:.1e} {per} per {time}: {said}")
-            lines.append(f"               oscillation {self.shadow_oscillation:.2e} {per}")
+            tell("shadow energy", f"drift {self.shadow_drift.slope:+.2e} ± {self.shadow_drift.error:.1e} {per} per {time}: {said}")
+            tell("", f"oscillation {self.shadow_oscillation:.2e} {per}")
         if self.momentum_change is not None:
             said = "conserved" if self.momentum_is_conserved else "NOT CONSERVED"
-            lines.append(f"momentum       change {self.momentum_change:.1e} of the sum of |mv|: {said}")
+            tell("momentum", f"change {self.momentum_change:.1e} of the sum of |mv|: {said}")
         if self.angular_momentum_change is not None:
             said = "conserved" if self.angular_momentum_is_conserved else "NOT CONSERVED"
-            lines.append(f"ang. momentum  change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {said}")
+            tell("ang. momentum", f"change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {said}")
         if self.constraint_violation is not None:
-            said = "kept" if self.constraint_violation < KEPT else "NOT KEPT"
-            lines.append(f"lengths        kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
+            said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
+            tell("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
         lines.extend(map(str, self.lines))
-        lines.append(f"temperature    {self.mean_temperature:.4g} ± {self.temperature_deviation:.2g} {temperature}")
-        if self.cost is not None:
-            lines.extend(self.cost.lines())
-        return "\n".join([*lines, f"verdict        {self.verdict}"])
+        tell("temperature", f"{self.mean_temperature:.4g} ± {self.temperature_deviation:.2g} {temperature}")
+        lines.extend(self.cost.lines() if self.cost is not None else ())
+        tell("verdict", self.verdict)
+        return "\n".join(lines)
 
     @property
     def verdict(self) -> str:
         """One sentence."""
         if self.energy_is_conserved is None:
             return f"{self.n_frames} frames are too few to judge; observe more often"
-        name = "total energy minus heat" if self.has_bath else "total energy"
-        remedy = "equilibrate first" if self.is_settling else "reduce the time step or smooth the cutoff"
-        energy = f"the {name} is conserved" if self.energy_is_conserved else f"THE {name.upper()} DRIFTS: {self._settling}{remedy}"
+        name, (first, last) = "total energy minus reservoir energy" if self.has_bath else "total energy", self.temperatures
+        why = "reduce the time step or smooth the cutoff"
+        if self.is_settling:
+            why = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
+        energy = f"the {name} is conserved" if self.energy_is_conserved else f"THE {name.upper()} DRIFTS: {why}"
         if self.momentum_change is None:
             return f"{energy}; momentum is not a constant here."
         momentum = "momentum is conserved to rounding" if self.momentum_is_conserved else "THE TOTAL MOMENTUM CHANGES: a force is not pairwise"
@@ -231,7 +225,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
     """The report of a record.
 
     linear, angular : whether the scene conserves momentum (no bath, nothing fixed) and angular momentum (nor anything periodic).
-    lines : to show beside them.  Of a run with a thermostat it is the total energy minus the heat that is judged.
+    lines : to show beside them.  Of a run with a thermostat, total energy minus reservoir energy is judged.
     """
     units = record.units
     has_bath = "conserved_energy" in record

@@ -50,7 +50,7 @@ def _stiffest_of(system: System, potential: HarmonicBond, constraint_set: Constr
     pairs = bonded_pairs(system, potential)
     squares = potential.parameters[0] * constraint_set.inverse_masses[pairs].sum(axis=1)
     squares[_among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
-    found = [StiffBond(*pairs[b].tolist(), float(squares[b])) for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
+    found = [StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
     if constraint_set.bonds is not None:
         found = [bond._replace(square=bond.square * _free_part(system, bond, constraint_set)) for bond in found]
     return max((bond for bond in found if bond.square > 0.0), key=lambda bond: bond.square, default=None)

@@ -43,7 +43,7 @@ class MDAnalysisWriter:
     OSError : if the file cannot be written.
     """
 
-    def __init__(self, file: Path, engine: Engine) -> None:
+    def __init__(self, file: Path, engine: Engine, _store_forces: bool = False) -> None:
         system = engine.system
         self._file, self._format = Path(file), FORMATS.get(Path(file).suffix.lower(), Path(file).suffix[1:].upper())
         self._angstrom, self._picosecond = system.units.to_angstrom, system.units.to_picosecond

@@ -1,9 +1,4 @@
-"""Trajectory files: which writer a suffix means, and that all are closed whatever happens.
-
-.h5md                          minimd.h5md: float64, observables, restart
-.xtc .dcd .trr .ncdf .nc       MDAnalysis' writers
-.xyz .extxyz .traj             ASE's writers
-"""
+"""Trajectory files: which writer a suffix means, and that all are closed whatever happens."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -12,9 +7,6 @@ from typing import Protocol
 
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
-
-MDANALYSIS_SUFFIXES = (".xtc", ".dcd", ".trr", ".ncdf", ".nc")
-ASE_SUFFIXES = (".xyz", ".extxyz", ".traj")
 
 
 class Writer(Protocol):
@@ -25,6 +17,34 @@ class Writer(Protocol):
 
     def close(self, completed: bool) -> None:
         """Finish the file; it is valid afterwards, however many frames it got.  completed : whether the run came to its end."""
+
+
+def _h5md() -> Callable[..., Writer]:
+    """Float64, with observables and restart."""
+    from minimd.files.h5md_writer import H5MDWriter
+
+    return H5MDWriter
+
+
+def _mdanalysis() -> Callable[..., Writer]:
+    """Float32, by MDAnalysis."""
+    from minimd.files.mdanalysis_writer import MDAnalysisWriter
+
+    return MDAnalysisWriter
+
+
+def _ase() -> Callable[..., Writer]:
+    """By ASE."""
+    from minimd.files.ase_writer import ASEWriter
+
+    return ASEWriter
+
+
+FORMATS: dict[str, Callable[[], Callable[..., Writer]]] = {  # suffix: its writer, called with file, engine and store_forces; loaded when needed
+    ".h5md": _h5md,
+    **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), _mdanalysis),
+    **dict.fromkeys((".xyz", ".extxyz", ".traj"), _ase),
+}
 
 
 @contextmanager
@@ -43,7 +63,7 @@ def open_trajectories(paths: str | Path | Sequence[str | Path], engine: Engine, 
         for file in files:
             if not file.exists():
                 undoing.callback(file.unlink, missing_ok=True)
-            writers.append(_opened(file, engine, store_forces))
+            writers.append(FORMATS[file.suffix.lower()]()(file, engine, store_forces))
             closing.push(_close_of(writers[-1]))
         undoing.pop_all()
         yield writers
@@ -66,9 +86,8 @@ def checked_output(path: str | Path, overwrite: bool) -> Path:
     As open_trajectories.
     """
     file = Path(path)
-    known = (".h5md", *MDANALYSIS_SUFFIXES, *ASE_SUFFIXES)
-    if file.suffix.lower() not in known:
-        raise ValueError(f"the suffix of a trajectory must be one of {', '.join(known)}; the file is {str(file)!r}")
+    if file.suffix.lower() not in FORMATS:
+        raise ValueError(f"the suffix of a trajectory must be one of {', '.join(FORMATS)}; the file is {str(file)!r}")
     if file.exists() and not overwrite:
         raise FileExistsError(f"output {str(file)!r} exists; choose another name, or pass overwrite=True")
     if not file.absolute().parent.is_dir():
@@ -81,18 +100,3 @@ def checked_output(path: str | Path, overwrite: bool) -> Path:
     except OSError as error:
         raise PermissionError(f"output {str(file)!r} cannot be written: {error.strerror}") from None
     return file
-
-
-def _opened(file: Path, engine: Engine, store_forces: bool) -> Writer:
-    suffix = file.suffix.lower()
-    if suffix in MDANALYSIS_SUFFIXES:
-        from minimd.files.mdanalysis_writer import MDAnalysisWriter
-
-        return MDAnalysisWriter(file, engine)
-    if suffix in ASE_SUFFIXES:
-        from minimd.files.ase_writer import ASEWriter
-
-        return ASEWriter(file, engine, store_forces)
-    from minimd.files.h5md_writer import H5MDWriter
-
-    return H5MDWriter(file, engine, store_forces)

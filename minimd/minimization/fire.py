@@ -1,13 +1,10 @@
 """FIRE, the fast inertial relaxation engine: downhill with inertia, and a stop whenever the way leads uphill.
 
-    P = F·v > 0 for some steps    Δt ← 1.1 Δt,  α ← 0.99 α
-    P ≤ 0                         Δt ← ½ Δt,  α ← ¼,  half a step back,  v ← 0
-    always                        v ← v + Δt F,   v ← (1 − α) v + α |v| F/|F|,   r ← r + Δt v
+Its rules stand beside their lines in FIRE._descend. All masses are 1. E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006), in the form
+of J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020): a half step back after each stop, and steps of symplectic Euler.
 
-with all masses 1, E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006), in the form of J. Guénolé et al., Comput. Mater. Sci. 175,
-109584 (2020), which keeps the half step back and the step of symplectic Euler. Two things are added. Units of time are not known
-here, so that Δt is limited by the largest curvature κ = |ΔF|/|Δr|, from a few power iterations now and then. And no atom moves farther than a given
-length in a step, which leads out of overlaps, however large their forces.
+Two things are added. The unit of time is not known here; therefore Δt is limited by the largest curvature κ = |ΔF|/|Δr|, found by a few
+power iterations now and then. And no atom moves farther than a given length in a step, which leads out of overlaps, however large the forces.
 """
 
 from collections.abc import Callable
@@ -25,7 +22,7 @@ from minimd.structure.observables import longest
 
 Array = NDArray[np.float64]
 
-DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99  # Guénolé et al., table 2
+DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99  # N_delay, f_inc, f_dec, α_start, f_α: Guénolé et al., table 2
 FIRST, LONGEST = 0.3, 1.0  # √κ Δt at the start, and at most; symplectic Euler blows up at 2, and κ may be seen too small
 PROBE = 1e-3  # of the longest step: displacements that try the curvature
 PROBES, PROBE_EVERY = 5, 50  # displacements, each along the change of the forces in the one before; steps between two such series
@@ -71,15 +68,15 @@ def steer(velocities, forces, timestep, mixing, most):
     for i in range(velocities.shape[0]):
         for c in range(3):
             velocities[i, c] = (1.0 - mixing) * velocities[i, c] + along * forces[i, c]
-    stride = timestep * longest(velocities)[1]
-    if stride > most:
+    displacement = timestep * longest(velocities)[1]
+    if displacement > most:
         for i in range(velocities.shape[0]):
             for c in range(3):
-                velocities[i, c] *= most / stride
+                velocities[i, c] *= most / displacement
 
 
 class FIRE:
-    """A way down, made in place on the positions of the system of some forces.
+    """A descent, made in place on the positions of the system of some forces.
 
     Attributes
     ----------
@@ -112,7 +109,7 @@ class FIRE:
         return np.inf if n_pushes else self.largest_force
 
     def run(self, tolerance: float, max_steps: int, tell: Callable[[int], None]) -> None:
-        """Go down until no force is longer than the tolerance, or after max_steps.  tell : is told how many steps are made.
+        """Descend until no force is longer than the tolerance, or after max_steps.  tell : is called with the number of steps made.
 
         Raises
         ------
@@ -120,7 +117,7 @@ class FIRE:
         """
         self._max_steps, self._tolerance, self._tell = max_steps, tolerance, tell
         self._steepest()
-        self._fire()
+        self._descend()
 
     def _goes_on(self) -> bool:
         return self.largest_force > self._tolerance and self.n_steps < self._max_steps and not self.stop_requested
@@ -137,20 +134,21 @@ class FIRE:
             self._positions[:], self._forces[:], self.largest_force = before, forces, largest
             return
 
-    def _fire(self) -> None:
+    def _descend(self) -> None:
+        """FIRE with its rules beside their lines; Δt is shortened, and v set to zero, after a step that constraints refuse."""
         timestep, mixing, downhill, refused = self._first_timestep(), MIXING, 0, 0
         while self._goes_on():
-            if overlap(self._forces, self._velocities) > 0.0:
+            if overlap(self._forces, self._velocities) > 0.0:  # P = F·v > 0
                 downhill += 1
                 if downhill > DELAY:
-                    timestep, mixing = timestep * FASTER, mixing * LESS_MIXING
-            elif self._velocities.any():
-                self._moved(self._velocities.copy(), -0.5 * timestep)
-                timestep, mixing, downhill = timestep * SLOWER, MIXING, 0
-                self._velocities[:] = 0.0
+                    timestep, mixing = timestep * FASTER, mixing * LESS_MIXING  # Δt ← 1.1 Δt, α ← 0.99 α
+            elif self._velocities.any():  # P ≤ 0
+                self._moved(self._velocities.copy(), -0.5 * timestep)  # r ← r − ½ Δt v
+                timestep, mixing, downhill = timestep * SLOWER, MIXING, 0  # Δt ← ½ Δt, α ← ¼
+                self._velocities[:] = 0.0  # v ← 0
             timestep = min(timestep, LONGEST / np.sqrt(self._curvature))
-            steer(self._velocities, self._forces, timestep, mixing, self._longest)
-            if self._moved(self._velocities, timestep):
+            steer(self._velocities, self._forces, timestep, mixing, self._longest)  # v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|
+            if self._moved(self._velocities, timestep):  # r ← r + Δt v
                 self._evaluate()
                 self._count()
                 if self.n_steps % PROBE_EVERY == 0:

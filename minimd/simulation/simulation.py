@@ -211,17 +211,23 @@ class Simulation:
         n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
         self._equilibrated += n_steps
         place = crash_file_place(crash_report or False, ())
-        with self._running(), self._noise_shifted(), guard.uncounted(), crash_file_left(place, guard, overwrite=False):
-            with Progress(n_steps, "equilibrating", progress) as bar, stop_on_interrupt(engine.surroundings):
-                guard.check_start()
-                thermal = engine.n_dof * self.system.units.k_B * temperature
-                most = RUNAWAY * (engine.kinetic_energy + abs(engine.interactions.potential_energy) + thermal)
-                for done in range(every, n_steps + every, every):
-                    guard.advance(min(every, n_steps - done + every), with_energy=False)
-                    guard.check_kinetic_energy(most)
-                    engine.rescale_temperature(temperature)
-                    guard.drop_snapshots()  # a replay does not rescale
-                    bar.advance_to(min(done, n_steps))
+        with (
+            self._running(),
+            self._noise_shifted(),
+            guard.uncounted(),
+            crash_file_left(place, guard, overwrite=False),
+            Progress(n_steps, "equilibrating", progress) as bar,
+            stop_on_interrupt(engine.surroundings),
+        ):
+            guard.check_start()
+            thermal = engine.n_dof * self.system.units.k_B * temperature
+            most = RUNAWAY * (engine.kinetic_energy + abs(engine.interactions.potential_energy) + thermal)
+            for done in range(every, n_steps + every, every):
+                guard.advance(min(every, n_steps - done + every), with_energy=False)
+                guard.check_kinetic_energy(most)
+                engine.rescale_temperature(temperature)
+                guard.drop_snapshots()  # a replay does not rescale
+                bar.advance_to(min(done, n_steps))
         engine.step, engine.time, engine.reservoir_energy = 0, 0.0, 0.0
 
     @contextmanager

@@ -42,7 +42,7 @@ class Bath:
     energy : given to the system since the start, the reservoir energy [energy].
     """
 
-    k_B: float = 1.0
+    k_B: float = 1.0  # noqa: N815 - the symbol of the constant
     n_dof: int = 0
     conserves_momentum: bool = False
     step: int = 0

@@ -9,7 +9,7 @@ from minimd.compiled.kernels import kernel, scalar
 from minimd.structure.cell import Cell
 
 ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
-FLATTEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick
+FLATTEST = 1e-9  # of the reach: a thinner scene counts as this thick, so that no width is zero
 WIDER = 1.0 + 1e-9  # bins are this much wider than the reach, so that rounding never asks for one bin more
 
 
@@ -53,11 +53,11 @@ def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
 
 def sort_into_bins(positions: NDArray[np.float64], cell: Cell, grid: Grid) -> Sorted:
     """The atoms in the order of their bins, the last lattice direction running fastest."""
-    return Sorted(*_sort(positions, cell.lattice, cell.inverse, cell.pbc, grid.counts, grid.origin, grid.extent))
+    return Sorted(*_sort(positions, cell.lattice, cell.inverse, cell.pbc, grid))
 
 
 class Binned(NamedTuple):
-    """Room for a counting sort of N atoms into B bins.
+    """The arrays of a counting sort of N atoms into B bins.
 
     order, bins : (N,) int, atoms in the order of their bins, and the bin of each atom.  bin_start, place : (B + 1,) int.
     cells : (N, 3), lattice vectors that bring each atom into the cell, as numbers.
@@ -73,8 +73,9 @@ class Binned(NamedTuple):
 
 
 @scalar
-def counting_sort(positions, inverse, pbc, counts, origin, extent, binned):
-    """Atoms into bins, in linear time: fills Binned."""
+def counting_sort(positions, inverse, pbc, grid, binned):
+    """Atoms into the bins of a grid (counts, origin, extent), in linear time: fills Binned."""
+    counts, origin, extent = grid.counts, grid.origin, grid.extent
     for b in range(binned.bin_start.size):
         binned.bin_start[b] = 0
     for i in range(positions.shape[0]):
@@ -99,13 +100,13 @@ def counting_sort(positions, inverse, pbc, counts, origin, extent, binned):
 
 
 @kernel
-def _sort(positions, lattice, inverse, pbc, counts, origin, extent):
+def _sort(positions, lattice, inverse, pbc, grid):
     """order, offsets and bin_start as in Sorted."""
-    n_atoms, n_bins = positions.shape[0], counts[0] * counts[1] * counts[2]
+    n_atoms, n_bins = positions.shape[0], grid.counts[0] * grid.counts[1] * grid.counts[2]
     order, bins = np.empty(n_atoms, dtype=np.int64), np.empty(n_atoms, dtype=np.int64)
     bin_start, place = np.empty(n_bins + 1, dtype=np.int64), np.empty(n_bins + 1, dtype=np.int64)
     cells = np.empty((n_atoms, 3))
-    counting_sort(positions, inverse, pbc, counts, origin, extent, Binned(order, bins, bin_start, place, cells, np.empty(n_atoms)))
+    counting_sort(positions, inverse, pbc, grid, Binned(order, bins, bin_start, place, cells, np.empty(n_atoms)))
     offsets = np.empty((n_atoms, 3))
     for k in range(n_atoms):
         i = order[k]

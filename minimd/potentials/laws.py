@@ -3,7 +3,7 @@
 from math import sqrt
 from typing import Any, NamedTuple
 
-from minimd.compiled.kernels import marks, scalar
+from minimd.compiled.kernels import type_of, scalar
 from minimd.potentials.law import evaluate_law
 
 
@@ -49,18 +49,18 @@ def scaled(r2, law, parameters):
     return parameters[0] * u, parameters[0] * f
 
 
-@marks(lennard_jones)
+@type_of(lennard_jones)
 class LennardJonesLaw(NamedTuple):
-    """Marker of lennard_jones; parameters (epsilon, sigma)."""
+    """Law type of lennard_jones; parameters (epsilon, sigma)."""
 
 
-@marks(harmonic)
+@type_of(harmonic)
 class HarmonicLaw(NamedTuple):
-    """Marker of harmonic; parameters (k, length)."""
+    """Law type of harmonic; parameters (k, length)."""
 
 
-@marks(scaled)
+@type_of(scaled)
 class Scaled(NamedTuple):
-    """Marker of scaled around another marker."""
+    """Law type of scaled around another law."""
 
     law: Any

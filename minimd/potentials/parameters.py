@@ -58,6 +58,13 @@ def _row_overload(columns, index):
     return lambda columns, index: (columns[0][index],) + _row(columns[1:], index)
 
 
+def by_species(table: NDArray[np.float64], species: NDArray[np.int64]) -> SameForAll | BySpecies:
+    """Where the loop finds the numbers of a table (S, S, 1 + P), for atoms of these species (N,)."""
+    if len(table) == 1:
+        return SameForAll(tuple(table[0, 0].tolist()))
+    return BySpecies(from_table(table), species)
+
+
 def from_table(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
     """The columns (last axis) of a parameter table as contiguous arrays."""
     return tuple(np.ascontiguousarray(table[..., k]) for k in range(table.shape[-1]))

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from math import sqrt
 from typing import Any, NamedTuple
 
-from minimd.compiled.kernels import marks, scalar
+from minimd.compiled.kernels import type_of, scalar
 from minimd.potentials.law import evaluate_law
 
 
@@ -88,37 +88,37 @@ def smooth(r2, law, parameters):
     return s * u, s * f - 2.0 * slope * u
 
 
-@marks(shifted)
+@type_of(shifted)
 class Shifted(NamedTuple):
-    """Marker of shifted around a law."""
+    """Law type of shifted around a law."""
 
     law: Any
 
 
-@marks(force_shifted)
+@type_of(force_shifted)
 class ForceShifted(NamedTuple):
-    """Marker of force_shifted around a law."""
+    """Law type of force_shifted around a law."""
 
     law: Any
 
 
-@marks(switched)
+@type_of(switched)
 class Switched(NamedTuple):
-    """Marker of switched around a law."""
+    """Law type of switched around a law."""
 
     law: Any
 
 
-@marks(charmm)
+@type_of(charmm)
 class CharmmSwitched(NamedTuple):
-    """Marker of charmm around a law."""
+    """Law type of charmm around a law."""
 
     law: Any
 
 
-@marks(smooth)
+@type_of(smooth)
 class Smooth(NamedTuple):
-    """Marker of smooth around a law."""
+    """Law type of smooth around a law."""
 
     law: Any
 
@@ -145,14 +145,14 @@ def _squared_switching_range(law: tuple, parameters: tuple, cutoff: float, switc
 
 
 class Truncation(NamedTuple):
-    """One row of the table: the marker to put around a law (None: nothing), and the numbers its formula needs."""
+    """One row of the table: the law type to put around a law (None: nothing), and the numbers its formula needs."""
 
-    marker: Callable | None
+    law_type: Callable | None
     numbers: Callable[[tuple, tuple, float, float], tuple]
 
     def around(self, law: tuple) -> tuple:
-        """The marker of the truncated law."""
-        return self.marker(law) if self.marker else law
+        """The law type of the truncated law."""
+        return self.law_type(law) if self.law_type else law
 
 
 TRUNCATIONS = {

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from minimd import integrators
 from minimd.ase.calculator import Calculator
-from minimd.forces.terms import Potential
+from minimd.forces.forces import Potential
 from minimd.simulation.simulation import Simulation
 from minimd.structure.ase_atoms import cell_of, same_scene
 from minimd.structure.system import System

@@ -27,7 +27,7 @@ from minimd.engine.engine import Motion
 from minimd.forces.forces import Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.potentials.pair_loop import PER_ATOM
+from minimd.potentials.term import PER_ATOM
 from minimd.structure import observables
 from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint

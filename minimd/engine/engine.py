@@ -13,7 +13,7 @@ from minimd.diagnosis.causes import Moment
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting, State
-from minimd.potentials.pair_loop import FORCES, TOTALS
+from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint
 from minimd.structure.system import System

@@ -5,7 +5,7 @@ and names the clusters j that hold atoms within its reach; a mask says which lan
 """
 
 import functools
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numba
 import numpy as np
@@ -24,16 +24,12 @@ from minimd.potentials.term import PER_ATOM
 LANE_SUMS = 7  # accumulators of a lane with PER_ATOM: energy, and six of the virial
 
 
-class ByLane(NamedTuple):
+class ByLane(namedtuple("ByLane", "columns species slots")):
     """Parameters by species, laid out for lanes.
 
     columns : tuple of (S · slots,) arrays; element a · slots + s is the parameter of the atom in slot s with species a.
     species : (slots,) int.  slots : number of slots, ghosts included.
     """
-
-    columns: Any
-    species: Any
-    slots: Any
 
 
 def parameters_of_lanes(source, slot, cluster):
@@ -60,7 +56,7 @@ def _loaded_overload(columns, start):
     return lambda columns, start: (load(columns[0], start, LANES),) + _loaded(columns[1:], start)
 
 
-class Sums(NamedTuple):
+class Sums(namedtuple("Sums", "forces energies virials lane_sums detail")):
     """The accumulators of the loop.
 
     forces : flat, BLOCK numbers for each ghost, of the type of the pair arithmetic [energy/length].
@@ -68,12 +64,6 @@ class Sums(NamedTuple):
     lane_sums : flat, LANE_SUMS · LANES numbers for each ghost: energies and virials of the lanes; empty unless PER_ATOM.
     detail : TOTALS or PER_ATOM, see term.
     """
-
-    forces: Any
-    energies: Any
-    virials: Any
-    lane_sums: Any
-    detail: int
 
 
 class ForceSums(Sums):
@@ -143,12 +133,8 @@ def add_cluster_forces(first, last, arrays, law, parameters, sums):
         if with_energy(sums):
             k = slot if sums.detail == PER_ATOM else slot // LANES
             sums.energies[k] += own_share * total(energy)
-            sums.virials[k, 0] += own_share * total(xx)
-            sums.virials[k, 1] += own_share * total(yy)
-            sums.virials[k, 2] += own_share * total(zz)
-            sums.virials[k, 3] += own_share * total(yz)
-            sums.virials[k, 4] += own_share * total(xz)
-            sums.virials[k, 5] += own_share * total(xy)
+            for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+                sums.virials[k, c] += own_share * total(w)
 
 
 @scalar

@@ -1,6 +1,6 @@
 """Atoms into bins: a grid along the lattice vectors, and the atoms in the order of their bins."""
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,28 +13,19 @@ FLATTEST = 1e-9  # of the reach: a thinner scene counts as this thick, so that n
 WIDER = 1.0 + 1e-9  # bins are this much wider than the reach, so that rounding never asks for one bin more
 
 
-class Grid(NamedTuple):
+class Grid(namedtuple("Grid", "counts reach origin extent")):
     """counts : (3,) int, bins along each lattice vector.  reach : (3,) int, bins to search on each side.
 
     origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions.
     """
 
-    counts: NDArray[np.int64]
-    reach: NDArray[np.int64]
-    origin: NDArray[np.float64]
-    extent: NDArray[np.float64]
 
-
-class Sorted(NamedTuple):
+class Sorted(namedtuple("Sorted", "order offsets bin_start")):
     """Atoms in the order of their bins.
 
     order : (N,) int, the user's index of each.  offsets : (N, 3) [length], lattice vectors that bring each into the cell.
     bin_start : (bins + 1,) int, first atom of each bin.
     """
-
-    order: NDArray[np.int64]
-    offsets: NDArray[np.float64]
-    bin_start: NDArray[np.int64]
 
 
 def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
@@ -56,20 +47,13 @@ def sort_into_bins(positions: NDArray[np.float64], cell: Cell, grid: Grid) -> So
     return Sorted(*_sort(positions, cell.lattice, cell.inverse, cell.pbc, grid))
 
 
-class Binned(NamedTuple):
+class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
     """The arrays of a counting sort of N atoms into B bins.
 
     order, bins : (N,) int, atoms in the order of their bins, and the bin of each atom.  bin_start, place : (B + 1,) int.
     cells : (N, 3), lattice vectors that bring each atom into the cell, as numbers.
     height : (N,) fractional coordinate along the third lattice vector, in the cell.
     """
-
-    order: Any
-    bins: Any
-    bin_start: Any
-    place: Any
-    cells: Any
-    height: Any
 
 
 @scalar

@@ -1,6 +1,6 @@
 """The cluster list with a skin: rows of clusters for the vector loop, and the memory that the loop works on."""
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import types
@@ -22,28 +22,16 @@ GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of t
 COARSEST = 1e-6  # of the cutoff: on a coarser grid, coordinates are rounded more than float32 rounds their differences
 
 
-class Memory(NamedTuple):
+class Memory(namedtuple("Memory", "coordinates shift origin unit forces")):
     """What the loop reads and writes; coordinates are in the precision of the pair arithmetic, see separation in cluster_loop.
 
     coordinates, forces : flat, BLOCK numbers for each ghost.
     shift : (M, 3) of each ghost, as the coordinates.  origin : (3,) [length] and unit [length]: coordinate = (x − origin) / unit.
     """
 
-    coordinates: Any
-    shift: Any
-    origin: Any
-    unit: float
-    forces: Any
 
-
-class ClusterArrays(NamedTuple):
+class ClusterArrays(namedtuple("ClusterArrays", "clusters domain_start ghosts rows memory")):
     """What the loop over clusters gets from the list.  domain_start : (K + 1,) int, first cluster of each domain."""
-
-    clusters: Any
-    domain_start: Any
-    ghosts: Any
-    rows: Any
-    memory: Any
 
 
 class ClusterList(VerletList):

@@ -12,7 +12,7 @@ its own column, and at the columns ahead:
 All of these are runs of ghosts in the domain of the atom: neither the search nor the loop over rows knows of periodicity.
 """
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -27,29 +27,20 @@ LANES_FROM = 24  # the bits of an entry below this one number a ghost, those abo
 GHOST_BITS = (1 << LANES_FROM) - 1
 
 
-class Rows(NamedTuple):
+class Rows(namedtuple("Rows", "start stop entries")):
     """Clusters within reach of each atom: those of the atom in slot s are entries[start[s] : stop[s]].
 
     start, stop : (slots,) int.  entries : (E,) uint32, the number of a ghost, and above its 24 bits one for each lane that counts.
     One more entry follows the last one: the loop reads one entry ahead.
     """
 
-    start: Any
-    stop: Any
-    entries: Any
 
-
-class Work(NamedTuple):
+class Work(namedtuple("Work", "ahead candidates entries near")):
     """Memory for the search of one cluster.
 
     ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, and the entries they become.
     near : (M,) uint8, bit k is set if the candidate is near the atom in lane k.
     """
-
-    ahead: Any
-    candidates: Any
-    entries: Any
-    near: Any
 
 
 @inlined

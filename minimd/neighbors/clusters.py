@@ -11,7 +11,7 @@ Seen from above and from the side (4 columns; one column with its clusters A, B,
 The last cluster of a column may have fewer atoms than lanes. The other lanes are padding: they repeat its last atom, and count nowhere.
 """
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ LANES = 8  # atoms of a cluster
 BLOCK = 3 * LANES  # numbers of one cluster in memory: eight x, eight y, eight z
 
 
-class Columns(NamedTuple):
+class Columns(namedtuple("Columns", "counts distance reach along origin extent pbc lattice inverse")):
     """A cell divided into columns along its third lattice vector.
 
     counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
@@ -35,18 +35,8 @@ class Columns(NamedTuple):
     origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions.  pbc, lattice, inverse : of the Cell.
     """
 
-    counts: Any
-    distance: float
-    reach: Any
-    along: float
-    origin: Any
-    extent: Any
-    pbc: Any
-    lattice: Any
-    inverse: Any
 
-
-class Clusters(NamedTuple):
+class Clusters(namedtuple("Clusters", "atom filled offsets column_start bottom top coordinates boxes")):
     """Atoms sorted into C clusters; slot s is lane s % 8 of cluster s // 8.
 
     atom : (8 C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
@@ -56,15 +46,6 @@ class Clusters(NamedTuple):
     coordinates : flat, BLOCK numbers for each cluster [length].
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
     """
-
-    atom: Any
-    filled: Any
-    offsets: Any
-    column_start: Any
-    bottom: Any
-    top: Any
-    coordinates: Any
-    boxes: Any
 
 
 def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Columns:

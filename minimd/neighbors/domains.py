@@ -17,7 +17,7 @@ home. Positions are copied to all ghosts of a cluster, and the forces on them ar
 bits, whichever thread did the work.
 """
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -32,19 +32,14 @@ IMAGES, HOME = 27, 13  # number of images, and the code of image (0, 0, 0)
 ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work costs more than a second thread gains
 
 
-class Domains(NamedTuple):
+class Domains(namedtuple("Domains", "column cluster run ghost")):
     """column : (K + 1,) int, first column of each domain along the first lattice vector.  cluster : (K + 1,) int, its first cluster.
 
     run : (K + 1,) int, the first run of each domain.  ghost : (runs + 1,) int, the first ghost of each run.
     """
 
-    column: Any
-    cluster: Any
-    run: Any
-    ghost: Any
 
-
-class GhostClusters(NamedTuple):
+class GhostClusters(namedtuple("GhostClusters", "owner key shift bottom top boxes lanes home is_used of start")):
     """M ghosts of C clusters.
 
     owner, key : (M,) int, the cluster, and the cluster with its image as one number.  shift : (M, 3) lattice vector of that image [length].
@@ -55,27 +50,9 @@ class GhostClusters(NamedTuple):
     of : (U,) int, all used ghosts cluster by cluster, those of cluster k from start[k].  start : (C + 1,) int.
     """
 
-    owner: Any
-    key: Any
-    shift: Any
-    bottom: Any
-    top: Any
-    boxes: Any
-    lanes: Any
-    home: Any
-    is_used: Any
-    of: Any
-    start: Any
 
-
-class Layout(NamedTuple):
+class Layout(namedtuple("Layout", "columns clusters domains ghosts coordinates")):
     """The clusters of a scene and where their ghosts stand.  coordinates : flat, BLOCK numbers for each ghost [length]."""
-
-    columns: Any
-    clusters: Any
-    domains: Any
-    ghosts: Any
-    coordinates: Any
 
 
 def cut_into_domains(clusters: Clusters, columns: Columns, n_atoms: int) -> Domains:

@@ -1,6 +1,6 @@
 """The plain pair list: every pair within reach, with its image."""
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +12,12 @@ from minimd.neighbors.verlet_list import VerletList, starts
 from minimd.structure.cell import Cell
 
 
-class Pairs(NamedTuple):
+class Pairs(namedtuple("Pairs", "start second image translations")):
     """Pairs (i, j), grouped by their first atom: pairs start[i] to start[i+1] belong to atom i.
 
     start : (N+1,) int.  second : (P,) int, the atoms j.  image : (P,) int, row of translations to add to r_j − r_i.
     translations : (T, 3) [length]; with no rows, no pair is shifted and image is not read.
     """
-
-    start: Any
-    second: Any
-    image: Any
-    translations: Any
 
 
 class PairList(VerletList):

@@ -1,6 +1,6 @@
 """All pairs of atoms and images within a distance, each once, in a time linear in the number of atoms."""
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,22 +10,12 @@ from minimd.neighbors.binning import Grid
 from minimd.structure.cell import Cell, minimum_image
 
 
-class Bins(NamedTuple):
+class Bins(namedtuple("Bins", "bin_start counts forward crossed translations pbc lattice inverse safe_distance2")):
     """Where the search looks for the neighbors of the atoms of a bin, and through which images.
 
     bin_start, counts : see Sorted, Grid.  forward, crossed, translations : see forward_bins, image_table.
     pbc, lattice, inverse, safe_distance2 : of the Cell.
     """
-
-    bin_start: Any
-    counts: Any
-    forward: Any
-    crossed: Any
-    translations: Any
-    pbc: Any
-    lattice: Any
-    inverse: Any
-    safe_distance2: float
 
 
 def bins_of(cell: Cell, grid: Grid, bin_start: NDArray[np.int64]) -> Bins:

@@ -1,5 +1,6 @@
 """Angles: a harmonic law of the angle at the middle atom of fixed triples."""
 
+from collections import namedtuple
 from math import pi
 from typing import Any, NamedTuple
 
@@ -46,14 +47,8 @@ class HarmonicAngle:
         return AngleTerm(self, checked_groups("triples", self.triples, 3, len(system)))
 
 
-class Triples(NamedTuple):
+class Triples(namedtuple("Triples", "first middle last first_translations last_translations")):
     """first, middle, last : (A,) int.  first_translations, last_translations : (A, 3) [length], added to r_first − r_middle and r_last − r_middle."""
-
-    first: Any
-    middle: Any
-    last: Any
-    first_translations: Any
-    last_translations: Any
 
 
 @kernel

@@ -1,11 +1,13 @@
 """How a scalar law u(r) meets the loops: by type, so that the compiled loop is found again by the next process.
 
 A law is one function `law(r2, *parameters)` that returns u [energy] and f = −u′(r)/r [energy/length²]. Its law type is a
-NamedTuple class that @type_of(law) ties to it. The law type of a truncated law holds that of the law inside. Law types
-hold no parameters: these follow in one flat tuple, first those of the truncation, then those of the law.
+named tuple class that law_type ties to it. The law type of a truncated law holds that of the law inside. Law types hold
+no parameters: these follow in one flat tuple, first those of the truncation, then those of the law.
 """
 
+from collections import namedtuple
 from collections.abc import Callable, Iterable
+from inspect import signature
 from math import isfinite, nan
 from typing import Any, NamedTuple
 
@@ -13,10 +15,20 @@ from numba.core import types
 from numba.core.dispatcher import Dispatcher
 from numba.extending import overload
 
-from minimd.compiled.kernels import scalar
+from minimd.compiled.kernels import scalar, type_of
 
 STEP = 1e-5  # of a central difference, relative to the distance
 ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative, and beside the size of u
+
+
+def law_type(name: str, formula: Callable) -> Any:
+    """The law type of a compiled law, formula(r2, *parameters), or of one around another law, formula(r2, law, parameters).
+
+    name : of the variable, in the module of the formula, that it is assigned to; there the cache and pickles find it.
+    """
+    python = formula.py_func  # type: ignore[attr-defined]
+    fields = ["law"] if "law" in signature(python).parameters else []
+    return type_of(formula)(namedtuple(name, fields, module=python.__module__))
 
 
 class UserLaw(NamedTuple):

@@ -1,10 +1,9 @@
 """The laws u(r), each written once, as a function of r² and its parameters."""
 
 from math import sqrt
-from typing import Any, NamedTuple
 
-from minimd.compiled.kernels import type_of, scalar
-from minimd.potentials.law import evaluate_law
+from minimd.compiled.kernels import scalar
+from minimd.potentials.law import evaluate_law, law_type
 
 
 @scalar
@@ -49,18 +48,5 @@ def scaled(r2, law, parameters):
     return parameters[0] * u, parameters[0] * f
 
 
-@type_of(lennard_jones)
-class LennardJonesLaw(NamedTuple):
-    """Law type of lennard_jones; parameters (epsilon, sigma)."""
-
-
-@type_of(harmonic)
-class HarmonicLaw(NamedTuple):
-    """Law type of harmonic; parameters (k, length)."""
-
-
-@type_of(scaled)
-class Scaled(NamedTuple):
-    """Law type of scaled around another law."""
-
-    law: Any
+LennardJonesLaw, HarmonicLaw = law_type("LennardJonesLaw", lennard_jones), law_type("HarmonicLaw", harmonic)
+Scaled = law_type("Scaled", scaled)

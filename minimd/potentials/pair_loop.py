@@ -70,12 +70,8 @@ def add_pair_forces(positions, pairs, law, parameters, detail, forces, energies,
         forces[i, 2] += fz
         if detail != FORCES:
             energies[i] += own_share * energy
-            virials[i, 0] += own_share * xx
-            virials[i, 1] += own_share * yy
-            virials[i, 2] += own_share * zz
-            virials[i, 3] += own_share * yz
-            virials[i, 4] += own_share * xz
-            virials[i, 5] += own_share * xy
+            for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+                virials[i, c] += own_share * w
 
 
 def pair_loop_for(law: tuple):

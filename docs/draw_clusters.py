@@ -8,10 +8,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 import minimd as md
+from minimd.compiled.threads import thread_pool
 from minimd.neighbors import domains
 from minimd.neighbors.cluster_list import ClusterList
-from minimd.forces.cluster_loop import GHOST_BITS, LANES, LANES_FROM
-from minimd.compiled.threads import thread_pool
+from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
+from minimd.neighbors.clusters import LANES
 
 CUTOFF, SKIN = 2.5, 0.3
 THICKNESS = 8.0**0.5  # at one atom per square, columns are as wide as eight atoms are high

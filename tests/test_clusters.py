@@ -158,7 +158,7 @@ def test_melt_per_atom_energies_come_from_the_pair_list():
 @pytest.mark.parametrize("pbc", [True, (True, False, False), (False, True, True), False])
 def test_chunks_change_nothing_but_rounding(atoms, pbc):
     system = rod()
-    system = md.System(system.positions, cell=md.cell.Cell.of(system.cell.vectors, pbc), species=system.species, bonds=system.bonds)
+    system = md.System(system.positions, cell=md.Cell.of(system.cell.vectors, pbc), species=system.species, bonds=system.bonds)
     with atoms_per_domain(atoms):
         clustered, listed = both_lists(system, POTENTIALS["exclusions"])
         agree(clustered, listed, system, EQUAL)

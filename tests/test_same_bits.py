@@ -6,6 +6,7 @@ from cluster_scenes import KINDS, SMOOTH, atoms_per_domain, n_domains, rod
 from references import melt
 
 import minimd as md
+from minimd.forces.options import Options
 
 THREADS = [2, 3, 4, 8]
 SERIES = ("potential_energy", "kinetic_energy", "total_energy", "temperature", "pressure", "momentum", "angular_momentum")
@@ -64,9 +65,9 @@ def test_a_thousand_steps_on_any_number_of_threads_give_the_same_bits(scene, pre
 def test_energies_of_atoms_have_the_same_bits_too(precision):
     system, potentials = mixture()
     with atoms_per_domain(100):
-        one, eight = (md.Forces(system, potentials, md.options.Options(threads, precision)) for threads in (1, 8))
+        one, eight = (md.Forces(system, potentials, Options(threads, precision)) for threads in (1, 8))
     for forces in (one, eight):
-        forces.compute(md.potentials.pair_loop.PER_ATOM)
+        forces.compute(md.potentials.PER_ATOM)
     assert np.array_equal(one.energies, eight.energies)
     assert np.array_equal(one.virials, eight.virials)
     assert np.array_equal(one.forces, eight.forces)

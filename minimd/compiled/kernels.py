@@ -18,6 +18,7 @@ from time import perf_counter
 
 import numba
 from numba.core import event
+from numba.extending import overload
 
 WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
 
@@ -59,6 +60,17 @@ def scalar(function):
     It must make no arrays. Then it needs no reference counts on those it is given, which would cost more than a small function does.
     """
     return numba.njit(error_model="numpy", forceinline=True, _nrt=False)(function)
+
+
+def by_type(choose: Callable) -> Callable:
+    """Decorator of a function for kernels only: it gets the Numba types of the arguments, and returns the function to compile for them."""
+
+    @functools.wraps(choose)
+    def compiled_only(*arguments):
+        raise NotImplementedError(f"{choose.__name__} runs in kernels only")
+
+    overload(compiled_only)(choose)
+    return compiled_only
 
 
 def type_of(formula: Callable) -> Callable[[type], type]:
@@ -134,7 +146,7 @@ def _cached(function, **flags):
 
 
 def _is_mine(folder: Path) -> bool:
-    """Cached code is run: nobody else may have put it there."""
+    """Cached code is executed, so no other user may be able to write it."""
     status = folder.stat()
     return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
 

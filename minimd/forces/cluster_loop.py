@@ -11,9 +11,8 @@ import numba
 import numpy as np
 from numba import types
 from numba.core.errors import NumbaError
-from numba.extending import overload
 
-from minimd.compiled.kernels import scalar
+from minimd.compiled.kernels import by_type, scalar
 from minimd.compiled.simd import broadcast, convert, fma, load, mask_from_bits, select, store, total
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import BLOCK, LANES
@@ -32,25 +31,17 @@ class ByLane(namedtuple("ByLane", "columns species slots")):
     """
 
 
+@by_type
 def parameters_of_lanes(source, slot, cluster):
     """Parameters of the pairs of the atom in a slot with the lanes of a cluster: numbers, or vectors if species differ."""
-    raise NotImplementedError
-
-
-@overload(parameters_of_lanes)
-def _parameters_of_lanes(source, slot, cluster):
     if source.instance_class is SameForAll:
         return lambda source, slot, cluster: source.numbers
     return lambda source, slot, cluster: _loaded(source.columns, source.species[slot] * source.slots + cluster * LANES)
 
 
+@by_type
 def _loaded(columns, start):
     """Eight elements of each column, from an index, unrolled by the compiler."""
-    raise NotImplementedError
-
-
-@overload(_loaded)
-def _loaded_overload(columns, start):
     if len(columns) == 1:
         return lambda columns, start: (load(columns[0], start, LANES),)
     return lambda columns, start: (load(columns[0], start, LANES),) + _loaded(columns[1:], start)
@@ -72,13 +63,9 @@ class ForceSums(Sums):
     __slots__ = ()
 
 
+@by_type
 def with_energy(sums):
     """Whether energies and virials are wanted, as a constant for the compiler."""
-    raise NotImplementedError
-
-
-@overload(with_energy)
-def _with_energy(sums):
     answer = sums.instance_class is not ForceSums
     return lambda sums: answer
 
@@ -154,17 +141,13 @@ def separations(coordinates, ghost, at, unit):
     return dx, dy, dz, fma(dx, dx, fma(dy, dy, dz * dz))
 
 
+@by_type
 def separation(coordinates, place, x, unit):
     """Eight coordinates from a place on, minus x [length].
 
     In double precision coordinates are float64 [length]. In mixed precision they are int32 in units of a length; their
     difference has no rounding error, however far the atoms are from the origin, and becomes float32.
     """
-    raise NotImplementedError
-
-
-@overload(separation)
-def _separation(coordinates, place, x, unit):
     if isinstance(coordinates.dtype, types.Float):
         return lambda coordinates, place, x, unit: load(coordinates, place, LANES) - x
     return lambda coordinates, place, x, unit: convert(load(coordinates, place, LANES) - x, np.float32(0.0)) * unit

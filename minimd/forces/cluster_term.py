@@ -4,10 +4,9 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel, shared_kernel, without_cache
+from minimd.compiled.kernels import by_type, kernel, shared_kernel, without_cache
 from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, add_cluster_forces
 from minimd.forces.options import Options
@@ -55,13 +54,9 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces):
     barrier(worker, phase)
 
 
+@by_type
 def _add_all_laws(first, last, arrays, laws, parameters, sums):
     """add_cluster_forces for each law, unrolled by the compiler."""
-    raise NotImplementedError
-
-
-@overload(_add_all_laws)
-def _add_all_laws_overload(first, last, arrays, laws, parameters, sums):
     if len(laws) == 1:
         return lambda first, last, arrays, laws, parameters, sums: add_cluster_forces(first, last, arrays, laws[0], parameters[0], sums)
 

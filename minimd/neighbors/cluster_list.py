@@ -4,10 +4,9 @@ from collections import namedtuple
 
 import numpy as np
 from numba import types
-from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel, scalar, shared_kernel
+from minimd.compiled.kernels import by_type, kernel, scalar, shared_kernel
 from minimd.compiled.simd import broadcast, convert, load, store
 from minimd.compiled.threads import ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.buffers import SPARE, Buffers
@@ -173,13 +172,9 @@ def gather(first, last, arrays, positions):
                 store(memory.forces, m * BLOCK + c, nothing)
 
 
+@by_type
 def coordinate(x, origin, unit, coordinates):
     """A coordinate x [length] as an array of coordinates holds it, see Memory."""
-    raise NotImplementedError
-
-
-@overload(coordinate)
-def _coordinate(x, origin, unit, coordinates):
     if isinstance(coordinates.dtype, types.Float):
         return lambda x, origin, unit, coordinates: x
     return lambda x, origin, unit, coordinates: np.int32(np.rint((x - origin) / unit))

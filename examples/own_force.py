@@ -47,7 +47,7 @@ class Spring(Term):
             energies[0] += 0.5 * stiffness * away @ away
 
 
-sites = 1.2 * (np.indices((5, 5, 4)).reshape(3, -1).T + [0.5, 0.5, 1.5])
+sites = 1.2 * (np.indices((5, 5, 4)).reshape(3, -1).T + np.array([0.5, 0.5, 1.5]))
 system = md.System(sites, cell=[6.0, 6.0, 20.0], pbc=(True, True, False))
 simulation = md.Simulation(system, [md.LennardJones(1.0, 1.0, 2.5, "switched"), Field(), Spring()], md.VelocityVerlet(0.002))
 simulation.set_temperature(0.5, seed=1)

@@ -36,7 +36,7 @@ def best_skin(cutoff: float, density: float, displacement: float) -> float:
 class VerletList(ABC):
     """A list of all pairs within cutoff + skin, kept until an atom has moved by more than skin/2.
 
-    Until then no pair that is not listed can have come within the cutoff, since both its atoms would have to cover the skin.
+    Until then no pair that is not listed can have come within the cutoff: two atoms approach each other by at most the skin.
     Displacements are true ones: an atom moved by a lattice vector has moved.  L. Verlet, Phys. Rev. 159, 98 (1967).
 
     Parameters

@@ -78,7 +78,7 @@ def _name(law: tuple) -> str:
     return law.function.py_func.__name__ if isinstance(law, UserLaw) else type(law).__name__
 
 
-def check_user_law(law: UserLaw, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
+def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
     """Try a law of the user's at some distances [length]: does it return u and −u′(r)/r?
 
     Raises

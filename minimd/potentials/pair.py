@@ -1,7 +1,7 @@
 """Pair potentials: a law, its parameters for each pair of species, a cutoff and a truncation."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf, isfinite, pi
 from numbers import Real
 from typing import Any
@@ -171,13 +171,13 @@ class PairPotential:
         cutoff2, *numbers = self._numbers(a, b)
         cutoff, parameters = cutoff2**0.5, self._parameters_of(a, b)
 
-        def left_out(x: float, k: int) -> float:
+        def left_out(k: int, x: float) -> float:
             r = x * cutoff
             inside = evaluate_law(self.law, r * r, tuple(numbers))[k] if x < 1.0 else 0.0
             return cutoff * (evaluate_law(self.plain_law, r * r, parameters)[k] - inside) * r ** (2 + 2 * k)
 
         ranges = [(1.0, inf)] if self.truncation == "truncated" else [(self._switch_start_for(cutoff) / cutoff, 1.0), (1.0, inf)]
-        return np.array([sum(_integral(lambda x, k=k: left_out(x, k), *limits) for limits in ranges) for k in (0, 1)])
+        return np.array([sum(_integral(partial(left_out, k), *limits) for limits in ranges) for k in (0, 1)])
 
     def _switch_start_for(self, cutoff: float) -> float:
         return SWITCH_FROM * cutoff if self.switch_start is None else self.switch_start

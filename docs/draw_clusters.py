@@ -1,4 +1,4 @@
-"""Draws docs/clusters.png: one chunk of a real cluster list, in a layer of atoms seen from the side."""
+"""Draws docs/clusters.png: one domain of a real cluster list, in a layer of atoms seen from the side."""
 
 from pathlib import Path
 
@@ -8,10 +8,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 import minimd as md
-from minimd.neighbors import chunks
-from minimd.neighbors.cluster_list import ClusterList
-from minimd.forces.cluster_loop import COPY_BITS, LANES, LANES_FROM
 from minimd.compiled.threads import thread_pool
+from minimd.neighbors import domains
+from minimd.neighbors.cluster_list import ClusterList
+from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
+from minimd.neighbors.clusters import LANES
 
 CUTOFF, SKIN = 2.5, 0.3
 THICKNESS = 8.0**0.5  # at one atom per square, columns are as wide as eight atoms are high
@@ -33,8 +34,8 @@ def layer():
 
 
 def cluster_list(system):
-    """The list, with two chunks although there are so few atoms."""
-    chunks.ATOMS_IN_A_CHUNK = len(system) // 2
+    """The list, with two domains although there are so few atoms."""
+    domains.ATOMS_PER_DOMAIN = len(system) // 2
     found = ClusterList(len(system), CUTOFF, SKIN, np.zeros((0, 2), dtype=np.int64), False, thread_pool(1))
     found.update(system.positions, system.cell)
     return found
@@ -47,16 +48,16 @@ def hue(cluster, found):
 
 
 def draw(panel, system, found):
-    """The first chunk with its copies, and the row of one atom."""
-    copies, atoms = found.copies, found.memory.coordinates.reshape(-1, 3, LANES)[:, ::2]
-    at_home = set(found.copies.home.tolist())
+    """The first domain with its ghosts, and the row of one atom."""
+    ghosts, atoms = found.ghosts, found.memory.coordinates.reshape(-1, 3, LANES)[:, ::2]
+    at_home = set(found.ghosts.home.tolist())
     panel.add_patch(Rectangle((0, 0), WIDTH, HEIGHT, fill=False, ec=INK, lw=1.2))
     inside = system.positions[:, [0, 2]] % (WIDTH, HEIGHT)
     panel.scatter(*inside.T, s=5, c=QUIET, lw=0, zorder=1)
-    for copy in range(found.chunks.copy[found.chunks.run[1]]):
-        n, own = int(copies.lanes[copy]).bit_count(), copy in at_home
-        x, z = atoms[copy, :, :n]
-        color = hue(copies.owner[copy], found)
+    for ghost in range(found.domains.ghost[found.domains.run[1]]):
+        n, own = int(ghosts.lanes[ghost]).bit_count(), ghost in at_home
+        x, z = atoms[ghost, :, :n]
+        color = hue(ghosts.owner[ghost], found)
         panel.scatter(x, z, s=70, c=color, alpha=1.0 if own else 0.28, lw=0, zorder=2)
         low, high = (x.min() - 0.3, z.min() - 0.3), (x.max() + 0.3, z.max() + 0.3)
         size = np.subtract(high, low)
@@ -65,16 +66,16 @@ def draw(panel, system, found):
 
 
 def draw_row(panel, found, atoms):
-    """An atom of the first chunk near its upper right corner: its reach, and the lanes in its row."""
-    last = found.chunks.cluster[1] * LANES
+    """An atom of the first domain near its upper right corner: its reach, and the lanes in its row."""
+    last = found.domains.cluster[1] * LANES
     slots = [s for s in range(last) if s % LANES < found.clusters.filled[s // LANES]]
-    corner = (found.chunks.column[1] - 0.5) * THICKNESS, HEIGHT - 1.6
-    slot = min(slots, key=lambda s: np.hypot(*(atoms[found.copies.home[s // LANES], :, s % LANES] - corner)))
-    at = atoms[found.copies.home[slot // LANES], :, slot % LANES]
+    corner = (found.domains.column[1] - 0.5) * THICKNESS, HEIGHT - 1.6
+    slot = min(slots, key=lambda s: np.hypot(*(atoms[found.ghosts.home[s // LANES], :, s % LANES] - corner)))
+    at = atoms[found.ghosts.home[slot // LANES], :, slot % LANES]
     for entry in found.rows.entries[found.rows.start[slot] : found.rows.stop[slot]]:
-        copy, lanes = entry & COPY_BITS, entry >> LANES_FROM
+        ghost, lanes = entry & GHOST_BITS, entry >> LANES_FROM
         counts = [k for k in range(LANES) if lanes >> k & 1]
-        x, z = atoms[copy][:, counts]
+        x, z = atoms[ghost][:, counts]
         panel.scatter(x, z, s=70, fc="none", ec=INK, lw=1.4, zorder=3)
     panel.scatter(*at, s=130, c="#ffd400", ec=INK, lw=1.6, zorder=4)
     panel.add_patch(Circle(at, CUTOFF, fill=False, ec=INK, lw=1.4, zorder=4))
@@ -83,16 +84,16 @@ def draw_row(panel, found, atoms):
 
 def explain(panel, found):
     """Words beside the drawing, with lines to what they mean."""
-    edge, far = found.chunks.column[1] * THICKNESS, WIDTH + 0.8
+    edge, far = found.domains.column[1] * THICKNESS, WIDTH + 0.8
     for text, words_at, points_at in (
         ("an atom, its cutoff,\nand cutoff + skin", (far, HEIGHT + 1.6), (edge + 0.55, HEIGHT + 0.1)),
         ("ringed: the atoms in its row;\nthose behind have it in theirs", (far, HEIGHT - 2.2), (edge + 1.95, HEIGHT - 2.2)),
-        ("pale: copies of clusters of\nthe next chunk", (far, 6.4), (edge + THICKNESS + 0.1, 6.0)),
-        ("dots: what this chunk\ndoes not see", (far, 3.0), (WIDTH - 1.0, 2.6)),
-        ("pale: copies of clusters at\nthe other end of the cell", (far, -2.4), (edge + THICKNESS + 0.1, -2.0)),
+        ("pale: ghosts of clusters of\nthe next domain", (far, 6.4), (edge + THICKNESS + 0.1, 6.0)),
+        ("dots: what this domain\ndoes not see", (far, 3.0), (WIDTH - 1.0, 2.6)),
+        ("pale: ghosts of clusters at\nthe other end of the cell", (far, -2.4), (edge + THICKNESS + 0.1, -2.0)),
     ):
         panel.annotate(text, points_at, words_at, va="center", fontsize=9, color=INK, arrowprops={"arrowstyle": "-", "lw": 0.8, "color": QUIET})
-    for x, text in ((0.5 * edge, "this chunk: clusters of eight in columns"), (0.5 * (edge + WIDTH), "the next chunk")):
+    for x, text in ((0.5 * edge, "this domain: clusters of eight in columns"), (0.5 * (edge + WIDTH), "the next domain")):
         panel.text(x, -6.3, text, ha="center", fontsize=9, color=INK)
     panel.annotate("", (0, -5.8), (edge, -5.8), arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "lw": 1.0, "color": INK})
     panel.annotate("", (edge, -5.8), (WIDTH, -5.8), arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "lw": 1.0, "color": INK})

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from references import liquid
 
 import minimd as md
-from minimd.potentials.pair_loop import FORCES, PER_ATOM, TOTALS
+from minimd.forces.pair_laws import PairLaws
+from minimd.potentials.term import FORCES, PER_ATOM, TOTALS
 from minimd.structure.cell import Cell
 
 CUTOFF, SKIN = 2.0, 0.3
@@ -75,16 +76,20 @@ def rod(n_cells=16, width=3, seed=1):
 
 
 @contextmanager
-def atoms_in_a_chunk(n):
+def atoms_per_domain(n):
     """Chunks and teams for scenes much smaller than those that need them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("minimd.neighbors.domains.ATOMS_IN_A_CHUNK", n)
-        patch.setattr("minimd.forces.cluster_term.ATOMS_IN_A_CHUNK", n)
+        patch.setattr("minimd.neighbors.domains.ATOMS_PER_DOMAIN", n)
         yield
 
 
-def n_chunks(term):
-    return len(term.list.chunks.run) - 1
+def pair_laws(system, potentials):
+    """What the planner makes of pair potentials that share a list."""
+    return PairLaws(system, [potential.bind(system).pair_law for potential in potentials])
+
+
+def n_domains(term):
+    return len(term.list.domains.run) - 1
 
 
 def evaluated(term, system, detail=TOTALS):

@@ -7,7 +7,7 @@ import pytest
 
 import minimd as md
 from minimd.forces.options import Options
-from minimd.potentials.pair_loop import TOTALS
+from minimd.potentials.term import TOTALS
 from minimd.structure.lattice import crystal
 
 SMOOTH = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")

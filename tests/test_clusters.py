@@ -2,18 +2,18 @@
 
 import numpy as np
 import pytest
-from cluster_scenes import CUTOFF, KINDS, SKIN, SMOOTH, agree, atoms_in_a_chunk, evaluated, n_chunks, rod, scenes, summed
+from cluster_scenes import CUTOFF, KINDS, SKIN, SMOOTH, agree, atoms_per_domain, evaluated, n_domains, pair_laws, rod, scenes, summed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from references import brute_force_pairs, liquid, melt
 
 import minimd as md
-from minimd.forces.cluster_loop import BLOCK
-from minimd.forces.cluster_term import ClusteredPairs
+from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws
-from minimd.forces.terms import ListedPairs
-from minimd.potentials.pair_loop import PER_ATOM, TOTALS
+from minimd.forces.pair_list_term import PairListTerm
+from minimd.neighbors.clusters import BLOCK
+from minimd.potentials.term import PER_ATOM, TOTALS
 
 SKINNED, BARE = Options(skin=SKIN, threads=2), Options(skin=0.0)
 EQUAL = 1e-13  # rounding: sums in another order
@@ -37,15 +37,15 @@ POTENTIALS = SMOOTH | {
 
 
 def both_lists(system, potentials, options=SKINNED):
-    laws = PairLaws(system, potentials)
-    return ClusteredPairs(system, laws, options), ListedPairs(system, laws, BARE)
+    laws = pair_laws(system, potentials)
+    return ClusterTerm(system, laws, options), PairListTerm(system, laws, BARE)
 
 
 @pytest.mark.parametrize("name", POTENTIALS)
 @given(system=scenes(), seed=st.integers(0, 2**32 - 1), atoms=st.sampled_from([5, 40, 800]))
 @settings(max_examples=40)
 def test_clusters_and_pairs_are_the_same_physics(name, system, seed, atoms):
-    with atoms_in_a_chunk(atoms):
+    with atoms_per_domain(atoms):
         clustered, listed = both_lists(system, POTENTIALS[name])
         agree(clustered, listed, system, EQUAL)
         rng = np.random.default_rng(seed)
@@ -63,7 +63,7 @@ def test_clusters_and_pairs_are_the_same_physics(name, system, seed, atoms):
 @given(system=scenes(sizes=[2000, 5000]), atoms=st.sampled_from([40, 800]))
 @settings(max_examples=10)
 def test_clusters_and_pairs_are_the_same_physics_for_thousands(name, system, atoms):
-    with atoms_in_a_chunk(atoms):
+    with atoms_per_domain(atoms):
         agree(*both_lists(system, POTENTIALS[name]), system, EQUAL)
 
 
@@ -71,15 +71,15 @@ def test_clusters_and_pairs_are_the_same_physics_for_thousands(name, system, ato
 def test_a_crystal_exactly_on_its_faces_has_no_forces(size):
     sites = np.stack(np.meshgrid(*[np.arange(size)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) * 1.1
     system = md.System(sites, cell=1.1 * size)
-    forces, energy, _ = summed(ClusteredPairs(system, PairLaws(system, POTENTIALS["one species"]), SKINNED), system)
+    forces, energy, _ = summed(ClusterTerm(system, pair_laws(system, POTENTIALS["one species"]), SKINNED), system)
     assert np.abs(forces).max() < 1e-12
     assert energy == pytest.approx(md.evaluate(system, POTENTIALS["one species"]).potential_energy, rel=1e-12)
 
 
 def test_list_serves_growing_and_shrinking_crowds():
     system = md.System(np.random.default_rng(1).uniform(0, 40, (600, 3)), cell=40.0)
-    laws = PairLaws(system, POTENTIALS["two laws"][1:])
-    clustered, listed = ClusteredPairs(system, laws, SKINNED), ListedPairs(system, laws, BARE)
+    laws = pair_laws(system, POTENTIALS["two laws"][1:])
+    clustered, listed = ClusterTerm(system, laws, SKINNED), PairListTerm(system, laws, BARE)
     for spread in (40.0, 4.0, 40.0, 1.0, 20.0):
         system.positions[:] = np.random.default_rng(2).uniform(0, spread, (600, 3))
         a, b = summed(clustered, system), summed(listed, system)
@@ -92,14 +92,14 @@ def test_memory_follows_the_number_of_clusters(pbc):
     """Column by column the padding changes from build to build, and with it the number of clusters and ghosts."""
     rng = np.random.default_rng(4)
     system = md.System(rng.uniform(0, 4.4, (64, 3)), cell=4.4, pbc=pbc)
-    laws = PairLaws(system, POTENTIALS["two laws"][1:])
-    clustered, listed = ClusteredPairs(system, laws, SKINNED), ListedPairs(system, laws, BARE)
+    laws = pair_laws(system, POTENTIALS["two laws"][1:])
+    clustered, listed = ClusterTerm(system, laws, SKINNED), PairListTerm(system, laws, BARE)
     numbers = set()
     for _ in range(60):
         system.positions[:] = rng.uniform(0, 4.4, (64, 3)) * rng.uniform(0.3, 1.0, 3)
         a, b = summed(clustered, system), summed(listed, system)
         assert a[0] == pytest.approx(b[0], rel=1e-11, abs=1e-11)
-        memory, needed = clustered.list.memory, len(clustered.list.copies.owner) * BLOCK
+        memory, needed = clustered.list.memory, len(clustered.list.ghosts.owner) * BLOCK
         assert (len(memory.coordinates), len(memory.forces)) == (needed, needed)
         numbers.add(needed)
     assert len(numbers) > 1
@@ -109,20 +109,20 @@ def test_excluded_pairs_may_sit_on_each_other_in_clusters_too():
     system = liquid(5)
     system.positions[1] = system.positions[0]
     bonded = md.System(system.positions, cell=system.cell, bonds=[[0, 1]])
-    laws = PairLaws(bonded, [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 1, 1))])
-    agree(ClusteredPairs(bonded, laws, SKINNED), ListedPairs(bonded, laws, BARE), bonded, EQUAL)
+    laws = pair_laws(bonded, [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 1, 1))])
+    agree(ClusterTerm(bonded, laws, SKINNED), PairListTerm(bonded, laws, BARE), bonded, EQUAL)
 
 
 def test_rule_which_list_a_scene_gets():
     def kind(system, potential, **options):
         return type(md.Simulation(system, potential, md.VelocityVerlet(0.001), **options).engine.interactions.terms[0]).__name__
 
-    assert kind(liquid(5), md.LennardJones(1.0, 1.0, 2.5)) == "ClusteredPairs"
-    assert kind(liquid(2), md.LennardJones(1.0, 1.0, 1.2)) == "ListedPairs"  # few atoms
-    assert kind(liquid(5), md.LennardJones(1.0, 1.0, 8.4)) == "ListedPairs"  # cell too small
-    assert kind(liquid(5), md.PairPotential(soft, (1.0,), 2.5)) == "ClusteredPairs"
-    assert kind(liquid(5), md.PairPotential(branching, (1.0,), 2.5)) == "ListedPairs"  # cannot run on vectors
-    assert kind(md.System(liquid(5).positions), md.LennardJones(1.0, 1.0)) == "ListedPairs"  # no cutoff
+    assert kind(liquid(5), md.LennardJones(1.0, 1.0, 2.5)) == "ClusterTerm"
+    assert kind(liquid(2), md.LennardJones(1.0, 1.0, 1.2)) == "PairListTerm"  # few atoms
+    assert kind(liquid(5), md.LennardJones(1.0, 1.0, 8.4)) == "PairListTerm"  # cell too small
+    assert kind(liquid(5), md.PairPotential(soft, (1.0,), 2.5)) == "ClusterTerm"
+    assert kind(liquid(5), md.PairPotential(branching, (1.0,), 2.5)) == "PairListTerm"  # cannot run on vectors
+    assert kind(md.System(liquid(5).positions), md.LennardJones(1.0, 1.0)) == "PairListTerm"  # no cutoff
 
 
 def test_report_tells_which_list_a_scene_got():
@@ -158,11 +158,11 @@ def test_melt_per_atom_energies_come_from_the_pair_list():
 @pytest.mark.parametrize("pbc", [True, (True, False, False), (False, True, True), False])
 def test_chunks_change_nothing_but_rounding(atoms, pbc):
     system = rod()
-    system = md.System(system.positions, cell=md.cell.Cell.of(system.cell.vectors, pbc), species=system.species, bonds=system.bonds)
-    with atoms_in_a_chunk(atoms):
+    system = md.System(system.positions, cell=md.Cell.of(system.cell.vectors, pbc), species=system.species, bonds=system.bonds)
+    with atoms_per_domain(atoms):
         clustered, listed = both_lists(system, POTENTIALS["exclusions"])
         agree(clustered, listed, system, EQUAL)
-    assert n_chunks(clustered) >= (1 if atoms == 800 else 5)
+    assert n_domains(clustered) >= (1 if atoms == 800 else 5)
 
 
 def lennard_jones_by_hand(system, cutoff):
@@ -187,7 +187,7 @@ def test_padding_has_no_weight(n, precision):
     for pbc in (True, (True, True, False)):
         system = md.System(positions + 0.3, cell=[2.4, 2.4, max(2.4, 0.9 * n)], pbc=pbc)
         potential = md.LennardJones(1.0, 1.0, CUTOFF)
-        clustered = ClusteredPairs(system, PairLaws(system, [potential]), Options(1, precision, skin=SKIN))
+        clustered = ClusterTerm(system, pair_laws(system, [potential]), Options(1, precision, skin=SKIN))
         got, expected = evaluated(clustered, system, PER_ATOM), lennard_jones_by_hand(system, CUTOFF)
         assert (clustered.list.clusters.filled.sum(), len(clustered.list.clusters.column_start)) == (n, 2)
         for a, b in zip(got, expected, strict=True):
@@ -210,7 +210,7 @@ def towards_a_partner(system):
 @settings(max_examples=40)
 def test_pairs_that_run_into_each_other_are_not_missed(system, atoms):
     """Half the skin each, on the shortest way: those that were almost beyond the list come just within the cutoff."""
-    with atoms_in_a_chunk(atoms):
+    with atoms_per_domain(atoms):
         clustered, listed = both_lists(system, POTENTIALS["shifted"])  # the force jumps at the cutoff
         agree(clustered, listed, system, EQUAL)
         directions, gaps = towards_a_partner(system)
@@ -255,30 +255,30 @@ def test_a_cell_just_high_enough_in_one_direction(short, factor):
     sites = (np.stack(np.meshgrid(*map(np.arange, n), indexing="ij"), axis=-1).reshape(-1, 3) + 0.5) / n * heights
     system = md.System(sites + rng.uniform(-0.05, 0.05, sites.shape), cell=heights)
     assert len(system) >= 16
-    laws = PairLaws(system, [md.LennardJones(1.0, 1.0, CUTOFF)])
+    laws = pair_laws(system, [md.LennardJones(1.0, 1.0, CUTOFF)])
     for options in (Options(), Options(skin=float(heights[short] - CUTOFF))):
-        agree(ClusteredPairs(system, laws, options), ListedPairs(system, laws, BARE), system, EQUAL)
+        agree(ClusterTerm(system, laws, options), PairListTerm(system, laws, BARE), system, EQUAL)
 
 
 @pytest.mark.parametrize("pbc", [False, (True, True, False)])
 def test_a_flat_layer_has_few_columns(pbc):
     sites = np.stack(np.meshgrid(np.arange(32), np.arange(32), [0], indexing="ij"), axis=-1).reshape(-1, 3) * 1.1
     system = md.System(sites, cell=[35.2, 35.2, 10.0], pbc=pbc)
-    laws = PairLaws(system, [md.LennardJones(1.0, 1.0, CUTOFF)])
-    clustered = ClusteredPairs(system, laws, SKINNED)
-    agree(clustered, ListedPairs(system, laws, BARE), system, EQUAL)
+    laws = pair_laws(system, [md.LennardJones(1.0, 1.0, CUTOFF)])
+    clustered = ClusterTerm(system, laws, SKINNED)
+    agree(clustered, PairListTerm(system, laws, BARE), system, EQUAL)
     assert len(clustered.list.clusters.column_start) <= len(system)
 
 
 def test_a_build_that_failed_leaves_no_list_behind(monkeypatch):
     """An interrupt or too little memory in the middle of a build: the next look builds anew."""
     system = liquid(5)
-    laws = PairLaws(system, [md.LennardJones(1.0, 1.0, CUTOFF)])
-    clustered, listed = ClusteredPairs(system, laws, SKINNED), ListedPairs(system, laws, BARE)
+    laws = pair_laws(system, [md.LennardJones(1.0, 1.0, CUTOFF)])
+    clustered, listed = ClusterTerm(system, laws, SKINNED), PairListTerm(system, laws, BARE)
     agree(clustered, listed, system, EQUAL)
     system.positions[:] += np.random.default_rng(1).uniform(-SKIN, SKIN, system.positions.shape)
     with monkeypatch.context() as broken:
-        broken.setattr("minimd.neighbors.cluster_list.sort_copies", lambda copies: (_ for _ in ()).throw(MemoryError))
+        broken.setattr("minimd.neighbors.cluster_list.sort_ghosts", lambda copies: (_ for _ in ()).throw(MemoryError))
         with pytest.raises(MemoryError):
             summed(clustered, system)
     agree(clustered, listed, system, EQUAL)

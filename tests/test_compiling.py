@@ -12,7 +12,7 @@ from minimd.compiled import kernels as compiling
 
 RUN = """
 import numpy as np, minimd as md
-from minimd.forces.terms import gather
+from minimd.forces.pair_list_term import gather
 md.evaluate(md.System([[0, 0, 0], [1.1, 0, 0]]), md.LennardJones(1.0, 1.0, 2.5))
 from minimd.potentials.pair_loop import add_pair_forces as loop
 print(sum(loop.stats.cache_hits.values()), sum(loop.stats.cache_misses.values()))

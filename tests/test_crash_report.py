@@ -15,7 +15,7 @@ from minimd.diagnosis.contacts import contacts
 from minimd.diagnosis.crash_report import examine
 from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_reader import read_file
-from minimd.potentials.pair_loop import PER_ATOM
+from minimd.potentials.term import PER_ATOM
 
 LJ = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
 BIG_STEP = 0.024  # at which a liquid lives for some hundred steps

@@ -12,7 +12,7 @@ from rigid_scenes import SCENES
 import minimd as md
 from minimd.forces.forces import Forces
 from minimd.minimization.fire import steer
-from minimd.potentials.pair_loop import TOTALS
+from minimd.potentials.term import TOTALS
 from minimd.scene import parse_scene, run_scene
 from minimd.structure.errors import Interrupted
 from minimd.structure.lattice import crystal

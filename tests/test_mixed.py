@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
-from cluster_scenes import CUTOFF, SMOOTH, atoms_in_a_chunk, deviations, evaluated, rod, scenes
+from cluster_scenes import CUTOFF, SMOOTH, atoms_per_domain, deviations, evaluated, pair_laws, rod, scenes
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from references import liquid, melt
 
 import minimd as md
 from minimd.diagnosis.report import conservation_report
-from minimd.forces.cluster_term import ClusteredPairs
+from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
-from minimd.forces.pair_laws import PairLaws
-from minimd.forces.terms import ListedPairs
+from minimd.forces.pair_list_term import PairListTerm
 
 SINGLE = 1e-5  # of the largest force: rounding of r and of r⁻¹⁴ in float32
 WIDE = 300.0  # the grid of the coordinates is then 1.4e-7 fine, as float32 near 1
@@ -20,7 +19,7 @@ MELT = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
 
 
 def clustered(system, potentials, precision="mixed", threads=2, skin=0.3):
-    return ClusteredPairs(system, PairLaws(system, potentials), Options(threads, precision, skin))
+    return ClusterTerm(system, pair_laws(system, potentials), Options(threads, precision, skin))
 
 
 def hot_melt(n_steps=100):
@@ -39,8 +38,8 @@ def liquid_melt():
 @settings(max_examples=25)
 def test_mixed_precision_is_the_same_physics(name, system, atoms):
     assume(np.linalg.norm(system.cell.vectors, axis=1).max() < WIDE)
-    with atoms_in_a_chunk(atoms):
-        listed = ListedPairs(system, PairLaws(system, SMOOTH[name]), Options(skin=0.0))
+    with atoms_per_domain(atoms):
+        listed = PairListTerm(system, pair_laws(system, SMOOTH[name]), Options(skin=0.0))
         assert max(deviations(clustered(system, SMOOTH[name]), listed, system)) < SINGLE
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ase.build import bulk
+from cluster_scenes import pair_laws
 from hypothesis import given
 from hypothesis import strategies as st
 from references import liquid, melt, melt_scene
@@ -12,7 +13,7 @@ from references import liquid, melt, melt_scene
 import minimd as md
 from minimd.ase import Calculator, VelocityVerlet
 from minimd.forces.options import Options
-from minimd.forces.pair_laws import PairLaws, skin_for
+from minimd.forces.pair_laws import skin_for
 from minimd.neighbors.verlet_list import BUILD_COST, DEFAULT_SKIN, SKINS, STEP_COST, best_skin
 from minimd.scene import parse_scene
 from minimd.structure.system import number_density
@@ -159,7 +160,7 @@ def test_a_skin_is_never_wider_than_the_cell_has_room_for(height, stride, pbc, h
     rng = np.random.default_rng(1)
     cell = np.array([height, 1.3 * height, 2.0 * height]) * LJ.cutoff
     system = md.System(rng.uniform(0, 1, (300, 3)) * cell, cell=cell, pbc=pbc, bonds=[[0, 1]] if has_excluded else None)
-    laws = PairLaws(system, [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0.0, 1.0, 1.0))])
+    laws = pair_laws(system, [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0.0, 1.0, 1.0))])
     skin = skin_for(system, laws, Options(), stride)
     assert skin <= laws.cutoff
     if laws.fit_clusters(system, Options(), stride):
@@ -171,6 +172,6 @@ def test_a_skin_is_never_wider_than_the_cell_has_room_for(height, stride, pbc, h
 @pytest.mark.parametrize("height", [2.56, 2.6, 2.8, 3.5])
 def test_a_cell_with_little_room_still_gets_clusters(height):
     system = md.System(liquid(8).positions % height, cell=height)
-    laws = PairLaws(system, [LJ])
+    laws = pair_laws(system, [LJ])
     assert laws.fit_clusters(system, Options(), 0.05)
     assert 0.0 < skin_for(system, laws, Options(), 0.05) <= height - 2.5

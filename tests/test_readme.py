@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from minimd.forces.cluster_term import ATOMS_IN_A_CHUNK
 from minimd.forces.pair_laws import CLUSTERS_FROM
-from minimd.neighbors import chunks
+from minimd.neighbors import domains
+from minimd.neighbors.domains import ATOMS_PER_DOMAIN
 
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
@@ -41,18 +41,18 @@ def test_links_and_files_named_are_there(page):
 
 def test_fast_forces_quotes_the_loop_as_it_stands():
     quoted = re.search(r"```python\n(.*?)```", FAST_FORCES.read_text(encoding="utf-8"), re.S)
-    source = (REPOSITORY / "minimd" / "potentials" / "cluster_loop.py").read_text(encoding="utf-8")
+    source = (REPOSITORY / "minimd" / "forces" / "cluster_loop.py").read_text(encoding="utf-8")
     lines = {line.strip() for line in source.splitlines()}
     assert [line for line in quoted[1].splitlines() if line not in lines] == []
 
 
 def test_numbers_of_atoms_are_those_of_the_code():
-    assert f"Scenes below {2 * ATOMS_IN_A_CHUNK} atoms" in README.read_text(encoding="utf-8")
-    assert f"A chunk has at least {ATOMS_IN_A_CHUNK} atoms" in FAST_FORCES.read_text(encoding="utf-8")
+    assert f"Scenes below {2 * ATOMS_PER_DOMAIN} atoms" in README.read_text(encoding="utf-8")
+    assert f"A domain has at least {ATOMS_PER_DOMAIN} atoms" in FAST_FORCES.read_text(encoding="utf-8")
     assert f"- {CLUSTERS_FROM} atoms or more" in FAST_FORCES.read_text(encoding="utf-8")
 
 
 def test_picture_of_clusters_can_be_drawn_anew(tmp_path, monkeypatch):
-    monkeypatch.setattr(chunks, "ATOMS_IN_A_CHUNK", ATOMS_IN_A_CHUNK)  # the script makes it smaller
+    monkeypatch.setattr(domains, "ATOMS_PER_DOMAIN", ATOMS_PER_DOMAIN)  # the script makes it smaller
     runpy.run_path(shutil.copy(REPOSITORY / "docs" / "draw_clusters.py", tmp_path), run_name="__main__")
     assert (tmp_path / "clusters.png").stat().st_size > 0

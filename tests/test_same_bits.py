@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from cluster_scenes import KINDS, SMOOTH, atoms_in_a_chunk, n_chunks, rod
+from cluster_scenes import KINDS, SMOOTH, atoms_per_domain, n_domains, rod
 from references import melt
 
 import minimd as md
+from minimd.forces.options import Options
 
 THREADS = [2, 3, 4, 8]
 SERIES = ("potential_energy", "kinetic_energy", "total_energy", "temperature", "pressure", "momentum", "angular_momentum")
@@ -26,7 +27,7 @@ SCENES = {
 
 def ran(scene, precision, threads, n_steps):
     system, potentials = SCENES[scene]()
-    with atoms_in_a_chunk(100):  # a team of eight, and as many chunks as the cell is long
+    with atoms_per_domain(100):  # a team of eight, and as many chunks as the cell is long
         simulation = md.Simulation(system, potentials, md.VelocityVerlet(0.003), threads=threads, precision=precision)
         if not system.velocities.any():
             simulation.set_temperature(1.5, 2)
@@ -35,12 +36,12 @@ def ran(scene, precision, threads, n_steps):
 
 def assert_same_bits_on_any_number_of_threads(scene, precision, n_steps):
     one, record = ran(scene, precision, 1, n_steps)
-    term = next(term for term in one.engine.interactions.terms if hasattr(term, "words"))
-    assert n_chunks(term) >= 4
+    term = next(term for term in one.engine.interactions.terms if term.list is not None)
+    assert n_domains(term) >= 4
     assert term.list.n_builds > 1
     for threads in THREADS:
         other, same = ran(scene, precision, threads, n_steps)
-        assert next(term for term in other.engine.interactions.terms if hasattr(term, "words"))._team.n_threads == threads
+        assert next(term for term in other.engine.interactions.terms if term.list is not None)._pool.n_threads == threads
         assert np.array_equal(other.positions, one.positions)
         assert np.array_equal(other.velocities, one.velocities)
         assert np.array_equal(other.forces, one.forces)
@@ -63,10 +64,10 @@ def test_a_thousand_steps_on_any_number_of_threads_give_the_same_bits(scene, pre
 @pytest.mark.parametrize("precision", ["double", "mixed"])
 def test_energies_of_atoms_have_the_same_bits_too(precision):
     system, potentials = mixture()
-    with atoms_in_a_chunk(100):
-        one, eight = (md.Forces(system, potentials, md.options.Options(threads, precision)) for threads in (1, 8))
+    with atoms_per_domain(100):
+        one, eight = (md.Forces(system, potentials, Options(threads, precision)) for threads in (1, 8))
     for forces in (one, eight):
-        forces.compute(md.potentials.pair_loop.PER_ATOM)
+        forces.compute(md.potentials.PER_ATOM)
     assert np.array_equal(one.energies, eight.energies)
     assert np.array_equal(one.virials, eight.virials)
     assert np.array_equal(one.forces, eight.forces)

@@ -9,13 +9,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from cluster_scenes import atoms_in_a_chunk
+from cluster_scenes import atoms_per_domain
 
 from minimd.compiled.kernels import shared_kernel
-from minimd.compiled.threads import MOST_SHARES, PHASES, ThreadPool, Worker, begin, finish_and_take, take, thread_pool, wait
+from minimd.compiled.threads import MOST_CHUNKS, PHASES, ThreadPool, Worker, barrier, begin, finish_and_take, take, thread_pool
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.clusters import make_columns, sort_into_clusters
-from minimd.neighbors.domains import cut_into_chunks
+from minimd.neighbors.domains import cut_into_domains
 from minimd.structure.cell import Cell
 
 N_PHASES = 4
@@ -36,7 +36,7 @@ def count_shares(me, task, n, done, early):
                 early[me.thread] += times != 1
             done[me.thread, p, share] += 1
             share = finish_and_take(me, phase, n)
-        phase = wait(me, phase)
+        phase = barrier(me, phase)
 
 
 def counted(team, n, n_phases=N_PHASES):
@@ -65,7 +65,7 @@ def no_helpers(monkeypatch):
 
 
 @pytest.mark.parametrize("n_threads", range(1, 9))
-@pytest.mark.parametrize("n", [1, 2, 3, 7, 8, 9, 64, 1000, MOST_SHARES])
+@pytest.mark.parametrize("n", [1, 2, 3, 7, 8, 9, 64, 1000, MOST_CHUNKS])
 def test_each_share_is_done_once_in_each_phase(n_threads, n):
     team = thread_pool(n_threads)
     for n_phases in (1, 3, PHASES - 1):
@@ -82,7 +82,7 @@ def test_tasks_follow_each_other_thousands_of_times(n_threads):
 def test_helpers_help():
     team, until = ThreadPool(2), time.monotonic() + PATIENT
     while time.monotonic() < until:
-        done = counted(team, MOST_SHARES)
+        done = counted(team, MOST_CHUNKS)
         if done[0].any() and done[1].any():
             return
     pytest.fail("one thread of two did everything")
@@ -103,7 +103,7 @@ def test_helpers_that_come_late_join(no_helpers):
     no_helpers.set()
     until, helped = time.monotonic() + PATIENT, False
     while not helped and time.monotonic() < until:
-        done = counted(team, MOST_SHARES)
+        done = counted(team, MOST_CHUNKS)
         assert is_complete(done)
         helped = done[1:].any()
     assert helped
@@ -117,7 +117,7 @@ def test_helpers_that_died_hold_nobody_up(monkeypatch):
     assert is_complete(counted(team, 10))
 
 
-@pytest.mark.parametrize("n", [1, 4, MOST_SHARES])
+@pytest.mark.parametrize("n", [1, 4, MOST_CHUNKS])
 def test_a_helper_that_comes_after_its_task_finds_nothing_to_do(n):
     team = ThreadPool(1)
     for _ in range(3):
@@ -167,10 +167,10 @@ def test_chunks_are_never_more_than_a_team_can_share_out(n):
     """A thread of atoms, each of them its own column."""
     positions, cell = np.arange(n)[:, None] * np.array([1.1, 0.0, 0.0]), Cell.of(None)
     columns = make_columns(cell, positions, 2.0)
-    clusters = sort_into_clusters(positions, cell, columns, Buffers(), thread_pool(2))
-    with atoms_in_a_chunk(1):
-        chunks = cut_into_chunks(clusters, columns, n, cell.pbc)
-    assert len(chunks.column) - 1 == min(MOST_SHARES, columns.counts[0] // columns.reach[0])
+    clusters = sort_into_clusters(positions, columns, Buffers(), thread_pool(2))
+    with atoms_per_domain(1):
+        chunks = cut_into_domains(clusters, columns, n)
+    assert len(chunks.column) - 1 == min(MOST_CHUNKS, columns.counts[0] // columns.reach[0])
     assert np.all(np.diff(chunks.column) >= columns.reach[0])
     assert (chunks.column[0], chunks.column[-1], chunks.cluster[-1]) == (0, columns.counts[0], len(clusters.filled))
 

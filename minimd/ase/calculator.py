@@ -10,11 +10,10 @@ from ase.calculators.calculator import all_changes
 from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.forces.forces import Forces
+from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options
-from minimd.forces.terms import Potential
 from minimd.neighbors.queries import closest_pair
-from minimd.potentials.pair_loop import PER_ATOM, TOTALS
+from minimd.potentials.term import PER_ATOM, TOTALS
 from minimd.structure.ase_atoms import cell_of, same_labels, same_scene, system_arguments, volume_of
 from minimd.structure.errors import NonFiniteError
 from minimd.structure.system import System

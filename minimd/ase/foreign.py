@@ -9,7 +9,7 @@ from ase.calculators.calculator import BaseCalculator
 from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import NDArray
 
-from minimd.potentials.pair_loop import FORCES, PER_ATOM
+from minimd.potentials.term import FORCES, PER_ATOM
 from minimd.structure.ase_atoms import atoms_from_system, volume_of
 from minimd.structure.console import outside_minimd
 from minimd.structure.system import System

@@ -12,8 +12,8 @@ import numpy as np
 import minimd as md
 from minimd.compiled import kernels as compiling
 from minimd.compiled.machine import MISSING, available_cores, processor_name, version
-from minimd.compiled.threads import begin, finish_and_take, take, thread_pool, wait
-from minimd.forces.cluster_loop import LANES
+from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
+from minimd.neighbors.clusters import LANES
 from minimd.structure.lattice import constant_from_density, crystal
 
 DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
@@ -140,7 +140,7 @@ def _nothing(me, task, n):
     share = take(me, phase, n)
     while share >= 0:
         share = finish_and_take(me, phase, n)
-    wait(me, phase)
+    barrier(me, phase)
 
 
 def speed() -> Finding:

@@ -11,12 +11,14 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
 
 import numba
 from numba.core import event
+from numba.extending import overload
 
 WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
 
@@ -43,7 +45,7 @@ def kernel(function):
 
 
 def shared_kernel(function):
-    """Compile a kernel that several threads run at once, as minimd.team has them: it does not hold Python's lock."""
+    """Compile a kernel that several threads run at once, see compiled.threads: it does not hold Python's lock."""
     return _cached(function, nogil=True)
 
 
@@ -55,69 +57,54 @@ def inlined(function):
 def scalar(function):
     """Compile a function that only kernels call; the compiler puts it into the kernel.
 
-    It makes no arrays: so it needs no reference counts on those it is given, which would cost more than small functions do.
+    It must make no arrays. Then it needs no reference counts on those it is given, which would cost more than a small function does.
     """
     return numba.njit(error_model="numpy", forceinline=True, _nrt=False)(function)
 
 
-def marks(formula: Callable) -> Callable[[type], type]:
-    """Decorator of a marker, a NamedTuple class: its instances stand for this compiled function where the cache must know it by type."""
+def by_type(choose: Callable) -> Callable:
+    """Decorator of a function for kernels only: it gets the Numba types of the arguments, and returns the function to compile for them."""
 
-    def tie(marker: type) -> type:
-        marker.formula = formula  # type: ignore[attr-defined]
-        return marker
+    @functools.wraps(choose)
+    def compiled_only(*arguments):
+        raise NotImplementedError(f"{choose.__name__} runs in kernels only")
+
+    overload(compiled_only)(choose)
+    return compiled_only
+
+
+def type_of(formula: Callable) -> Callable[[type], type]:
+    """Decorator of a NamedTuple class whose instances stand for a compiled function: kernels choose it by type, and so does the cache."""
+
+    def tie(named: type) -> type:
+        named.formula = formula  # type: ignore[attr-defined]
+        return named
 
     return tie
 
 
 @functools.cache
 def without_cache(dispatcher):
-    """The same kernel, shared or not, compiled anew in each process: for laws that the user defines, which no cache can recognise."""
+    """The same kernel, shared or not, compiled anew in each process: for laws that the user defines, which the cache cannot recognise."""
     return numba.njit(error_model="numpy", nogil=True)(dispatcher.py_func)
 
 
 class CompileClock(event.Listener):
-    """Counts the seconds spent compiling, so that they are not taken for those of steps."""
+    """Counts the seconds spent compiling, so that they are not taken for those of steps; tells of long compilations if asked to."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
+        self.is_to_tell = False
         self._depth, self._started = 0, 0.0
-
-    def on_start(self, _event: event.Event) -> None:
-        """Called by Numba; compilations nest."""
-        self._started = self._started if self._depth else perf_counter()
-        self._depth += 1
-
-    def on_end(self, _event: event.Event) -> None:
-        """Called by Numba."""
-        self._depth -= 1
-        self.seconds += 0.0 if self._depth else perf_counter() - self._started
-
-
-compile_clock = CompileClock()
-event.register("numba:compile", compile_clock)
-
-
-class announce_compilation(event.Listener):  # noqa: N801 - used as a context manager
-    """While active, tell on standard error when compiling takes more than a second."""
-
-    def __init__(self) -> None:
-        self._told = False
-        self._depth = 0
         self._timer: threading.Timer | None = None
 
-    def __enter__(self) -> "announce_compilation":
-        event.register("numba:compile", self)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        event.unregister("numba:compile", self)
-        self._stop_timer()
-
     def on_start(self, _event: event.Event) -> None:
         """Called by Numba; compilations nest."""
         self._depth += 1
-        if self._depth == 1 and not self._told:
+        if self._depth > 1:
+            return
+        self._started = perf_counter()
+        if self.is_to_tell:
             self._timer = threading.Timer(WAIT_BEFORE_TELLING, self._tell)
             self._timer.daemon = True
             self._timer.start()
@@ -126,15 +113,27 @@ class announce_compilation(event.Listener):  # noqa: N801 - used as a context ma
         """Called by Numba."""
         self._depth -= 1
         if self._depth == 0:
-            self._stop_timer()
-
-    def _stop_timer(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
+            self.seconds += perf_counter() - self._started
+            if self._timer is not None:
+                self._timer.cancel()
 
     def _tell(self) -> None:
-        self._told = True
+        self.is_to_tell = False
         print("minimd: compiling kernels (once) ...", file=sys.stderr, flush=True)
+
+
+compile_clock = CompileClock()
+event.register("numba:compile", compile_clock)
+
+
+@contextmanager
+def announce_compilation() -> Iterator[None]:
+    """Within this context tell once, on standard error, when a compilation takes more than a second."""
+    compile_clock.is_to_tell = True
+    try:
+        yield
+    finally:
+        compile_clock.is_to_tell = False
 
 
 def _cached(function, **flags):
@@ -147,7 +146,7 @@ def _cached(function, **flags):
 
 
 def _is_mine(folder: Path) -> bool:
-    """Cached code is run: nobody else may have put it there."""
+    """Cached code is executed, so no other user may be able to write it."""
     status = folder.stat()
     return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
 

@@ -1,19 +1,19 @@
-"""Threads that work on one task together: each takes the next share of it until none is left.
+"""Threads that work on one task together: each takes the next chunk of it until none is left.
 
-    phase = begin(me, task)
-    share = take(me, phase, n)
-    while share >= 0:
-        ...                                    # the work of this share
-        share = finish_and_take(me, phase, n)
-    phase = wait(me, phase)                    # until all n shares are finished, by whomever
+    phase = begin(worker, task)
+    chunk = take(worker, phase, n)
+    while chunk >= 0:
+        ...                                        # the work of this chunk
+        chunk = finish_and_take(worker, phase, n)
+    phase = barrier(worker, phase)                 # returns when all n chunks are finished, whoever did them
 
-A task is cut into shares by its size, never by the number of threads, and no two shares of a phase write to the same
-memory: so the result has the same bits however many threads there are, and whoever did what.
+A task is cut into chunks by its size, never by the number of threads, and no two chunks of a phase write to the same
+memory. So the result has the same bits for any number of threads, and whichever thread did which chunk.
 
-Nobody waits for a thread, only for shares. The thread that calls starts at once; the others sleep between tasks and join when they
-are awake (some 20 µs), or not at all if the machine has other things to do: they can make a task faster, never hold it up.
-Between take and finish nothing may raise: nobody else would finish that share.
-Each begins with shares of its own, the same ones every time, whose memory is near it, and then helps the others.
+A barrier waits for chunks, not for threads. The calling thread starts at once; the others sleep between tasks, and join when
+they are awake (some 20 µs later), or not at all if the machine is busy: they can make a task faster, never delay it.
+Between take and finish nothing may raise: no other thread would finish that chunk.
+Each thread begins with the same chunks in every task, whose memory is then in its cache, and goes on with those of the others.
 """
 
 import functools
@@ -30,18 +30,18 @@ from numba.extending import intrinsic
 
 from minimd.compiled.kernels import kernel, scalar, shared_kernel
 
-OPEN, FINISHED, CLAIMS = 0, 8, 16  # shared counters: the phase at work, its finished shares, and for each share the last phase it was taken in
-MOST_SHARES = 1024
+OPEN, FINISHED, CLAIMS = 0, 8, 16  # shared counters: the open phase, its finished chunks, and for each chunk the last phase it was taken in
+MOST_CHUNKS = 1024
 PHASES = 8  # a task has fewer
-PATIENCE = 2000  # looks at a counter before a waiting thread lets others run
-LINGERING = 100_000  # looks, about 100 µs, before a helper goes to sleep: waking it takes as long as a small task
+PATIENCE = 2000  # reads of a counter before a waiting thread lets others run
+LINGERING = 100_000  # reads, about 100 µs, before a helper goes to sleep: waking it takes as long as a small task
 
 HAS_AFFINITY = hasattr(os, "sched_setaffinity")
 _let_others_run = types.ExternalFunction("SwitchToThread" if os.name == "nt" else "sched_yield", types.int32())
 
 
 class Worker(NamedTuple):
-    """One of a team. counters : shared.  thread : its number; 0 is the caller.  n_threads : of the team."""
+    """One thread of a pool. counters : shared.  thread : its number; 0 is the calling thread.  n_threads : of the pool."""
 
     counters: Any
     thread: int
@@ -53,7 +53,7 @@ class ThreadPool:
 
     def __init__(self, n_threads: int) -> None:
         self.n_threads = n_threads
-        self._counters = np.zeros(CLAIMS + MOST_SHARES, dtype=np.int64)
+        self._counters = np.zeros(CLAIMS + MOST_CHUNKS, dtype=np.int64)
         self._busy = threading.Lock()
         self._n_tasks = 0
         self._task: tuple = ()
@@ -65,9 +65,9 @@ class ThreadPool:
             helper.start()
 
     def run(self, kernel: Callable, *arguments: object) -> None:
-        """kernel(me, task, *arguments) on this thread, and on the others as soon as they are awake.
+        """kernel(worker, task, *arguments) on this thread, and on the others as soon as they are awake.
 
-        The kernel must begin, take, finish and wait as described above, and release Python's lock (compiling.shared_kernel).
+        The kernel must call begin, take, finish_and_take and barrier as described above, and release Python's lock (shared_kernel).
         """
         with self._busy:
             self._n_tasks += 1
@@ -93,21 +93,21 @@ class ThreadPool:
                         os.sched_setaffinity(helper.native_id, cores - {core} or cores)
 
     def _help(self, thread: int, wake: threading.Lock) -> None:
-        me = Worker(self._counters, thread, self.n_threads)
+        worker = Worker(self._counters, thread, self.n_threads)
         while True:
             wake.acquire()
             current = self._task
             if not current:
                 continue  # too late
             task, kernel, arguments = current
-            kernel(me, task, *arguments)
+            kernel(worker, task, *arguments)
             del current, kernel, arguments
             _linger(self._counters, task)
 
 
 @functools.cache
 def thread_pool(n_threads: int) -> ThreadPool:
-    """The team of so many threads; all simulations of a process share it."""
+    """The pool with this number of threads; all simulations of a process share it."""
     return ThreadPool(n_threads)
 
 
@@ -116,44 +116,44 @@ if hasattr(os, "register_at_fork"):
 
 
 @scalar
-def begin(me, task):
+def begin(worker, task):
     """The first phase of a task; the calling thread opens it."""
     phase = task * PHASES
-    if me.thread == 0:
-        _exchange(me.counters, OPEN, phase)
+    if worker.thread == 0:
+        _exchange(worker.counters, OPEN, phase)
     return phase
 
 
 @scalar
-def take(me, phase, n):
-    """The number of a share of a phase that nobody has taken yet; −1 if there is none."""
-    first = me.thread * n // me.n_threads
-    if _read(me.counters, OPEN) == phase:
+def take(worker, phase, n):
+    """The number of a chunk of this phase that no thread has taken yet; −1 if there is none."""
+    first = worker.thread * n // worker.n_threads
+    if _read(worker.counters, OPEN) == phase:
         for k in range(n):
-            share = first + k if first + k < n else first + k - n
-            taken = _read(me.counters, CLAIMS + share)
-            if taken < phase and _replace(me.counters, CLAIMS + share, taken, phase) == taken:
-                return share
+            chunk = first + k if first + k < n else first + k - n
+            taken = _read(worker.counters, CLAIMS + chunk)
+            if taken < phase and _replace(worker.counters, CLAIMS + chunk, taken, phase) == taken:
+                return chunk
     return -1
 
 
 @scalar
-def finish_and_take(me, phase, n):
-    """Tell that a share is done, and take the next. Whoever finishes the last of a phase opens the next phase."""
-    if _add(me.counters, FINISHED, 1) == n - 1:
-        _exchange(me.counters, FINISHED, 0)
-        _exchange(me.counters, OPEN, phase + 1)
+def finish_and_take(worker, phase, n):
+    """Count a chunk as finished, and take the next. The thread that finishes the last chunk opens the next phase."""
+    if _add(worker.counters, FINISHED, 1) == n - 1:
+        _exchange(worker.counters, FINISHED, 0)
+        _exchange(worker.counters, OPEN, phase + 1)
         return -1
-    return take(me, phase, n)
+    return take(worker, phase, n)
 
 
 @scalar
-def wait(me, phase):
-    """Wait until a phase is over, not at all if it is not the one at work (a helper too early or too late); returns the next."""
-    looks = 0
-    while _read(me.counters, OPEN) == phase:
-        looks += 1
-        if looks > PATIENCE:
+def barrier(worker, phase):
+    """Wait while a phase is open (not at all for a helper that comes too early or too late); returns the next phase."""
+    reads = 0
+    while _read(worker.counters, OPEN) == phase:
+        reads += 1
+        if reads > PATIENCE:
             _let_others_run()
     return phase + 1
 
@@ -176,7 +176,7 @@ _add, _exchange = _atomic("add"), _atomic("xchg")
 
 @intrinsic
 def _read(_context, counters, place):
-    """A counter as it is now, whoever wrote it."""
+    """The present value of a counter, whichever thread wrote it."""
 
     def generate(context, builder, signature, arguments):
         return builder.load_atomic(_address(context, builder, signature, arguments), "seq_cst", 8)
@@ -186,7 +186,7 @@ def _read(_context, counters, place):
 
 @intrinsic
 def _replace(_context, counters, place, expected, value):
-    """Write a value if the counter is still as expected; returns what it was."""
+    """Write a value if the counter still has the expected one; returns what it was."""
 
     def generate(context, builder, signature, arguments):
         pair = builder.cmpxchg(_address(context, builder, signature, arguments), arguments[2], arguments[3], "seq_cst", "seq_cst")
@@ -203,9 +203,9 @@ def _address(context, builder, signature, arguments) -> ir.Value:
 @shared_kernel
 def _linger(counters, task):
     """Stay awake for a moment after a task: in a run of steps the next one begins soon."""
-    looks = 0
-    while looks < LINGERING and _read(counters, OPEN) < (task + 1) * PHASES:
-        looks += 1
+    reads = 0
+    while reads < LINGERING and _read(counters, OPEN) < (task + 1) * PHASES:
+        reads += 1
 
 
 _sched_getcpu = types.ExternalFunction("sched_getcpu", types.int32())

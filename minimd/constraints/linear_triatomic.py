@@ -9,7 +9,7 @@ G. Ciccotti, M. Ferrario, J.-P. Ryckaert, Mol. Phys. 47, 1253 (1982).
 from math import sqrt
 from typing import NamedTuple
 
-from minimd.compiled.kernels import inlined, marks
+from minimd.compiled.kernels import inlined, type_of
 from minimd.constraints.newton import NOTHING, dot, separation
 
 
@@ -60,7 +60,7 @@ def drift_rods(first, last, positions, velocities, inverse_masses, rods, offsets
     return 1
 
 
-@marks(drift_rods)
+@type_of(drift_rods)
 class DriftRods(NamedTuple):
     """Marker of drift_rods."""
 
@@ -88,6 +88,6 @@ def project_rods(first, last, positions, vectors, inverse_masses, rods, offsets,
     return 1
 
 
-@marks(project_rods)
+@type_of(project_rods)
 class ProjectRods(NamedTuple):
     """Marker of project_rods."""

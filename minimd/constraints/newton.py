@@ -12,7 +12,7 @@ Kernels return the worst case: a number of iterations, negative if the constrain
 from math import sqrt
 from typing import Any, NamedTuple
 
-from minimd.compiled.kernels import inlined, kernel, marks
+from minimd.compiled.kernels import inlined, kernel, type_of
 from minimd.compiled.machine import EPS
 
 ROUNDING = 4.0 * EPS  # of |r|² against d²: there is nothing left to gain
@@ -84,7 +84,7 @@ def drift_pairs(start, end, positions, velocities, inverse_masses, first, second
     return 1
 
 
-@marks(drift_pairs)
+@type_of(drift_pairs)
 class DriftPairs(NamedTuple):
     """Marker of drift_pairs."""
 
@@ -104,7 +104,7 @@ def project_pairs(start, end, positions, vectors, inverse_masses, first, second,
     return 1
 
 
-@marks(project_pairs)
+@type_of(project_pairs)
 class ProjectPairs(NamedTuple):
     """Marker of project_pairs."""
 
@@ -228,7 +228,7 @@ def drift_components(first, last, positions, velocities, inverse_masses, graph, 
     return most
 
 
-@marks(drift_components)
+@type_of(drift_components)
 class DriftComponents(NamedTuple):
     """Marker of drift_components."""
 
@@ -260,7 +260,7 @@ def project_components(first, last, positions, vectors, inverse_masses, graph, o
     return 1
 
 
-@marks(project_components)
+@type_of(project_components)
 class ProjectComponents(NamedTuple):
     """Marker of project_components."""
 

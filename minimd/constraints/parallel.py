@@ -1,7 +1,7 @@
 """Components of constraints shared out among threads: no two of them have an atom in common.
 
 A solver is a function solver(first, last, *arguments) that treats components first to last − 1. It is named by a marker, a
-NamedTuple class that @marks(solver) ties to it, so that the compiled kernel is found again by the next process.
+NamedTuple class that @type_of(solver) ties to it, so that the compiled kernel is found again by the next process.
 """
 
 from typing import Any
@@ -11,7 +11,7 @@ from numba.core import types
 from numba.extending import overload
 
 from minimd.compiled.kernels import shared_kernel
-from minimd.compiled.threads import MOST_SHARES, ThreadPool, begin, finish_and_take, take, thread_pool, wait
+from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take, thread_pool
 
 CONSTRAINTS_IN_A_SHARE = 500  # at least: a share of work must be worth handing out
 
@@ -20,7 +20,7 @@ class Crew:
     """A team for components with so many constraints in all, with no more threads than there is work for."""
 
     def __init__(self, n_components: int, n_constraints: int, most_threads: int) -> None:
-        self.n_components, n_shares = n_components, max(1, min(n_components, n_constraints // CONSTRAINTS_IN_A_SHARE, MOST_SHARES))
+        self.n_components, n_shares = n_components, max(1, min(n_components, n_constraints // CONSTRAINTS_IN_A_SHARE, MOST_CHUNKS))
         self._team: ThreadPool = thread_pool(min(most_threads, n_shares))
         self._answers = np.zeros(n_shares, dtype=np.int64)
 
@@ -40,7 +40,7 @@ def share_out(me, task, answers, solver, n, arguments):
     while share >= 0:
         answers[share] = solve_some(solver, share * n // n_shares, (share + 1) * n // n_shares, arguments)
         share = finish_and_take(me, phase, n_shares)
-    wait(me, phase)
+    barrier(me, phase)
 
 
 def solve_some(solver, first, last, arguments):

@@ -7,7 +7,7 @@ fix the angles. S. Miyamoto, P. A. Kollman, J. Comput. Chem. 13, 952 (1992), eq.
 from math import sqrt
 from typing import NamedTuple
 
-from minimd.compiled.kernels import inlined, marks
+from minimd.compiled.kernels import inlined, type_of
 from minimd.constraints.newton import NOTHING, dot, separation
 
 
@@ -107,6 +107,6 @@ def drift_triangles(first, last, positions, velocities, inverse_masses, triangle
     return 1
 
 
-@marks(drift_triangles)
+@type_of(drift_triangles)
 class DriftTriangles(NamedTuple):
     """Marker of drift_triangles."""

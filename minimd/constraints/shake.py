@@ -9,7 +9,7 @@ J.-P. Ryckaert, G. Ciccotti, H. J. C. Berendsen, J. Comput. Phys. 23, 327 (1977)
 from math import sqrt
 from typing import NamedTuple
 
-from minimd.compiled.kernels import inlined, marks
+from minimd.compiled.kernels import inlined, type_of
 from minimd.constraints.newton import NOTHING, add_opposite, dot, drift_some, find_separations, separation
 
 
@@ -44,7 +44,7 @@ def sweep_drift(first, last, positions, velocities, inverse_masses, graph, offse
     return most
 
 
-@marks(sweep_drift)
+@type_of(sweep_drift)
 class SweepDrift(NamedTuple):
     """Marker of sweep_drift."""
 
@@ -72,6 +72,6 @@ def sweep_velocities(first, last, positions, velocities, inverse_masses, graph, 
     return most
 
 
-@marks(sweep_velocities)
+@type_of(sweep_velocities)
 class SweepVelocities(NamedTuple):
     """Marker of sweep_velocities."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.potentials.bonded import BondPotential
-from minimd.potentials.law import evaluate_law, is_user_law
+from minimd.potentials.law import is_user_law, law_at
 from minimd.potentials.laws import HarmonicLaw, LennardJonesLaw
 from minimd.potentials.pair import PairPotential
 from minimd.structure.bond_graph import pairs_by_bonds_apart
@@ -79,15 +79,6 @@ def contacts(system: System, potentials: Sequence[Any], inverse_masses: NDArray[
     return found
 
 
-def law_at(law: tuple, r: float, numbers: tuple[float, ...]) -> tuple[float, float]:
-    """u [energy] and u′ [energy/length] at a distance r [length]; NaN where the law has no finite number."""
-    try:
-        u, f = evaluate_law(law, r * r, numbers)
-        return (nan, nan) if isinstance(u, complex) or isinstance(f, complex) else (float(u), -float(f) * r)
-    except (ArithmeticError, ValueError):
-        return nan, nan
-
-
 Pair = tuple[int, int, float, float, tuple[float, ...]]  # two atoms, their distance, the factor on the law, and its numbers
 
 
@@ -122,9 +113,9 @@ def _distances(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _contact(potential: Any, pair: tuple[int, int], r: float, scale: float, numbers: tuple[float, ...], inverse_mass: float) -> Contact:
-    u, slope = law_at(potential.law, r, numbers)
-    high, low = (law_at(potential.law, r * (1.0 + h), numbers)[1] for h in (STEP, -STEP))
-    curvature = (high - low) / (2.0 * STEP * r) if r > 0.0 else nan  # u″ by a central difference of u′
+    u, f = law_at(potential.law, r, numbers)
+    high, low = (-(1.0 + h) * law_at(potential.law, r * (1.0 + h), numbers)[1] for h in (STEP, -STEP))
+    curvature = (high - low) / (2.0 * STEP) if r > 0.0 else nan  # u″ by a central difference of u′ = −f r
     length, rest = _length_and_stiffness(potential, numbers)
     return Contact(
         *pair,
@@ -134,7 +125,7 @@ def _contact(potential: Any, pair: tuple[int, int], r: float, scale: float, numb
         distance=r,
         ratio=r / length if length else None,
         energy=scale * u,
-        force=-scale * slope,
+        force=scale * f * r,
         frequency=_frequency(scale * curvature, inverse_mass),
         rest_frequency=_frequency(scale * rest, inverse_mass),
     )

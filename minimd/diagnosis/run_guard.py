@@ -15,7 +15,7 @@ from minimd.engine.engine import Array, Engine, Snapshot
 from minimd.engine.observation import observe
 from minimd.engine.record import Frame
 from minimd.neighbors.queries import closest_pair
-from minimd.potentials.pair_loop import PER_ATOM
+from minimd.potentials.term import PER_ATOM
 from minimd.structure import observables
 from minimd.structure.console import outside_minimd
 from minimd.structure.errors import ConstraintError, NonFiniteError

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from minimd.diagnosis.contacts import law_at
 from minimd.diagnosis.report import Line
 from minimd.diagnosis.reversibility import Reversibility
 from minimd.engine.engine import Engine
+from minimd.potentials.law import law_at
 from minimd.potentials.pair import PairPotential
 from minimd.structure.observables import largest_speed
 from minimd.structure.system import System
@@ -49,10 +49,10 @@ def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
 
 def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float, float, float, float]:
     """|u|, |u′| at the cutoff, and the sizes beside which they are large or small."""
-    u, slope = (abs(value) for value in law_at(law, cutoff, numbers))
-    inside = [abs(value) for value in law_at(law, INSIDE * cutoff, numbers)]
-    size = inside[0] + inside[1] * cutoff
-    return u, slope, size, size / cutoff
+    u, f = np.abs(law_at(law, cutoff, numbers))
+    u_inside, f_inside = np.abs(law_at(law, INSIDE * cutoff, numbers))
+    size = u_inside + f_inside * INSIDE * cutoff * cutoff
+    return float(u), float(f) * cutoff, float(size), float(size) / cutoff
 
 
 def list_lines(engine: Engine) -> Iterator[Line]:

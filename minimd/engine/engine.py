@@ -14,7 +14,7 @@ from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath, State, Surroundings
-from minimd.potentials.pair_loop import FORCES, TOTALS
+from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint
 from minimd.structure.observables import kinetic_energy

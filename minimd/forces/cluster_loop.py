@@ -1,165 +1,127 @@
 """The vector loop over clusters: the same pair laws as pair_loop, applied to eight pairs at a time.
 
-Atoms stand in clusters of eight that are near each other; see neighbors.cluster_list for the picture. A row belongs to one
-atom i and names the clusters j that hold atoms within its reach; a mask says which lanes of each count.
+Atoms that are near each other form clusters of eight; see neighbors.clusters for the picture. A row belongs to one atom i
+and names the clusters j that hold atoms within its reach; a mask says which lanes of each count.
 """
 
 import functools
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numba
 import numpy as np
 from numba import types
 from numba.core.errors import NumbaError
-from numba.extending import overload
 
-from minimd.compiled.kernels import scalar
+from minimd.compiled.kernels import by_type, scalar
 from minimd.compiled.simd import broadcast, convert, fma, load, mask_from_bits, select, store, total
+from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
+from minimd.neighbors.clusters import BLOCK, LANES
 from minimd.potentials.law import evaluate_law, is_user_law
-from minimd.potentials.pair_loop import PER_ATOM
 from minimd.potentials.parameters import SameForAll
+from minimd.potentials.term import PER_ATOM
 
-LANES = 8
-BLOCK = 3 * LANES  # numbers of one cluster in memory: eight x, eight y, eight z
-LANES_FROM = 24  # bits of an entry that number a copy
-COPY_BITS = (1 << LANES_FROM) - 1
-SHARES = 7  # numbers of an atom with PER_ATOM: energy, and six of the virial
+LANE_SUMS = 7  # accumulators of a lane with PER_ATOM: energy, and six of the virial
 
 
-class Rows(NamedTuple):
-    """Clusters within reach of each atom: those of the atom in slot s are entries[start[s] : stop[s]].
-
-    start, stop : (slots,) int.  entries : (E,) uint32, a copy's number, and above its 24 bits one for each lane that counts;
-    after the last of them stands one more, that of any copy: the loop looks at it and does nothing with it.
-    """
-
-    start: Any
-    stop: Any
-    entries: Any
-
-
-class ByLane(NamedTuple):
+class ByLane(namedtuple("ByLane", "columns species slots")):
     """Parameters by species, laid out for lanes.
 
     columns : tuple of (S · slots,) arrays; element a · slots + s is the parameter of the atom in slot s with species a.
     species : (slots,) int.  slots : number of slots, ghosts included.
     """
 
-    columns: Any
-    species: Any
-    slots: Any
 
-
+@by_type
 def parameters_of_lanes(source, slot, cluster):
     """Parameters of the pairs of the atom in a slot with the lanes of a cluster: numbers, or vectors if species differ."""
-    raise NotImplementedError
-
-
-@overload(parameters_of_lanes)
-def _parameters_of_lanes(source, slot, cluster):
     if source.instance_class is SameForAll:
         return lambda source, slot, cluster: source.numbers
     return lambda source, slot, cluster: _loaded(source.columns, source.species[slot] * source.slots + cluster * LANES)
 
 
+@by_type
 def _loaded(columns, start):
     """Eight elements of each column, from an index, unrolled by the compiler."""
-    raise NotImplementedError
-
-
-@overload(_loaded)
-def _loaded_overload(columns, start):
     if len(columns) == 1:
         return lambda columns, start: (load(columns[0], start, LANES),)
     return lambda columns, start: (load(columns[0], start, LANES),) + _loaded(columns[1:], start)
 
 
-class Sums(NamedTuple):
-    """Where the loop adds what it finds.
+class Sums(namedtuple("Sums", "forces energies virials lane_sums detail")):
+    """The accumulators of the loop.
 
-    forces : flat, BLOCK numbers for each copy, of the type of the pair arithmetic [energy/length].
+    forces : flat, BLOCK numbers for each ghost, of the type of the pair arithmetic [energy/length].
     energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows with PER_ATOM, else (C,) and (C, 6) of their clusters.
-    shares : flat, SHARES · LANES numbers for each copy: energies and virials of the lanes; empty unless PER_ATOM.
+    lane_sums : flat, LANE_SUMS · LANES numbers for each ghost: energies and virials of the lanes; empty unless PER_ATOM.
+    detail : TOTALS or PER_ATOM, see term.
     """
-
-    forces: Any
-    energies: Any
-    virials: Any
-    shares: Any
 
 
 class ForceSums(Sums):
-    """Sums where nobody looks at energies: a type of its own, so that the compiler leaves out what they need."""
+    """Accumulators of forces only: a type of its own, for which the compiler leaves out energies and virials."""
 
     __slots__ = ()
 
 
-def somebody_looks(sums):
+@by_type
+def with_energy(sums):
     """Whether energies and virials are wanted, as a constant for the compiler."""
-    raise NotImplementedError
-
-
-@overload(somebody_looks)
-def _somebody_looks(sums):
     answer = sums.instance_class is not ForceSums
     return lambda sums: answer
 
 
 @scalar
-def add_cluster_forces(first, last, home, rows, coordinates, unit, law, parameters, detail, sums):
+def add_cluster_forces(first, last, arrays, law, parameters, sums):
     """Forces between the atoms of clusters first to last and the clusters of their rows.
 
         r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= Σ f r_ij,   W += f r_ij ⊗ r_ij
 
-    home : (C,) int, where each cluster stands among the copies.  coordinates, unit : see separation.
-    detail : see pair_loop; with TOTALS each pair is booked on the cluster of its atom i, with PER_ATOM half of it on each atom.
+    arrays : ClusterArrays.  law : law type.  parameters : SameForAll or ByLane.
+    sums : with TOTALS each pair is added to the cluster of its atom i, with PER_ATOM half of it to each atom.
     """
+    rows, homes, coordinates, unit = arrays.rows, arrays.ghosts.home, arrays.memory.coordinates, arrays.memory.unit
     nothing = broadcast(0.0, load(sums.forces, 0, LANES))
     zero = convert(nothing, 0.0)
-    own_share = 0.5 if detail == PER_ATOM else 1.0
+    own_share = 0.5 if sums.detail == PER_ATOM else 1.0
     for slot in range(first * LANES, last * LANES):
-        own, lane = home[slot // LANES], slot % LANES
-        place = own * BLOCK + lane
+        home, lane = homes[slot // LANES], slot % LANES
+        place = home * BLOCK + lane
         at = position(coordinates, place)
         after = rows.entries[rows.start[slot]]
-        ahead = separations(coordinates, after & COPY_BITS, at, unit)
+        ahead = separations(coordinates, after & GHOST_BITS, at, unit)
         fx = fy = fz = nothing
         energy = xx = yy = zz = yz = xz = xy = zero
         for entry in range(rows.start[slot], rows.stop[slot]):
-            cluster, lanes, (dx, dy, dz, r2) = after & COPY_BITS, after >> LANES_FROM, ahead
+            ghost, lanes, (dx, dy, dz, r2) = after & GHOST_BITS, after >> LANES_FROM, ahead
             after = rows.entries[entry + 1]  # one entry ahead, so that the processor has work while it waits for the law
-            ahead = separations(coordinates, after & COPY_BITS, at, unit)
-            numbers = parameters_of_lanes(parameters, own * LANES + lane, cluster)
+            ahead = separations(coordinates, after & GHOST_BITS, at, unit)
+            numbers = parameters_of_lanes(parameters, home * LANES + lane, ghost)
             near = (r2 < numbers[0]) & mask_from_bits(lanes, nothing)
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
             gx, gy, gz = f * dx, f * dy, f * dz
             fx, fy, fz = fx - gx, fy - gy, fz - gz
-            j = cluster * BLOCK
+            j = ghost * BLOCK
             add(sums.forces, j, gx)
             add(sums.forces, j + LANES, gy)
             add(sums.forces, j + 2 * LANES, gz)
-            if somebody_looks(sums):
+            if with_energy(sums):
                 u = convert(select(near, u, 0.0), 0.0)
                 dx, dy, dz = convert(dx, 0.0), convert(dy, 0.0), convert(dz, 0.0)
                 gx, gy, gz = convert(gx, 0.0), convert(gy, 0.0), convert(gz, 0.0)
                 energy = energy + u
                 xx, yy, zz = fma(gx, dx, xx), fma(gy, dy, yy), fma(gz, dz, zz)
                 yz, xz, xy = fma(gy, dz, yz), fma(gx, dz, xz), fma(gx, dy, xy)
-                if detail == PER_ATOM:
-                    add_shares(sums.shares, cluster, (u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy))
+                if sums.detail == PER_ATOM:
+                    add_halves(sums.lane_sums, ghost, (u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy))
         sums.forces[place] += total(fx)
         sums.forces[place + LANES] += total(fy)
         sums.forces[place + 2 * LANES] += total(fz)
-        if somebody_looks(sums):
-            book = slot if detail == PER_ATOM else slot // LANES
-            sums.energies[book] += own_share * total(energy)
-            sums.virials[book, 0] += own_share * total(xx)
-            sums.virials[book, 1] += own_share * total(yy)
-            sums.virials[book, 2] += own_share * total(zz)
-            sums.virials[book, 3] += own_share * total(yz)
-            sums.virials[book, 4] += own_share * total(xz)
-            sums.virials[book, 5] += own_share * total(xy)
+        if with_energy(sums):
+            k = slot if sums.detail == PER_ATOM else slot // LANES
+            sums.energies[k] += own_share * total(energy)
+            for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+                sums.virials[k, c] += own_share * total(w)
 
 
 @scalar
@@ -170,26 +132,22 @@ def position(coordinates, place):
 
 
 @scalar
-def separations(coordinates, copy, at, unit):
-    """r_j − r_i = (dx, dy, dz) and r² of the lanes of a copy, from a position x, y, z [length]."""
-    place = copy * BLOCK
+def separations(coordinates, ghost, at, unit):
+    """r_j − r_i = (dx, dy, dz) and r² of the lanes of a ghost, from a position x, y, z [length]."""
+    place = ghost * BLOCK
     dx = separation(coordinates, place, at[0], unit)
     dy = separation(coordinates, place + LANES, at[1], unit)
     dz = separation(coordinates, place + 2 * LANES, at[2], unit)
     return dx, dy, dz, fma(dx, dx, fma(dy, dy, dz * dz))
 
 
+@by_type
 def separation(coordinates, place, x, unit):
     """Eight coordinates from a place on, minus x [length].
 
     In double precision coordinates are float64 [length]. In mixed precision they are int32 in units of a length; their
     difference has no rounding error, however far the atoms are from the origin, and becomes float32.
     """
-    raise NotImplementedError
-
-
-@overload(separation)
-def _separation(coordinates, place, x, unit):
     if isinstance(coordinates.dtype, types.Float):
         return lambda coordinates, place, x, unit: load(coordinates, place, LANES) - x
     return lambda coordinates, place, x, unit: convert(load(coordinates, place, LANES) - x, np.float32(0.0)) * unit
@@ -202,10 +160,10 @@ def add(sums, place, vector):
 
 
 @scalar
-def add_shares(shares, copy, values):
-    """Half of each of SHARES vectors, to the lanes of a copy."""
-    for k in range(SHARES):
-        add(shares, (copy * SHARES + k) * LANES, 0.5 * values[k])
+def add_halves(lane_sums, ghost, values):
+    """Half of each of LANE_SUMS vectors, to the lanes of a ghost."""
+    for k in range(LANE_SUMS):
+        add(lane_sums, (ghost * LANE_SUMS + k) * LANES, 0.5 * values[k])
 
 
 @functools.cache

@@ -1,97 +1,99 @@
-"""Pair laws on the cluster list: one term of a scene, evaluated by a team of threads."""
+"""Pair laws on the cluster list: eight pairs at a time, on a pool of threads."""
 
 from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel, shared_kernel, without_cache
-from minimd.compiled.threads import begin, finish_and_take, take, thread_pool, wait
-from minimd.forces.cluster_loop import BLOCK, LANES, SHARES, ByLane, ForceSums, Sums, add_cluster_forces
+from minimd.compiled.kernels import by_type, kernel, shared_kernel, without_cache
+from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
+from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, add_cluster_forces
 from minimd.forces.options import Options
-from minimd.forces.pair_laws import PairLaws, check_single_precision, skin_for
+from minimd.forces.pair_laws import PairLaws, skin_for
+from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList, gather, scatter
-from minimd.neighbors.domains import ATOMS_IN_A_CHUNK
+from minimd.neighbors.clusters import BLOCK, LANES
 from minimd.potentials.law import is_user_law
-from minimd.potentials.pair_loop import FORCES, PER_ATOM, TOTALS
 from minimd.potentials.parameters import SameForAll
+from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
 from minimd.structure.system import System
 
 
+class LaneLaws(NamedTuple):
+    """law_types : tuple of laws.  parameters : tuple of their parameters, each SameForAll or ByLane."""
+
+    law_types: Any
+    parameters: Any
+
+
 @shared_kernel
-def evaluate_clusters(me, task, positions, clusters, chunk_start, copies, rows, memory, laws, parameters, detail, sums, forces):
-    """forces (N, 3) += those of all laws; each chunk is a share of work."""
-    n, work = chunk_start.size - 1, np.empty(BLOCK)
-    phase = begin(me, task)
-    chunk = take(me, phase, n)
-    while chunk >= 0:
-        gather(chunk_start[chunk], chunk_start[chunk + 1], clusters, copies, positions, memory)
-        chunk = finish_and_take(me, phase, n)
-    phase = wait(me, phase)
-    chunk = take(me, phase, n)
-    while chunk >= 0:
-        place = (chunk_start[chunk], chunk_start[chunk + 1], copies.home, rows, memory.coordinates, memory.unit)
-        _add_all_laws(place, laws, parameters, (detail, sums))
-        chunk = finish_and_take(me, phase, n)
-    phase = wait(me, phase)
-    chunk = take(me, phase, n)
-    while chunk >= 0:
-        scatter(chunk_start[chunk], chunk_start[chunk + 1], clusters, copies, memory, forces, work)
-        chunk = finish_and_take(me, phase, n)
-    wait(me, phase)
+def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces):
+    """forces (N, 3) += those of all laws; each domain is a chunk of the task.
+
+    positions : (N, 3) [length].  arrays : ClusterArrays.  laws : LaneLaws.  sums : Sums or ForceSums.
+    """
+    start = arrays.domain_start
+    n, work = start.size - 1, np.empty(BLOCK)
+    phase = begin(worker, task)
+    domain = take(worker, phase, n)
+    while domain >= 0:
+        gather(start[domain], start[domain + 1], arrays, positions)
+        domain = finish_and_take(worker, phase, n)
+    phase = barrier(worker, phase)
+    domain = take(worker, phase, n)
+    while domain >= 0:
+        _add_all_laws(start[domain], start[domain + 1], arrays, laws.law_types, laws.parameters, sums)
+        domain = finish_and_take(worker, phase, n)
+    phase = barrier(worker, phase)
+    domain = take(worker, phase, n)
+    while domain >= 0:
+        scatter(start[domain], start[domain + 1], arrays, forces, work)
+        domain = finish_and_take(worker, phase, n)
+    barrier(worker, phase)
 
 
-def _add_all_laws(place, laws, parameters, sums):
+@by_type
+def _add_all_laws(first, last, arrays, laws, parameters, sums):
     """add_cluster_forces for each law, unrolled by the compiler."""
-    raise NotImplementedError
-
-
-@overload(_add_all_laws)
-def _add_all_laws_overload(place, laws, parameters, sums):
     if len(laws) == 1:
-        return lambda place, laws, parameters, sums: add_cluster_forces(*place, laws[0], parameters[0], *sums)
+        return lambda first, last, arrays, laws, parameters, sums: add_cluster_forces(first, last, arrays, laws[0], parameters[0], sums)
 
-    def add(place, laws, parameters, sums):
-        add_cluster_forces(*place, laws[0], parameters[0], *sums)
-        _add_all_laws(place, laws[1:], parameters[1:], sums)
+    def add(first, last, arrays, laws, parameters, sums):
+        add_cluster_forces(first, last, arrays, laws[0], parameters[0], sums)
+        _add_all_laws(first, last, arrays, laws[1:], parameters[1:], sums)
 
     return add
 
 
-class ClusteredPairs:
+class ClusterTerm(Term):
     """Laws on all pairs within their cutoffs, eight at a time, found with one cluster list."""
 
-    def __init__(self, system: System, laws: PairLaws, options: Options, stride: float = 0.0) -> None:
-        self._team = thread_pool(max(1, min(options.most_threads, len(system) // ATOMS_IN_A_CHUNK)))
+    list: ClusterList
+    needs_one_accumulator = True
+
+    def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
+        self._pool = thread_pool(max(1, min(options.most_threads, len(system) // domains.ATOMS_PER_DOMAIN)))
         self._is_mixed = options.precision == "mixed"
         if self._is_mixed:
-            check_single_precision(laws)
-        skin = skin_for(system, laws, options, stride)
-        self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, self._is_mixed, self._team)
-        self._laws = laws
-        self._markers = tuple(laws.laws)
-        self._number = np.float32 if self._is_mixed else np.float64
-        is_known = not any(is_user_law(law) for law in laws.laws)
+            laws.check_single_precision()
+        skin = skin_for(system, laws, options, displacement)
+        self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, self._is_mixed, self._pool)
+        self._pair_laws = laws
+        is_known = not any(is_user_law(one.law) for one in laws.members)
         self._evaluate = evaluate_clusters if is_known else without_cache(evaluate_clusters)
-        self._parameters: tuple = ()
-        self._parameters_of = 0  # which build of the list
+        self._prepared_for = 0  # which build of the list
         self._memory = Buffers()
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
         self.list.update(system.positions, system.cell)
-        if self._parameters_of != self.list.n_builds:
-            self._parameters = tuple(self._by_lane(k, table, system.species_index) for k, table in enumerate(self._laws.tables))
-            self._parameters_of = self.list.n_builds
-        clusters, copies, memory = self.list.clusters, self.list.copies, self.list.memory
-        n_books = {FORCES: 0, TOTALS: len(clusters.filled), PER_ATOM: len(clusters.atom)}[detail]
-        shares = np.zeros(len(copies.owner) * LANES * SHARES if detail == PER_ATOM else 0)
-        sums = (Sums if detail != FORCES else ForceSums)(memory.forces, np.zeros(n_books), np.zeros((n_books, 6)), shares)
-        scene = (system.positions, clusters, self.list.chunks.cluster, copies, self.list.rows, memory)
+        if self._prepared_for != self.list.n_builds:
+            self._prepare(system)
         before = net_force(forces) if self._is_mixed else None
-        self._team.run(self._evaluate, *scene, self._markers, self._parameters, detail, sums, forces)
+        sums = self._force_sums if detail == FORCES else self._sums(detail)
+        self._pool.run(self._evaluate, system.positions, self.list.arrays, self._laws, sums, forces)
         if before is not None:
             net = np.subtract(net_force(forces), before)
             if np.isfinite(net).all():
@@ -100,44 +102,59 @@ class ClusteredPairs:
             energies[0] += sums.energies.sum()
             virials[0] += sums.virials.sum(axis=0)
         elif detail == PER_ATOM:
-            self._book(sums, energies, virials)
+            self._add_each(sums, energies, virials)
 
-    def _book(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
-        """Add what was found to the energies (N,) and virials (N, 6) of the atoms."""
+    def _prepare(self, system: System) -> None:
+        """What a new list asks for: parameters in the order of its clusters, the array of its forces."""
+        tables = [one.table for one in self._pair_laws.members]
+        parameters = tuple(self._by_lane(k, table, system.species_index) for k, table in enumerate(tables))
+        self._laws = LaneLaws(tuple(one.law for one in self._pair_laws.members), parameters)
+        self._force_sums = ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
+        self._prepared_for = self.list.n_builds
+
+    def _sums(self, detail: int) -> Sums:
+        """Accumulators with zeros: one for each cluster if only totals are wanted, else one for each slot, and for each lane of a ghost."""
+        clusters = self.list.clusters
+        n = len(clusters.filled) if detail == TOTALS else len(clusters.atom)
+        lane_sums = np.zeros(len(self.list.ghosts.owner) * LANES * LANE_SUMS if detail == PER_ATOM else 0)
+        return Sums(self.list.memory.forces, np.zeros(n), np.zeros((n, 6)), lane_sums, detail)
+
+    def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
+        """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""
         clusters = self.list.clusters
         real = (np.arange(LANES) < clusters.filled[:, None]).ravel()
         energies[clusters.atom[real]] += sums.energies[real]
         virials[clusters.atom[real]] += sums.virials[real]
-        atoms, of_lanes = clusters.atom.reshape(-1, LANES)[self.list.copies.owner], sums.shares.reshape(-1, SHARES, LANES)
+        atoms, of_lanes = clusters.atom.reshape(-1, LANES)[self.list.ghosts.owner], sums.lane_sums.reshape(-1, LANE_SUMS, LANES)
         np.add.at(energies, atoms, of_lanes[:, 0])
         np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
 
     @property
-    def summary(self) -> str:
+    def summary(self) -> str:  # type: ignore[override]
         """The list, for the report."""
-        n = min(self._team.n_threads, self.list.n_chunks) if self.list.n_builds else self._team.n_threads
+        n = min(self._pool.n_threads, self.list.n_domains) if self.list.n_builds else self._pool.n_threads
         threads = f"{n} thread{'s' if n > 1 else ''}"
         return f"cluster list (skin {self.list.skin:.3g}, {threads}, {'mixed' if self._is_mixed else 'double'} precision)"
 
     def skipped(self) -> Iterable[str]:
         """See Term."""
-        return self._laws.skipped()
+        return self._pair_laws.skipped()
 
     def _by_lane(self, k: int, table: NDArray[np.float64], species_index: NDArray[np.int64]) -> SameForAll | ByLane:
         """Parameters of law k, from a table (S, S, 1 + P)."""
         if len(table) == 1:
             return SameForAll(tuple(table[0, 0].tolist()))
-        slots = len(self.list.copies.owner) * LANES
-        values = self._memory.array(f"parameters of law {k}", self._number, table.shape[-1] * len(table) * slots)
+        slots, number = len(self.list.ghosts.owner) * LANES, np.float32 if self._is_mixed else np.float64
+        values = self._memory.array(f"parameters of law {k}", number, table.shape[-1] * len(table) * slots)
         columns = values.reshape(table.shape[-1], -1)
         species = self._memory.array(f"species of law {k}", np.int64, slots)
-        fill_lanes(table, species_index, self.list.clusters.atom, self.list.copies.owner, columns, species)
+        fill_lanes(table, species_index, self.list.clusters.atom, self.list.ghosts.owner, columns, species)
         return ByLane(tuple(columns), species, slots)
 
 
 @kernel
 def fill_lanes(table, species_index, atom, owner, columns, species):
-    """species (slots,) and columns (1 + P, S · slots), as ByLane describes them, of all lanes of all copies."""
+    """species (slots,) and columns (1 + P, S · slots), as ByLane describes them, of all lanes of all ghosts."""
     slots = species.size
     for slot in range(slots):
         species[slot] = species_index[atom[owner[slot // LANES] * LANES + slot % LANES]]
@@ -157,7 +174,7 @@ def net_force(forces):
 
 @kernel
 def take_out(x, y, z, forces):
-    """forces −= (x, y, z) / N: what pairs push all atoms together is rounding, and momentum is to be conserved."""
+    """forces −= (x, y, z) / N: the net force of pairs is rounding, and without it momentum is conserved."""
     x, y, z = x / forces.shape[0], y / forces.shape[0], z / forces.shape[0]
     for i in range(forces.shape[0]):
         forces[i, 0] -= x

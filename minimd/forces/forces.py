@@ -1,4 +1,4 @@
-"""Forces: the sum of all terms of a scene, each step; energies and virial when somebody looks."""
+"""Forces: the sum of all terms of a scene, at each step; energies and virial when they are asked for."""
 
 import warnings
 from collections.abc import Iterator, Sequence
@@ -11,13 +11,11 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import announce_compilation
-from minimd.forces.cluster_term import ClusteredPairs
 from minimd.forces.options import Options
-from minimd.forces.terms import FixedPairs, ListedPairs, Potential, Term, plan
+from minimd.forces.plan import plan
 from minimd.neighbors.queries import closest_pair
-from minimd.potentials.bonded import BondPotential
-from minimd.potentials.pair import PairPotential
-from minimd.potentials.pair_loop import FORCES, PER_ATOM, TOTALS
+from minimd.neighbors.verlet_list import VerletList
+from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, bound
 from minimd.structure.console import outside_minimd
 from minimd.structure.errors import NonFiniteError
 from minimd.structure.system import System
@@ -25,7 +23,7 @@ from minimd.structure.system import System
 if TYPE_CHECKING:
     import ase
 
-RESTLESS = 2.0  # the skin is chosen anew when atoms have become faster or slower by this factor
+CHANGED_SPEED = 2.0  # the skin is chosen anew when atoms have become faster or slower by this factor: its optimum is flat
 VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # places of xx yy zz yz xz xy in a (3, 3) tensor
 
 
@@ -40,7 +38,8 @@ class Forces:
 
     Attributes
     ----------
-    forces : (N, 3) [energy/length], of the last compute.  n_evaluations : calls of compute since the last reset_counts.
+    forces : (N, 3) [energy/length], of the last compute.  terms : those that compute adds up.
+    n_evaluations : calls of compute since the last reset_counts.
 
     Raises
     ------
@@ -51,32 +50,37 @@ class Forces:
     def __init__(self, system: System, potentials: Potential | Sequence[Potential], options: Options | None = None) -> None:
         self.system, self.options = system, options or Options()
         self.potentials = tuple(potentials) if isinstance(potentials, Sequence) and not isinstance(potentials, str) else (potentials,)
-        _warn_of_missing_bonds(system, self.potentials)
-        self._stride = 0.0
         self.terms: list[Term] = []
         self.n_evaluations, self._builds_before = 0, 0
-        self._plan()
+        self._displacement = 0.0
+        self._bind()
+        for term in self._bound:
+            if term.warning:
+                warnings.warn(term.warning, stacklevel=outside_minimd())
         self.forces = np.zeros_like(system.positions)
-        self._compiled: set[int] = set()
         self._energies, self._virials = np.zeros(0), np.zeros((0, 6))
         self._detail = FORCES
-        self._tail: tuple[float | None, float, float] = (None, 0.0, 0.0)
 
-    def _plan(self) -> None:
-        """What a scene needs depends on its cell: which list fits, which skin, whether there are images."""
-        terms = plan(self.system, self.potentials, self.options, self._stride)
-        self._builds_before = self.n_builds  # of the terms that these replace
-        self.terms, self._planned_for = terms, self.system.cell
+    def _bind(self) -> None:
+        """Bind the potentials to the system, as it is in its present cell, and plan the terms."""
+        self._plan([bound(potential, self.system) for potential in self.potentials])
 
-    def fit_skin(self, stride: float) -> None:
+    def _plan(self, terms_bound: list[Term]) -> None:
+        """Choose lists and skins, which depend on the cell and on how fast the atoms move."""
+        terms = plan(terms_bound, self.system, self.options, self._displacement)
+        self._builds_before += _n_builds(self.terms) - _n_builds(terms)
+        self.terms, self._bound, self._planned_for = terms, terms_bound, self.system.cell
+        self._compiled: set[int] = set()  # details that the terms have been computed with
+
+    def fit_skin(self, displacement: float) -> None:
         """Choose the skin for a fastest atom that moves so far in a step [length], unless the user chose it or it is still right."""
-        if self.options.skin is None and not self._stride / RESTLESS <= stride <= self._stride * RESTLESS:
-            self._stride = stride
-            self._plan()
+        if self.options.skin is None and not self._displacement / CHANGED_SPEED <= displacement <= self._displacement * CHANGED_SPEED:
+            self._displacement = displacement
+            self._plan(self._bound)
 
     def reset_counts(self) -> None:
         """Count evaluations and list builds from zero."""
-        self.n_evaluations, self._builds_before = 0, self._builds_before - self.n_builds
+        self.counts = 0, 0
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -95,49 +99,49 @@ class Forces:
         NonFiniteError : if a position is not finite.  ValueError : as Forces, if the cell has changed and no longer fits.
         """
         if not self.system.cell.same_as(self._planned_for):
-            self._plan()
+            self._bind()
+        if detail not in self._compiled:
+            return self._compile(detail)
         self.forces[:] = 0.0
         if detail != FORCES:
-            self._open_books(detail)
-        if detail in self._compiled:
-            self._sum(detail)
-        else:
-            self._compile(detail)
+            self._clear_accumulators(detail)
+        for term in self.terms:
+            term.add(self.system, detail, self.forces, self._energies, self._virials)
         self.n_evaluations += 1
         self._detail = detail
         return self.forces
 
-    @contextmanager
-    def set_aside(self) -> Iterator[None]:
-        """While active, something else can be computed; then forces, energies and virials are those of before."""
-        forces, energies, virials, detail = self.forces.copy(), self._energies.copy(), self._virials.copy(), self._detail
+    def _compile(self, detail: int) -> NDArray[np.float64]:
+        """The first compute with a detail; a law of the user's may not compile."""
+        self._compiled.add(detail)
         try:
-            yield
-        finally:
-            self.forces[:], self._energies, self._virials, self._detail = forces, energies, virials, detail
+            with announce_compilation():
+                return self.compute(detail)
+        except BaseException as error:
+            self._compiled.discard(detail)
+            if not isinstance(error, NumbaError):
+                raise
+            laws = ", ".join(repr(potential) for potential in self.potentials)
+            reason = str(error).strip().splitlines()[0]
+            raise TypeError(f"a law among {laws} does not compile; laws are arithmetic on numbers, as numba.njit takes it: {reason}") from error
 
-    def _open_books(self, detail: int) -> None:
-        """Room for energies and virials: of all atoms, or, where nothing but cluster lists asks for their totals, of one."""
-        one_will_do = detail == TOTALS and all(isinstance(term, ClusteredPairs) for term in self.terms)
-        n = 1 if one_will_do else len(self.system)
+    def _clear_accumulators(self, detail: int) -> None:
+        """Zeros for energies and virials: one for each atom, or a single one if only totals are wanted and all terms can do with it."""
+        n = 1 if detail == TOTALS and all(term.needs_one_accumulator for term in self.terms) else len(self.system)
         if len(self._energies) != n:
             self._energies, self._virials = np.empty(n), np.empty((n, 6))
         self._energies[:], self._virials[:] = 0.0, 0.0
 
-    def _compile(self, detail: int) -> None:
-        """The first sum; a law of the user's may not compile."""
+    @contextmanager
+    def set_aside(self) -> Iterator[None]:
+        """Within this context compute may be called at displaced positions; after it forces, energies and virials are what they were."""
+        forces, energies, virials, detail = self.forces.copy(), self._energies, self._virials, self._detail
+        self._energies, self._virials = np.zeros(0), np.zeros((0, 6))
         try:
-            with announce_compilation():
-                self._sum(detail)
-        except NumbaError as error:
-            laws = ", ".join(repr(potential) for potential in self.potentials)
-            reason = str(error).strip().splitlines()[0]
-            raise TypeError(f"a law among {laws} does not compile; laws are arithmetic on numbers, as numba.njit takes it: {reason}") from error
-        self._compiled.add(detail)
-
-    def _sum(self, detail: int) -> None:
-        for term in self.terms:
-            term.add(self.system, detail, self.forces, self._energies, self._virials)
+            yield
+        finally:
+            self.forces[:] = forces
+            self._energies, self._virials, self._detail = energies, virials, detail
 
     @property
     def has_energy(self) -> bool:
@@ -168,57 +172,42 @@ class Forces:
     @property
     def longest_stride(self) -> float:
         """The largest finite cutoff [length]: an atom that moves farther in one step has passed its neighbors unseen."""
-        cutoffs = [p.cutoff for p in self.potentials if isinstance(p, PairPotential) and np.isfinite(p.cutoff)]
-        return max(cutoffs, default=np.inf)
+        return max((term.cutoff for term in self._bound if np.isfinite(term.cutoff)), default=np.inf)
 
     @property
     def n_builds(self) -> int:
         """How often a list was built, since the last reset_counts."""
-        return self._builds_before + sum(term.list.n_builds for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs)))
+        return self._builds_before + _n_builds(self.terms)
 
     @property
     def skins(self) -> list[float]:
         """Of all lists that are rebuilt as atoms move [length]."""
-        lists = [term.list for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs))]
-        return [one.skin for one in lists if np.isfinite(one.cutoff)]
+        return [one.skin for one in _lists(self.terms) if np.isfinite(one.cutoff)]
 
     @property
     def pair_search(self) -> str:
-        """Which lists this scene got, in words."""
-        return ", ".join(term.summary for term in self.terms if isinstance(term, (ListedPairs, ClusteredPairs))) or "no list"
+        """Which lists this scene got, for the report."""
+        return ", ".join(term.summary for term in self.terms if term.summary) or "no list"
 
     def skipped(self) -> list[str]:
-        """What this scene lacks and therefore does not pay for, in words."""
+        """What this scene lacks and therefore does not pay for, for the report."""
         absent = [] if self.system.cell.is_periodic else ["periodic images"]
-        if not any(isinstance(term, FixedPairs) for term in self.terms):
-            absent.append("bond loop")
-        return absent + [word for term in self.terms for word in term.skipped()]
+        if all(term.ingredient != BOND_LOOP for term in self.terms):
+            absent.append(BOND_LOOP)
+        return absent + [what for term in self.terms for what in term.skipped()]
 
     def _tail_corrections(self) -> tuple[float, float]:
-        """Energy and virial trace of all tails, computed anew only when the volume has changed."""
-        corrected = [p for p in self.potentials if isinstance(p, PairPotential) and p.tail_correction]
-        if not corrected:
-            return 0.0, 0.0
-        volume = self.system.volume
-        if volume is None:
-            raise ValueError("tail_correction needs a density: a cell that is periodic in all three directions")
-        if self._tail[0] != volume:
-            counts = np.bincount(self.system.species_index, minlength=len(self.system.species_names))
-            tails = [potential.tail(counts, self.system.species_names, volume) for potential in corrected]
-            self._tail = (volume, sum(u for u, _ in tails), sum(w for _, w in tails))
-        return self._tail[1], self._tail[2]
+        """Energy and virial trace of all tails."""
+        tails = [term.tail(self.system) for term in self._bound]
+        return sum(u for u, _ in tails), sum(w for _, w in tails)
 
 
-def _warn_of_missing_bonds(system: System, potentials: Sequence[Potential]) -> None:
-    """Say that something is meant for bonds where there are none."""
-    if len(system.bonds):
-        return
-    for potential in potentials:
-        scaled = isinstance(potential, PairPotential) and potential.bonded_scale != (1.0, 1.0, 1.0)
-        if scaled or (isinstance(potential, BondPotential) and potential.pairs is None):
-            what = f"bonded_scale of {potential!r}" if scaled else repr(potential)
-            hint = "give them as System(bonds=...) or System.from_ase(atoms, bonds=...)"
-            warnings.warn(f"{what} has no effect: the system has no bonds; {hint}", stacklevel=outside_minimd())
+def _lists(terms: Sequence[Term]) -> list[VerletList]:
+    return [term.list for term in terms if term.list is not None]
+
+
+def _n_builds(terms: Sequence[Term]) -> int:
+    return sum(one.n_builds for one in _lists(terms))
 
 
 @dataclass(frozen=True)

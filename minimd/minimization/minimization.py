@@ -11,7 +11,7 @@ import numpy as np
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces, Potential
 from minimd.minimization.fire import FIRE
-from minimd.potentials.pair_loop import TOTALS
+from minimd.potentials.term import TOTALS
 from minimd.structure.console import Progress, stop_on_interrupt
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import Interrupted, checked_count

@@ -1,6 +1,6 @@
 """Atoms into bins: a grid along the lattice vectors, and the atoms in the order of their bins."""
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,32 +9,23 @@ from minimd.compiled.kernels import kernel, scalar
 from minimd.structure.cell import Cell
 
 ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
-FLATTEST = 1e-9  # a scene thinner than this fraction of the reach counts as this thick
+FLATTEST = 1e-9  # of the reach: a thinner scene counts as this thick, so that no width is zero
 WIDER = 1.0 + 1e-9  # bins are this much wider than the reach, so that rounding never asks for one bin more
 
 
-class Grid(NamedTuple):
+class Grid(namedtuple("Grid", "counts reach origin extent")):
     """counts : (3,) int, bins along each lattice vector.  reach : (3,) int, bins to search on each side.
 
     origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions.
     """
 
-    counts: NDArray[np.int64]
-    reach: NDArray[np.int64]
-    origin: NDArray[np.float64]
-    extent: NDArray[np.float64]
 
-
-class Sorted(NamedTuple):
+class Sorted(namedtuple("Sorted", "order offsets bin_start")):
     """Atoms in the order of their bins.
 
     order : (N,) int, the user's index of each.  offsets : (N, 3) [length], lattice vectors that bring each into the cell.
     bin_start : (bins + 1,) int, first atom of each bin.
     """
-
-    order: NDArray[np.int64]
-    offsets: NDArray[np.float64]
-    bin_start: NDArray[np.int64]
 
 
 def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
@@ -53,28 +44,22 @@ def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
 
 def sort_into_bins(positions: NDArray[np.float64], cell: Cell, grid: Grid) -> Sorted:
     """The atoms in the order of their bins, the last lattice direction running fastest."""
-    return Sorted(*_sort(positions, cell.lattice, cell.inverse, cell.pbc, grid.counts, grid.origin, grid.extent))
+    return Sorted(*_sort(positions, cell.lattice, cell.inverse, cell.pbc, grid))
 
 
-class Binned(NamedTuple):
-    """Room for a counting sort of N atoms into B bins.
+class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
+    """The arrays of a counting sort of N atoms into B bins.
 
     order, bins : (N,) int, atoms in the order of their bins, and the bin of each atom.  bin_start, place : (B + 1,) int.
     cells : (N, 3), lattice vectors that bring each atom into the cell, as numbers.
     height : (N,) fractional coordinate along the third lattice vector, in the cell.
     """
 
-    order: Any
-    bins: Any
-    bin_start: Any
-    place: Any
-    cells: Any
-    height: Any
-
 
 @scalar
-def counting_sort(positions, inverse, pbc, counts, origin, extent, binned):
-    """Atoms into bins, in linear time: fills Binned."""
+def counting_sort(positions, inverse, pbc, grid, binned):
+    """Atoms into the bins of a grid (counts, origin, extent), in linear time: fills Binned."""
+    counts, origin, extent = grid.counts, grid.origin, grid.extent
     for b in range(binned.bin_start.size):
         binned.bin_start[b] = 0
     for i in range(positions.shape[0]):
@@ -99,13 +84,13 @@ def counting_sort(positions, inverse, pbc, counts, origin, extent, binned):
 
 
 @kernel
-def _sort(positions, lattice, inverse, pbc, counts, origin, extent):
+def _sort(positions, lattice, inverse, pbc, grid):
     """order, offsets and bin_start as in Sorted."""
-    n_atoms, n_bins = positions.shape[0], counts[0] * counts[1] * counts[2]
+    n_atoms, n_bins = positions.shape[0], grid.counts[0] * grid.counts[1] * grid.counts[2]
     order, bins = np.empty(n_atoms, dtype=np.int64), np.empty(n_atoms, dtype=np.int64)
     bin_start, place = np.empty(n_bins + 1, dtype=np.int64), np.empty(n_bins + 1, dtype=np.int64)
     cells = np.empty((n_atoms, 3))
-    counting_sort(positions, inverse, pbc, counts, origin, extent, Binned(order, bins, bin_start, place, cells, np.empty(n_atoms)))
+    counting_sort(positions, inverse, pbc, grid, Binned(order, bins, bin_start, place, cells, np.empty(n_atoms)))
     offsets = np.empty((n_atoms, 3))
     for k in range(n_atoms):
         i = order[k]

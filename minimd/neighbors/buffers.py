@@ -1,4 +1,4 @@
-"""Memory that is used again at each build: fresh pages from the system would cost more than what is written into them."""
+"""Memory that is used again at each build: new pages from the operating system would cost more time than writing to them."""
 
 from math import prod
 from typing import Any

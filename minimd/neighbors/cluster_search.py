@@ -9,73 +9,84 @@ its own column, and at the columns ahead:
     . . . f f
     . . . f f
 
-All of these are runs of copies in the chunk of the atom: the search knows nothing of periodicity, nor does the loop over rows.
+All of these are runs of ghosts in the domain of the atom: neither the search nor the loop over rows knows of periodicity.
 """
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
 from minimd.compiled.kernels import inlined, scalar, shared_kernel
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, load
-from minimd.compiled.threads import begin, finish_and_take, take, wait
-from minimd.forces.cluster_loop import BLOCK, COPY_BITS, LANES, LANES_FROM
+from minimd.compiled.threads import barrier, begin, finish_and_take, take
+from minimd.neighbors.clusters import BLOCK, LANES
 from minimd.neighbors.domains import ALL_LANES, HOME, image_key
 from minimd.structure.cell import minimum_image
 
+LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
+GHOST_BITS = (1 << LANES_FROM) - 1
 
-class Work(NamedTuple):
-    """Room for one cluster: the copies first to last of each run ahead; candidates, the entries they become, whom they are near to."""
 
-    ahead: Any
-    candidates: Any
-    entries: Any
-    near: Any
+class Rows(namedtuple("Rows", "start stop entries")):
+    """Clusters within reach of each atom: those of the atom in slot s are entries[start[s] : stop[s]].
+
+    start, stop : (slots,) int.  entries : (E,) uint32, the number of a ghost, and above its 24 bits one for each lane that counts.
+    One more entry follows the last one: the loop reads one entry ahead.
+    """
+
+
+class Work(namedtuple("Work", "ahead candidates entries near")):
+    """Memory for the search of one cluster.
+
+    ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, and the entries they become.
+    near : (M,) uint8, bit k is set if the candidate is near the atom in lane k.
+    """
 
 
 @inlined
-def make_work(chunks, columns):
-    """Enough for any cluster of any chunk."""
+def make_work(domains, columns):
+    """Enough for any cluster of any domain."""
     n_runs = (columns.reach[0] + 1) * (2 * columns.reach[1] + 1)
     n = 0
-    for chunk in range(chunks.run.size - 1):
-        n = max(n, chunks.copy[chunks.run[chunk + 1]] - chunks.copy[chunks.run[chunk]])
+    for domain in range(domains.run.size - 1):
+        n = max(n, domains.ghost[domains.run[domain + 1]] - domains.ghost[domains.run[domain]])
     return Work(np.empty((n_runs, 2), dtype=np.int64), np.empty(n, dtype=np.int64), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint8))
 
 
 @scalar
-def find_rows(chunk, chunks, clusters, columns, copies, coordinates, reach, rows, room, work):
-    """Write the rows of one chunk; return how many entries there are, or more than that if there is not enough room.
+def find_rows(domain, layout, rows, room, work):
+    """Write the rows of one domain; return how many entries there are, or more than that if there is not enough room.
 
-    reach : [length].  room : first and last of the chunk's entries.
+    room : first and last of the domain's entries.
     """
+    columns, domains, column_start = layout.columns, layout.domains, layout.clusters.column_start
     width, depth = columns.counts[1] + 2 * columns.reach[1], columns.reach[1]
     ahead = work.ahead
     first, last = room
     n_entries = first
-    for x in range(chunks.column[chunk], chunks.column[chunk + 1]):
+    for x in range(domains.column[domain], domains.column[domain + 1]):
         for y in range(columns.counts[1]):
             column = x * columns.counts[1] + y
             n_ahead = 0
             for run_x in range(columns.reach[0] + 1):
                 for run_y in range(-depth if run_x > 0 else 0, depth + 1):
-                    run = chunks.run[chunk] + (x - chunks.column[chunk] + run_x) * width + y + run_y + depth
-                    ahead[n_ahead, 0], ahead[n_ahead, 1] = chunks.copy[run], chunks.copy[run + 1]
+                    run = domains.run[domain] + (x - domains.column[domain] + run_x) * width + y + run_y + depth
+                    ahead[n_ahead, 0], ahead[n_ahead, 1] = domains.ghost[run], domains.ghost[run + 1]
                     n_ahead += ahead[n_ahead, 0] < ahead[n_ahead, 1]
-            for k in range(clusters.column_start[column], clusters.column_start[column + 1]):
-                home = copies.home[k]
-                ahead[0, 0] = home + 1
-                n = _candidates(home, n_ahead, ahead, copies, columns.along, reach, work.candidates)
-                n_entries = _prune(k, home, n, work, clusters, copies, coordinates, reach, rows, n_entries, last)
+            for k in range(column_start[column], column_start[column + 1]):
+                ahead[0, 0] = layout.ghosts.home[k] + 1
+                n = _candidates(k, n_ahead, layout, work)
+                n_entries = _prune(k, n, layout, rows, n_entries, last, work)
     if n_entries < last:
         rows.entries[n_entries] = 0  # see Rows
     return n_entries + 1 - first
 
 
 @scalar
-def _candidates(i, n_ahead, ahead, copies, along, reach, candidates):
-    """Copies ahead of copy i whose boxes are within reach; returns how many. The first column of each run moves up with i."""
-    boxes, bottom, top = copies.boxes, copies.bottom, copies.top
+def _candidates(k, n_ahead, layout, work):
+    """Ghosts ahead of cluster k whose boxes are within reach; returns how many. The first ghost of each run moves up with k."""
+    ghosts, along, reach, ahead, candidates = layout.ghosts, layout.columns.along, layout.columns.distance, work.ahead, work.candidates
+    boxes, bottom, top, i = ghosts.boxes, ghosts.bottom, ghosts.top, ghosts.home[k]
     low, high = bottom[i] - along, top[i] + along
     x_low, y_low, z_low, x_high, y_high, z_high = boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3], boxes[i, 4], boxes[i, 5]
     n = 0
@@ -95,73 +106,76 @@ def _candidates(i, n_ahead, ahead, copies, along, reach, candidates):
 
 
 @scalar
-def _prune(k, home, n, work, clusters, copies, coordinates, reach, rows, n_entries, last):
+def _prune(k, n, layout, rows, n_entries, last, work):
     """The rows of the atoms of cluster k: each of n candidates with an atom within reach, its own cluster last."""
     if n_entries + LANES * (n + 1) >= last:  # no room: an upper bound tells how much is missing
         return n_entries + LANES * (n + 1) + 1
+    ghosts, coordinates, reach, filled = layout.ghosts, layout.coordinates, layout.columns.distance, layout.clusters.filled[k]
+    home = ghosts.home[k]
     own = home * BLOCK
     x, y, z = load(coordinates, own, LANES), load(coordinates, own + LANES, LANES), load(coordinates, own + 2 * LANES, LANES)
     for c in range(n):
-        copy = work.candidates[c]
+        ghost = work.candidates[c]
         nearest = broadcast(np.inf, x)
         for lane in range(LANES):  # eight atoms of k at a time against one of the candidate's
-            other = copy * BLOCK + lane
+            other = ghost * BLOCK + lane
             dx, dy, dz = x - coordinates[other], y - coordinates[other + LANES], z - coordinates[other + 2 * LANES]
             nearest = min(nearest, fma(dx, dx, fma(dy, dy, dz * dz)))
         near = bits_from_mask(nearest < reach * reach)
-        work.near[c], work.entries[c] = near, copy | copies.lanes[copy] << LANES_FROM
-        copies.is_used[copy] |= near != 0
+        work.near[c], work.entries[c] = near, ghost | ghosts.lanes[ghost] << LANES_FROM
+        ghosts.is_used[ghost] |= near != 0
     end = np.uintp(n_entries)  # unsigned: no check for indices that count from the end
     for lane in range(LANES):
         rows.start[k * LANES + lane] = end
-        if lane < clusters.filled[k]:
+        if lane < filled:
             for c in range(n):
                 rows.entries[end] = work.entries[c]  # overwritten by the next unless near
                 end += np.uintp(work.near[c] >> lane & 1)
-            rows.entries[end] = home | ((ALL_LANES << (lane + 1)) & copies.lanes[home]) << LANES_FROM
-            end += np.uintp(lane < clusters.filled[k] - 1)
+            rows.entries[end] = home | ((ALL_LANES << (lane + 1)) & ghosts.lanes[home]) << LANES_FROM
+            end += np.uintp(lane < filled - 1)
         rows.stop[k * LANES + lane] = end
     return np.int64(end)
 
 
 @shared_kernel
-def exclude_pairs(me, task, clusters, chunk_start, copies, cell, excluded_start, excluded, slot_of, rows):
-    """Clear the lane of each excluded partner, at its nearest image, in the row where the pair is listed; each chunk is a share of work.
+def exclude_pairs(worker, task, layout, image, partners, slot_of, rows):
+    """Clear the lane of each excluded partner, at its nearest image, in the row where the pair is listed; each domain is a chunk.
 
-    cell : lattice, inverse, pbc, safe_distance2 of Cell.  excluded_start, excluded : see find_pairs.
-    slot_of : (N,) int, output, slot of each atom.
+    image : lattice, inverse, pbc, safe_distance2 of Cell.  partners : see find_pairs.  slot_of : (N,) int, output, slot of each atom.
     """
-    n = chunk_start.size - 1
-    phase = begin(me, task)
-    chunk = take(me, phase, n)
-    while chunk >= 0:
-        for cluster in range(chunk_start[chunk], chunk_start[chunk + 1]):
+    clusters, domain_start = layout.clusters, layout.domains.cluster
+    start, values = partners
+    n = domain_start.size - 1
+    phase = begin(worker, task)
+    domain = take(worker, phase, n)
+    while domain >= 0:
+        for cluster in range(domain_start[domain], domain_start[domain + 1]):
             for slot in range(cluster * LANES, cluster * LANES + clusters.filled[cluster]):
                 slot_of[clusters.atom[slot]] = slot
-        chunk = finish_and_take(me, phase, n)
-    phase = wait(me, phase)
-    chunk = take(me, phase, n)
-    while chunk >= 0:
-        for cluster in range(chunk_start[chunk], chunk_start[chunk + 1]):
+        domain = finish_and_take(worker, phase, n)
+    phase = barrier(worker, phase)
+    domain = take(worker, phase, n)
+    while domain >= 0:
+        for cluster in range(domain_start[domain], domain_start[domain + 1]):
             for slot in range(cluster * LANES, cluster * LANES + clusters.filled[cluster]):
                 i = clusters.atom[slot]
-                for p in range(excluded_start[i], excluded_start[i + 1]):
-                    _exclude(slot, slot_of[excluded[p]], clusters, copies, cell, rows)
-        chunk = finish_and_take(me, phase, n)
-    wait(me, phase)
+                for p in range(start[i], start[i + 1]):
+                    _exclude(slot, slot_of[values[p]], clusters, layout.ghosts, image, rows)
+        domain = finish_and_take(worker, phase, n)
+    barrier(worker, phase)
 
 
 @scalar
-def _exclude(slot, other, clusters, copies, cell, rows):
+def _exclude(slot, other, clusters, ghosts, image, rows):
     """Clear the lane of the atom in slot other in the row of a slot, if it is there."""
     cluster, lane = other // LANES, other % LANES
     own, place = slot // LANES * BLOCK + slot % LANES, cluster * BLOCK + lane
     x = clusters.coordinates[place] - clusters.coordinates[own]
     y = clusters.coordinates[place + LANES] - clusters.coordinates[own + LANES]
     z = clusters.coordinates[place + 2 * LANES] - clusters.coordinates[own + 2 * LANES]
-    a, b, c = minimum_image(x, y, z, *cell)
+    a, b, c = minimum_image(x, y, z, *image)
     key = image_key(cluster, HOME + int(9.0 * a + 3.0 * b + c))
     for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])):  # unsigned: no check for indices that count from the end
-        if copies.key[rows.entries[entry] & COPY_BITS] == key:
+        if ghosts.key[rows.entries[entry] & GHOST_BITS] == key:
             rows.entries[entry] &= ~np.uint32(1 << (LANES_FROM + lane))
             return

@@ -8,37 +8,35 @@ Seen from above and from the side (4 columns; one column with its clusters A, B,
     |  2  |  3  |        in memory, each cluster: x x x x x x x x y y y y y y y y z z z z z z z z
     +-----+-----+
 
-Padding repeats the last atom of its cluster, and nobody looks at it: a cluster knows how many of its lanes are filled.
+The last cluster of a column may have fewer atoms than lanes. The other lanes are padding: they repeat its last atom, and count nowhere.
 """
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel, scalar, shared_kernel
-from minimd.compiled.threads import MOST_SHARES, ThreadPool, begin, finish_and_take, take, wait
-from minimd.forces.cluster_loop import BLOCK, LANES
+from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
 from minimd.neighbors.buffers import Buffers
 from minimd.structure.cell import Cell
 
+LANES = 8  # atoms of a cluster
+BLOCK = 3 * LANES  # numbers of one cluster in memory: eight x, eight y, eight z
 
-class Columns(NamedTuple):
-    """counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
 
-    reach : (2,) int, columns to search on each side.  along : reach as a fraction of the third lattice vector.
-    origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions.
+class Columns(namedtuple("Columns", "counts distance reach along origin extent pbc lattice inverse")):
+    """A cell divided into columns along its third lattice vector.
+
+    counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
+    distance : within which pairs are searched [length].  reach : (2,) int, the same in columns on each side.
+    along : the same as a fraction of the height along the third lattice vector.
+    origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions.  pbc, lattice, inverse : of the Cell.
     """
 
-    counts: NDArray[np.int64]
-    reach: NDArray[np.int64]
-    along: float
-    origin: NDArray[np.float64]
-    extent: NDArray[np.float64]
 
-
-class Clusters(NamedTuple):
+class Clusters(namedtuple("Clusters", "atom filled offsets column_start bottom top coordinates boxes")):
     """Atoms sorted into C clusters; slot s is lane s % 8 of cluster s // 8.
 
     atom : (8 C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
@@ -48,15 +46,6 @@ class Clusters(NamedTuple):
     coordinates : flat, BLOCK numbers for each cluster [length].
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
     """
-
-    atom: Any
-    filled: Any
-    offsets: Any
-    column_start: Any
-    bottom: Any
-    top: Any
-    coordinates: Any
-    boxes: Any
 
 
 def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Columns:
@@ -73,17 +62,18 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Co
     needed = np.ceil(WIDER * reach * across / widths[:2])
     needed = np.minimum(needed, np.where(cell.pbc[:2], across, across - 1.0))
     counts = np.array([*across, bins]).astype(np.int64)
-    return Columns(counts, needed.astype(np.int64), WIDER * reach / cell.heights[2], origin, extent)
+    along_z = WIDER * reach / cell.heights[2]
+    return Columns(counts, reach, needed.astype(np.int64), along_z, origin, extent, cell.pbc, cell.lattice, cell.inverse)
 
 
-def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Columns, memory: Buffers, team: ThreadPool) -> Clusters:
+def sort_into_clusters(positions: NDArray[np.float64], columns: Columns, memory: Buffers, pool: ThreadPool) -> Clusters:
     """The clusters of all columns, the second lattice direction running faster than the first."""
     n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
     many, bins, triples = (n,), (n_bins + 1,), (n, 3)
     fields = ((np.int32, many), (np.int32, many), (np.int32, bins), (np.int32, bins), (np.float64, triples), (np.float64, many))
     binned = Binned(*memory.carve("scratch", *fields))
     column_start = memory.array("column_start", np.int64, n_columns + 1)
-    sort_into_columns(positions, cell.inverse, cell.pbc, columns, binned, column_start)
+    sort_into_columns(positions, columns, binned, column_start)
     n_clusters = int(column_start[-1])
     clusters = Clusters(
         atom=memory.array("atom", np.int32, n_clusters * LANES),
@@ -95,15 +85,15 @@ def sort_into_clusters(positions: NDArray[np.float64], cell: Cell, columns: Colu
         coordinates=memory.array("home coordinates", np.float64, n_clusters * BLOCK),
         boxes=memory.array("boxes", np.float64, n_clusters, 6),
     )
-    team.run(_fill_clusters, positions, cell.lattice, columns.counts, binned, clusters, min(int(columns.counts[0]), MOST_SHARES))
+    pool.run(_fill_clusters, positions, columns, binned, clusters, min(int(columns.counts[0]), MOST_CHUNKS))
     return clusters
 
 
 @kernel
-def sort_into_columns(positions, inverse, pbc, columns, binned, column_start):
+def sort_into_columns(positions, columns, binned, column_start):
     """Atoms into the bins of all columns; the first cluster of each column."""
     counts = columns.counts
-    counting_sort(positions, inverse, pbc, counts, columns.origin, columns.extent, binned)
+    counting_sort(positions, columns.inverse, columns.pbc, columns, binned)
     column_start[0] = 0
     for column in range(counts[0] * counts[1]):
         n = binned.bin_start[(column + 1) * counts[2]] - binned.bin_start[column * counts[2]]
@@ -111,21 +101,22 @@ def sort_into_columns(positions, inverse, pbc, columns, binned, column_start):
 
 
 @shared_kernel
-def _fill_clusters(me, task, positions, lattice, counts, binned, clusters, n):
-    """The clusters of all columns; rows of columns along the second lattice vector are shared out."""
-    phase = begin(me, task)
-    share = take(me, phase, n)
-    while share >= 0:
-        for column in range(share * counts[0] // n * counts[1], (share + 1) * counts[0] // n * counts[1]):
-            _fill_column(column, positions, lattice, counts, binned, clusters)
-        share = finish_and_take(me, phase, n)
-    wait(me, phase)
+def _fill_clusters(worker, task, positions, columns, binned, clusters, n):
+    """The clusters of all columns; a chunk is some rows of columns along the second lattice vector."""
+    counts = columns.counts
+    phase = begin(worker, task)
+    chunk = take(worker, phase, n)
+    while chunk >= 0:
+        for column in range(chunk * counts[0] // n * counts[1], (chunk + 1) * counts[0] // n * counts[1]):
+            _fill_column(column, positions, columns, binned, clusters)
+        chunk = finish_and_take(worker, phase, n)
+    barrier(worker, phase)
 
 
 @scalar
-def _fill_column(column, positions, lattice, counts, binned, clusters):
+def _fill_column(column, positions, columns, binned, clusters):
     """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters."""
-    order, height, cells = binned.order, binned.height, binned.cells
+    counts, lattice, order, height, cells = columns.counts, columns.lattice, binned.order, binned.height, binned.cells
     first, last = binned.bin_start[column * counts[2]], binned.bin_start[(column + 1) * counts[2]]
     for p in range(first, last):
         i, q = order[p], p

@@ -1,15 +1,23 @@
 """The plain pair list: every pair within reach, with its image."""
 
+from collections import namedtuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.neighbors.binning import make_grid, sort_into_bins
-from minimd.neighbors.search import find_pairs, forward_bins, image_table
-from minimd.neighbors.verlet_list import VerletList
-from minimd.potentials.pair_loop import Pairs
+from minimd.neighbors.buffers import SPARE
+from minimd.neighbors.search import bins_of, find_pairs
+from minimd.neighbors.verlet_list import VerletList, starts
 from minimd.structure.cell import Cell
 
-SPARE = 1.2  # room for this much more than the pairs that were found
+
+class Pairs(namedtuple("Pairs", "start second image translations")):
+    """Pairs (i, j), grouped by their first atom: pairs start[i] to start[i+1] belong to atom i.
+
+    start : (N+1,) int.  second : (P,) int, the atoms j.  image : (P,) int, row of translations to add to r_j − r_i.
+    translations : (T, 3) [length]; with no rows, no pair is shifted and image is not read.
+    """
 
 
 class PairList(VerletList):
@@ -25,6 +33,8 @@ class PairList(VerletList):
     offsets : (N, 3), lattice vectors to add to positions[order].  n_builds : how often it was built.
     """
 
+    pairs: Pairs
+
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
         super().__init__(n_atoms, cutoff, skin, excluded)
         self._second, self._image = (np.empty(0, dtype=np.uint32) for _ in range(2))
@@ -36,16 +46,15 @@ class PairList(VerletList):
         reach = self.cutoff + self.skin
         grid = make_grid(cell, positions, reach)
         self.order, self.offsets, bin_start = sort_into_bins(positions, cell, grid)
-        local = positions[self.order] + self.offsets
-        crossed, translations = image_table(cell, grid)
+        local, bins = positions[self.order] + self.offsets, bins_of(cell, grid, bin_start)
         start = np.empty(len(positions) + 1, dtype=np.int64)
-        geometry = (bin_start, grid.counts, forward_bins(grid), crossed, translations, cell.pbc, cell.lattice, cell.inverse)
-        limits = (cell.safe_distance2, reach**2, self._excluded_start, self._excluded)
-        n_pairs = find_pairs(local, self.order, *geometry, *limits, start, self._second, self._image)
-        if n_pairs > len(self._second):
+        while True:
+            found = Pairs(start, self._second, self._image, bins.translations)
+            n_pairs = find_pairs(local, self.order, bins, reach**2, (self._excluded_start, self._excluded), found)
+            if n_pairs <= len(self._second):
+                break
             self._second, self._image = (np.empty(int(SPARE * n_pairs), dtype=np.uint32) for _ in range(2))
-            find_pairs(local, self.order, *geometry, *limits, start, self._second, self._image)
-        self.pairs = Pairs(start, self._second[:n_pairs], self._image[:n_pairs], translations)
+        self.pairs = Pairs(start, self._second[:n_pairs], self._image[:n_pairs], bins.translations)
 
     def _list_all_pairs(self, positions: NDArray[np.float64]) -> None:
         """Every pair once, in the user's order: the list without a cutoff, never built again."""
@@ -57,6 +66,14 @@ class PairList(VerletList):
             apart[np.repeat(np.arange(n), np.diff(self._excluded_start)), self._excluded] = False
             kept = apart[first, second]
             first, second = first[kept], second[kept]
-        start = np.zeros(n + 1, dtype=np.int64)
-        np.cumsum(np.bincount(first, minlength=n), out=start[1:])
-        self.pairs = Pairs(start, second.astype(np.uint32), np.empty(0, dtype=np.uint32), np.zeros((0, 3)))
+        self.pairs = Pairs(starts(first, n), second.astype(np.uint32), np.empty(0, dtype=np.uint32), np.zeros((0, 3)))
+
+
+def fixed_pairs(pairs: NDArray[np.int64], n_atoms: int, periodic: bool) -> tuple[Pairs, NDArray[np.int64]]:
+    """Pairs that never change, such as bonds, and their order: row p holds pairs[order[p]].
+
+    In a periodic cell each pair has a translation of its own, to be filled with that of its nearest image.
+    """
+    order, n_shifted = np.argsort(pairs[:, 0], kind="stable"), len(pairs) if periodic else 0
+    second, image = pairs[order, 1].astype(np.uint32), np.arange(n_shifted, dtype=np.uint32)
+    return Pairs(starts(pairs[:, 0], n_atoms), second, image, np.zeros((n_shifted, 3))), order

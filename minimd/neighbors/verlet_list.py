@@ -16,28 +16,28 @@ STEP_COST = (16.0, 3.0)  # ns per atom: a constant, and per atom in a cube as wi
 BUILD_COST = (40.0, 5.0)  # ns per atom, likewise
 
 
-def best_skin(cutoff: float, density: float, stride: float) -> float:
+def best_skin(cutoff: float, density: float, displacement: float) -> float:
     """The skin that makes a step cheapest [length].
 
-        cost(s) = step(c) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / stride steps between two builds
+        cost(s) = step(c) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / d steps between two builds
 
-    cutoff : r_c [length].  density : ρ [1/length³].  stride : how far the fastest atom moves in a step [length].
+    cutoff : r_c [length].  density : ρ [1/length³].  displacement : d, of the fastest atom in a step [length].
     The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat.
     """
-    if not stride > 0.0:
+    if not displacement > 0.0:
         return DEFAULT_SKIN * cutoff
     skins = SKINS * cutoff
     crowd = density * (cutoff + skins) ** 3
-    builds = np.minimum(1.0, 2.0 * stride / skins)  # in each step
+    builds = np.minimum(1.0, 2.0 * displacement / skins)  # in each step
     cost = STEP_COST[0] + STEP_COST[1] * crowd + (BUILD_COST[0] + BUILD_COST[1] * crowd) * builds
     return float(skins[np.argmin(cost)])
 
 
 class VerletList(ABC):
-    """A list kept for as long as no atom can have come into reach unseen.
+    """A list of all pairs within cutoff + skin, kept until an atom has moved by more than skin/2.
 
-    All pairs within cutoff + skin are listed; a pair beyond that needs one of its atoms to move more than skin/2 before it
-    can come within the cutoff. The displacements that count are true ones: an atom moved by a lattice vector has moved.
+    Until then no pair that is not listed can have come within the cutoff: two atoms approach each other by at most the skin.
+    Displacements are true ones: an atom moved by a lattice vector has moved.  L. Verlet, Phys. Rev. 159, 98 (1967).
 
     Parameters
     ----------
@@ -63,13 +63,14 @@ class VerletList(ABC):
         return self._excluded.size > 0
 
     def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
-        """Build the list anew if it can miss a pair; True if it was built.
+        """Build the list anew if it may miss a pair; True if it was built.
 
         Raises
         ------
         NonFiniteError : if a position is not finite.
         """
-        if self._cell is not None and cell.same_as(self._cell) and not self._moved_too_far(positions):
+        is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
+        if is_same and not self._moved_too_far(positions):
             return False
         if self._built_at.shape != positions.shape:
             self._built_at = np.empty_like(positions)
@@ -89,7 +90,7 @@ class VerletList(ABC):
 
 @kernel
 def any_moved(positions, reference, limit2):
-    """True if an atom is farther than the square root of limit2 from where it was, or nowhere (NaN)."""
+    """True if an atom is farther than √limit2 from its reference position, or if its position is NaN."""
     for i in range(positions.shape[0]):
         dx = positions[i, 0] - reference[i, 0]
         dy = positions[i, 1] - reference[i, 1]
@@ -112,9 +113,14 @@ def copy_finite(positions, copy):
 
 
 def partners(pairs: NDArray[np.int64], n_atoms: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs as a table: the partners of atom a are values[start[a] : start[a + 1]]."""
+    """The partners of each atom in pairs (P, 2), as (start, values): those of atom a are values[start[a] : start[a + 1]]."""
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.argsort(both[:, 0], kind="stable")]
+    return starts(both[:, 0], n_atoms), np.ascontiguousarray(both[:, 1])
+
+
+def starts(first: NDArray[np.int64], n_atoms: int) -> NDArray[np.int64]:
+    """(N + 1,) int: in a table sorted by first, the rows of atom a are start[a] to start[a + 1] − 1."""
     start = np.zeros(n_atoms + 1, dtype=np.int64)
-    np.cumsum(np.bincount(both[:, 0], minlength=n_atoms), out=start[1:])
-    return start, np.ascontiguousarray(both[:, 1])
+    np.cumsum(np.bincount(first, minlength=n_atoms), out=start[1:])
+    return start

@@ -1,11 +1,13 @@
 """How a scalar law u(r) meets the loops: by type, so that the compiled loop is found again by the next process.
 
-A law is one function `law(r2, *parameters)` that returns u [energy] and f = −u′(r)/r [energy/length²]. It is named by a
-marker, a NamedTuple class that @marks(law) ties to it. A truncation is a marker that holds another one. A
-marker carries no numbers: they follow in one flat tuple, first those of the truncation, then those of the law.
+A law is one function `law(r2, *parameters)` that returns u [energy] and f = −u′(r)/r [energy/length²]. Its law type is a
+named tuple class that law_type ties to it. The law type of a truncated law holds that of the law inside. Law types hold
+no parameters: these follow in one flat tuple, first those of the truncation, then those of the law.
 """
 
+from collections import namedtuple
 from collections.abc import Callable, Iterable
+from inspect import signature
 from math import isfinite, nan
 from typing import Any, NamedTuple
 
@@ -13,20 +15,30 @@ from numba.core import types
 from numba.core.dispatcher import Dispatcher
 from numba.extending import overload
 
-from minimd.compiled.kernels import scalar
+from minimd.compiled.kernels import scalar, type_of
 
 STEP = 1e-5  # of a central difference, relative to the distance
 ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative, and beside the size of u
 
 
+def law_type(name: str, formula: Callable) -> Any:
+    """The law type of a compiled law, formula(r2, *parameters), or of one around another law, formula(r2, law, parameters).
+
+    name : of the variable, in the module of the formula, that it is assigned to; there the cache and pickles find it.
+    """
+    python = formula.py_func  # type: ignore[attr-defined]
+    fields = ["law"] if "law" in signature(python).parameters else []
+    return type_of(formula)(namedtuple(name, fields, module=python.__module__))
+
+
 class UserLaw(NamedTuple):
-    """Marker of a law that the user brings: function(r2, *parameters)."""
+    """Law type of a law that the user brings: function(r2, *parameters)."""
 
     function: Any
 
 
 def user_law(function: Callable) -> UserLaw:
-    """A marker for a plain or compiled function of r² and parameters that returns u and −u′(r)/r.
+    """The law type of a plain or compiled function of r² and parameters that returns u and −u′(r)/r.
 
     Raises
     ------
@@ -40,22 +52,44 @@ def user_law(function: Callable) -> UserLaw:
 
 
 def is_user_law(law: tuple) -> bool:
-    """True if the marker, or the one inside it, was made by user_law."""
+    """True if the law type, or the one inside it, was made by user_law."""
     return isinstance(law, UserLaw) or any(is_user_law(inner) for inner in law)
 
 
-def check_user_law(law: UserLaw, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
+def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
+    """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length]; NaN where the law has no real number.
+
+    Raises
+    ------
+    TypeError : if a law of the user's does not take these parameters or does not return two numbers.
+    """
+    try:
+        u, f = evaluate_law(law, r * r, parameters)
+        return (nan, nan) if isinstance(u, complex) or isinstance(f, complex) else (float(u), float(f))
+    except (ArithmeticError, ValueError) as error:
+        if "unpack" in str(error):
+            raise TypeError(f"the law {_name(law)} must return two numbers, u and -u'(r)/r: {error}") from None
+        return nan, nan
+    except TypeError as error:
+        raise TypeError(f"the law {_name(law)} must take r² and {len(parameters)} parameters and return u and -u'(r)/r: {error}") from None
+
+
+def _name(law: tuple) -> str:
+    return law.function.py_func.__name__ if isinstance(law, UserLaw) else type(law).__name__
+
+
+def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
     """Try a law of the user's at some distances [length]: does it return u and −u′(r)/r?
 
     Raises
     ------
-    TypeError : if it does not take these parameters or does not return two numbers.
+    TypeError : as law_at.
     ValueError : if the second number is not −u′(r)/r, by central differences, at most of the distances where it is finite.
     """
     tried, wrong = 0, []
     for r in distances:
-        u, f = _tried(law, r, parameters)
-        low, high = (_tried(law, r * (1.0 + h), parameters)[0] for h in (-STEP, STEP))
+        u, f = law_at(law, r, parameters)
+        low, high = (law_at(law, r * (1.0 + h), parameters)[0] for h in (-STEP, STEP))
         slope = (low - high) / (2.0 * STEP * r * r)
         if isfinite(u) and isfinite(f) and isfinite(slope):
             tried += 1
@@ -65,23 +99,10 @@ def check_user_law(law: UserLaw, parameters: tuple[float, ...], distances: Itera
         raise ValueError(f"the law must return u and -u'(r)/r; {wrong[-1]}")
 
 
-def _tried(law: UserLaw, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
-    function = law.function.py_func
-    try:
-        u, f = function(r * r, *parameters)
-        return (nan, nan) if isinstance(u, complex) or isinstance(f, complex) else (float(u), float(f))
-    except (ArithmeticError, ValueError) as error:
-        if "unpack" in str(error):
-            raise TypeError(f"the law {function.__name__} must return two numbers, u and -u'(r)/r: {error}") from None
-        return nan, nan
-    except TypeError as error:
-        raise TypeError(f"the law {function.__name__} must take r² and {len(parameters)} parameters and return u and -u'(r)/r: {error}") from None
-
-
 def evaluate_law(law, r2, parameters):
-    """u(r) and −u′(r)/r of the law named by a marker, at r² = r2, for one pair.
+    """u(r) and −u′(r)/r of the law that a law type stands for, at r² = r2, for one pair.
 
-    law : marker.  r2 : [length²].  parameters : tuple of numbers, those of the truncation first.
+    law : law type.  r2 : [length²].  parameters : tuple of numbers, those of the truncation first.
     """
     if isinstance(law, UserLaw):
         return law.function.py_func(r2, *parameters)
@@ -93,10 +114,10 @@ def evaluate_law(law, r2, parameters):
 def _evaluate_law(law, r2, parameters):
     if not isinstance(law, types.BaseNamedTuple):
         return None
-    marker = law.instance_class
-    if marker is UserLaw:
+    law_type = law.instance_class
+    if law_type is UserLaw:
         return lambda law, r2, parameters: law.function(r2, *parameters)
-    formula = marker.formula
+    formula = law_type.formula
     if len(law) == 1:
         return lambda law, r2, parameters: formula(r2, law[0], parameters)
     return lambda law, r2, parameters: formula(r2, *parameters)

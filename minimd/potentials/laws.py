@@ -1,10 +1,9 @@
 """The laws u(r), each written once, as a function of r² and its parameters."""
 
 from math import sqrt
-from typing import Any, NamedTuple
 
-from minimd.compiled.kernels import marks, scalar
-from minimd.potentials.law import evaluate_law
+from minimd.compiled.kernels import scalar
+from minimd.potentials.law import evaluate_law, law_type
 
 
 @scalar
@@ -49,18 +48,5 @@ def scaled(r2, law, parameters):
     return parameters[0] * u, parameters[0] * f
 
 
-@marks(lennard_jones)
-class LennardJonesLaw(NamedTuple):
-    """Marker of lennard_jones; parameters (epsilon, sigma)."""
-
-
-@marks(harmonic)
-class HarmonicLaw(NamedTuple):
-    """Marker of harmonic; parameters (k, length)."""
-
-
-@marks(scaled)
-class Scaled(NamedTuple):
-    """Marker of scaled around another marker."""
-
-    law: Any
+LennardJonesLaw, HarmonicLaw = law_type("LennardJonesLaw", lennard_jones), law_type("HarmonicLaw", harmonic)
+Scaled = law_type("Scaled", scaled)

@@ -1,6 +1,7 @@
 """Pair potentials: a law, its parameters for each pair of species, a cutoff and a truncation."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property, partial
 from math import inf, isfinite, pi
 from numbers import Real
 from typing import Any
@@ -10,13 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.potentials.law import UserLaw, check_user_law, evaluate_law, user_law
 from minimd.potentials.mixing import MIXING, Parameters
+from minimd.potentials.term import PairLaw, Term, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS
+from minimd.structure.system import LARGEST, System
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
-HUGE = 1e75  # [length]: no scene is so large
-NODES = (64, 32)  # of two Gauss-Legendre rules; where they differ by more than this, relatively, an integral does not exist
-CONVERGED = 1e-8
+ACCURACY, CONVERGED = 1e-12, 1e-8  # relative errors of tail integrals: what is asked for, and above which an integral is taken for divergent
 TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where laws of the user's are tried
+UNSCALED = (1.0, 1.0, 1.0)
 
 Label = str | int
 ByLabel = Mapping[Label, Parameters]
@@ -58,10 +60,11 @@ class PairPotential:
         mixing: str | Callable[[Parameters, Parameters], Parameters] | None = None,
         pairs: ByPairOfLabels | None = None,
         switch_start: float | None = None,
-        bonded_scale: Sequence[float] = (1.0, 1.0, 1.0),
+        bonded_scale: Sequence[float] = UNSCALED,
         tail_correction: bool = False,
     ) -> None:
         self.plain_law = law if isinstance(law, tuple) else user_law(law)
+        self._is_tried = not isinstance(self.plain_law, UserLaw)
         self.parameters = _checked_parameters(parameters)
         self._cutoffs = _symmetric(cutoff) if isinstance(cutoff, Mapping) else cutoff
         self.cutoff = _checked_cutoff(cutoff)
@@ -77,6 +80,19 @@ class PairPotential:
                 f"tail_correction needs a cutoff and truncation 'truncated', {_listed(SWITCHES)}; "
                 f"cutoff = {self.cutoff}, truncation = {truncation!r} have no tail"
             )
+
+    def bind(self, system: System) -> "PairTerm":
+        """The term of this potential in a system.
+
+        Raises
+        ------
+        ValueError : as table; for a periodic cell without a cutoff, or an open one with a tail correction.
+        """
+        if self.cutoff == inf and system.cell.is_periodic:
+            raise ValueError(f"cutoff must be given in a periodic cell; that of {type(self).__name__} is None")
+        if self.tail_correction:
+            _volume(system)
+        return PairTerm(self, system)
 
     def table(self, species_names: Sequence[Label]) -> NDArray[np.float64]:
         """Numbers of the truncated law for each pair of species: (S, S, 1 + P), the squared cutoff first.
@@ -123,8 +139,9 @@ class PairPotential:
 
     def _numbers(self, a: Label | None, b: Label | None) -> tuple[float, ...]:
         cutoff, parameters = self._cutoff_of(a, b), self._parameters_of(a, b)
-        if isinstance(self.plain_law, UserLaw):
+        if not self._is_tried:
             check_user_law(self.plain_law, parameters, [x * (cutoff if isfinite(cutoff) else 1.0) for x in TRIED_AT])
+            self._is_tried = True
         extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, self._switch_start_for(cutoff))
         return (cutoff * cutoff, *extra, *parameters)
 
@@ -150,23 +167,17 @@ class PairPotential:
         return self.mixing(self.parameters[a], self.parameters[b])
 
     def _tail_integrals(self, a: Label | None, b: Label | None) -> NDArray[np.float64]:
-        """∫ (u − u_truncated) r² dr and ∫ (f − f_truncated) r⁴ dr: beyond the cutoff with x = r_c/r, and where it is switched."""
+        """∫ (u − u_truncated) r² dr and ∫ (f − f_truncated) r⁴ dr, from where the truncation begins to infinity."""
         cutoff2, *numbers = self._numbers(a, b)
         cutoff, parameters = cutoff2**0.5, self._parameters_of(a, b)
-        start = self._switch_start_for(cutoff)
 
-        def beyond(x: float) -> tuple[float, float]:
-            r = cutoff / x
-            u, f = evaluate_law(self.plain_law, r * r, parameters)
-            return u * cutoff**3 / x**4, f * r * r * cutoff**3 / x**4
+        def left_out(k: int, x: float) -> float:
+            r = x * cutoff
+            inside = evaluate_law(self.law, r * r, tuple(numbers))[k] if x < 1.0 else 0.0
+            return cutoff * (evaluate_law(self.plain_law, r * r, parameters)[k] - inside) * r ** (2 + 2 * k)
 
-        def switched(x: float) -> tuple[float, float]:
-            r = start + x * (cutoff - start)
-            u, f = evaluate_law(self.plain_law, r * r, parameters)
-            u_cut, f_cut = evaluate_law(self.law, r * r, tuple(numbers))
-            return (cutoff - start) * (u - u_cut) * r**2, (cutoff - start) * (f - f_cut) * r**4
-
-        return _integral(beyond) + (0.0 if self.truncation == "truncated" else _integral(switched))
+        ranges = [(1.0, inf)] if self.truncation == "truncated" else [(self._switch_start_for(cutoff) / cutoff, 1.0), (1.0, inf)]
+        return np.array([sum(_integral(partial(left_out, k), *limits) for limits in ranges) for k in (0, 1)])
 
     def _switch_start_for(self, cutoff: float) -> float:
         return SWITCH_FROM * cutoff if self.switch_start is None else self.switch_start
@@ -182,28 +193,62 @@ class PairPotential:
         return start
 
 
-def _integral(function: Callable[[float], tuple[float, float]]) -> NDArray[np.float64]:
-    """∫₀¹ of a function with two values, (2,).
+class PairTerm(Term):
+    """A pair potential in a system: a law for the planner to run on a list of neighbors, and its tail."""
+
+    def __init__(self, potential: PairPotential, system: System) -> None:
+        table = potential.table(system.species_names)
+        self.pair_law = PairLaw(type(potential).__name__, potential.law, table, potential.cutoff, potential.bonded_scale)
+        self.cutoff, self._potential = potential.cutoff, potential
+        self._species = np.bincount(system.species_index, minlength=len(system.species_names)), system.species_names
+        if potential.bonded_scale != UNSCALED and not len(system.bonds):
+            self.warning = no_bonds(f"bonded_scale of {potential!r}")
+
+    @cached_property
+    def _tail_times_volume(self) -> tuple[float, float]:
+        return self._potential.tail(*self._species, volume=1.0)
+
+    def tail(self, system: System) -> tuple[float, float]:
+        """See Term.
+
+        Raises
+        ------
+        ValueError : if the cell has no volume.
+        """
+        if not self._potential.tail_correction:
+            return 0.0, 0.0
+        volume, (energy, virial) = _volume(system), self._tail_times_volume
+        return energy / volume, virial / volume
+
+
+def _volume(system: System) -> float:
+    if system.volume is None:
+        raise ValueError("tail_correction needs a density: a cell that is periodic in all three directions")
+    return system.volume
+
+
+def _integral(function: Callable[[float], float], low: float, high: float) -> float:
+    """∫ function(x) dx.
 
     Raises
     ------
-    ValueError : if two rules disagree, as they do where the integral does not exist.
+    ValueError : if it does not converge.
     """
-    finer, coarser = (_gauss_legendre(function, n) for n in NODES)
-    if not np.all(np.abs(finer - coarser) <= CONVERGED * np.abs(finer)):
-        raise ValueError(f"tail_correction needs a law that falls off faster than 1/r³; its integral is {coarser[0]:.3g} or {finer[0]:.3g}")
-    return finer
+    from scipy.integrate import quad  # here, so that importing minimd need not load it
 
-
-def _gauss_legendre(function: Callable[[float], tuple[float, float]], n: int) -> NDArray[np.float64]:
-    nodes, weights = np.polynomial.legendre.leggauss(n)
-    return 0.5 * weights @ np.array([function(0.5 * (x + 1.0)) for x in nodes])
+    value, error = quad(function, low, high, epsabs=0.0, epsrel=ACCURACY, full_output=1)[:2]
+    if not error <= CONVERGED * abs(value):
+        raise ValueError(f"tail_correction needs a law that falls off faster than 1/r³; its integral is {value:.3g} ± {error:.1g}")
+    return value
 
 
 def _checked_parameters(parameters: Parameters | ByLabel) -> Parameters | dict[Label, Parameters]:
-    if isinstance(parameters, Mapping):
-        return {label: _checked_tuple(numbers) for label, numbers in parameters.items()}
-    return _checked_tuple(parameters)
+    if not isinstance(parameters, Mapping):
+        return _checked_tuple(parameters)
+    by_label = {label: _checked_tuple(numbers) for label, numbers in parameters.items()}
+    if len({len(numbers) for numbers in by_label.values()}) > 1:
+        raise ValueError(f"all species must have as many parameters; they are {by_label}")
+    return by_label
 
 
 def _checked_tuple(numbers: Parameters) -> Parameters:
@@ -219,8 +264,8 @@ def _checked_cutoff(cutoff: float | Mapping[tuple[Label, Label], float] | None) 
         return inf
     values = list(cutoff.values()) if isinstance(cutoff, Mapping) else [cutoff]
     for value in values:
-        if not (isinstance(value, Real) and 0.0 < value < HUGE):
-            raise ValueError(f"cutoff must be positive and finite, below {HUGE:g}; cutoff = {value!r}; leave it out for none")
+        if not (isinstance(value, Real) and 0.0 < value < LARGEST):
+            raise ValueError(f"cutoff must be positive and finite, below {LARGEST:g}; cutoff = {value!r}; leave it out for none")
     return float(max(values))
 
 

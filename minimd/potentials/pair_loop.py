@@ -3,40 +3,28 @@
 A bond is a pair whose list never changes; it runs through the same loop.
 """
 
-from typing import Any, NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel, without_cache
+from minimd.neighbors.pair_list import fixed_pairs
 from minimd.potentials.law import evaluate_law, is_user_law
-from minimd.potentials.parameters import parameters_of_pair
-
-FORCES, TOTALS, PER_ATOM = 0, 1, 2  # what a loop is asked for; each includes the ones before
-
-
-class Pairs(NamedTuple):
-    """Pairs (i, j), grouped by their first atom: pairs start[i] to start[i+1] belong to atom i.
-
-    start : (N+1,) int.  second : (P,) int, the atoms j.  image : (P,) int, row of translations to add to r_j − r_i.
-    translations : (T, 3) [length]; with no rows, no pair is shifted and image is not read.
-    """
-
-    start: Any
-    second: Any
-    image: Any
-    translations: Any
+from minimd.potentials.parameters import ByPair, from_table, parameters_of_pair
+from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, Term
+from minimd.structure.cell import minimum_image_translations
+from minimd.structure.system import System
 
 
 @kernel
 def add_pair_forces(positions, pairs, law, parameters, detail, forces, energies, virials):
-    """Add what a pair law does within its cutoff.
+    """Add the forces of a pair law on pairs within its cutoff.
 
         r_ij = r_j − r_i + translation,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= f r_ij,   W += f r_ij ⊗ r_ij
 
     positions, forces : (N, 3) [length], [energy/length].  energies : (N,) [energy].
     virials : (N, 6) [energy], xx yy zz yz xz xy.
-    detail : FORCES touches forces only. TOTALS adds each pair to energies and virials of its first atom, so that their
+    law : law type.  parameters : see parameters_of_pair.
+    detail : with FORCES only forces are changed. TOTALS adds each pair to energies and virials of its first atom, so that their
         sums are right; PER_ATOM adds half of it to both atoms.
     """
     shifted = pairs.translations.shape[0] > 0
@@ -83,30 +71,33 @@ def add_pair_forces(positions, pairs, law, parameters, detail, forces, energies,
         forces[i, 2] += fz
         if detail != FORCES:
             energies[i] += own_share * energy
-            virials[i, 0] += own_share * xx
-            virials[i, 1] += own_share * yy
-            virials[i, 2] += own_share * zz
-            virials[i, 3] += own_share * yz
-            virials[i, 4] += own_share * xz
-            virials[i, 5] += own_share * xy
+            for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+                virials[i, c] += own_share * w
 
 
 def pair_loop_for(law: tuple):
-    """add_pair_forces, compiled so that the cache serves all laws it can recognise."""
+    """add_pair_forces; not cached on disk for laws of the user's, which the cache cannot recognise."""
     return without_cache(add_pair_forces) if is_user_law(law) else add_pair_forces
 
 
-def fixed_pairs(pairs: NDArray[np.int64], n_atoms: int, periodic: bool) -> tuple[Pairs, NDArray[np.int64]]:
-    """Pairs that never change, such as bonds, and the order in which they now stand: row p holds pairs[order[p]].
+class FixedPairs(Term):
+    """A law on pairs that never change, each taken at its nearest image.
 
-    In a periodic cell each pair has a translation of its own, to be filled with that of its nearest image.
+    pairs : (P, 2) int.  law : law type.  table : (P, 1 + n) numbers of each pair, the squared cutoff first.
     """
-    order = np.argsort(pairs[:, 0], kind="stable")
-    start = np.zeros(n_atoms + 1, dtype=np.int64)
-    np.cumsum(np.bincount(pairs[:, 0], minlength=n_atoms), out=start[1:])
-    return Pairs(
-        start=start,
-        second=pairs[order, 1].astype(np.uint32),
-        image=np.arange(len(pairs) if periodic else 0, dtype=np.uint32),
-        translations=np.zeros((len(pairs) if periodic else 0, 3)),
-    ), order
+
+    ingredient = BOND_LOOP
+
+    def __init__(self, system: System, pairs: NDArray[np.int64], law: tuple, table: NDArray[np.float64]) -> None:
+        self._pairs, order = fixed_pairs(pairs, len(system), system.cell.is_periodic)
+        self._first, self._second = pairs[order, 0], pairs[order, 1]
+        self._law, self._loop = law, pair_loop_for(law)
+        self._parameters = ByPair(from_table(table[order]))
+
+    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+        """See Term."""
+        cell = system.cell
+        if cell.is_periodic:
+            lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
+            minimum_image_translations(system.positions, self._first, self._second, *lattice, self._pairs.translations)
+        self._loop(system.positions, self._pairs, self._law, self._parameters, detail, forces, energies, virials)

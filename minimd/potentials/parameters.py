@@ -7,6 +7,8 @@ from numba.core import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from minimd.compiled.kernels import by_type
+
 
 class SameForAll(NamedTuple):
     """One tuple of numbers for every pair."""
@@ -46,16 +48,19 @@ def _parameters_of_pair(source, p, i, j):
     return lambda source, p, i, j: _row(source.columns, p)
 
 
+@by_type
 def _row(columns, index):
     """(columns[0][index], columns[1][index], …), unrolled by the compiler."""
-    raise NotImplementedError
-
-
-@overload(_row)
-def _row_overload(columns, index):
     if isinstance(columns, types.BaseTuple) and len(columns) == 1:
         return lambda columns, index: (columns[0][index],)
     return lambda columns, index: (columns[0][index],) + _row(columns[1:], index)
+
+
+def by_species(table: NDArray[np.float64], species: NDArray[np.int64]) -> SameForAll | BySpecies:
+    """Where the loop finds the numbers of a table (S, S, 1 + P), for atoms of these species (N,)."""
+    if len(table) == 1:
+        return SameForAll(tuple(table[0, 0].tolist()))
+    return BySpecies(from_table(table), species)
 
 
 def from_table(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

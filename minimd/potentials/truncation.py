@@ -15,10 +15,10 @@ of Δtᵏ in its energy, whatever the method. So a switched law is for methods u
 
 from collections.abc import Callable
 from math import sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from minimd.compiled.kernels import marks, scalar
-from minimd.potentials.law import evaluate_law
+from minimd.compiled.kernels import scalar
+from minimd.potentials.law import evaluate_law, law_type
 
 
 @scalar
@@ -88,80 +88,35 @@ def smooth(r2, law, parameters):
     return s * u, s * f - 2.0 * slope * u
 
 
-@marks(shifted)
-class Shifted(NamedTuple):
-    """Marker of shifted around a law."""
+class Truncation(NamedTuple):
+    """One row of the table: the law type to put around a law (None: nothing), and the numbers its formula needs.
 
-    law: Any
+    numbers : function of the law, its parameters, r_c and r_on.
+    """
 
+    law_type: Callable | None
+    numbers: Callable[[tuple, tuple, float, float], tuple]
 
-@marks(force_shifted)
-class ForceShifted(NamedTuple):
-    """Marker of force_shifted around a law."""
-
-    law: Any
-
-
-@marks(switched)
-class Switched(NamedTuple):
-    """Marker of switched around a law."""
-
-    law: Any
+    def around(self, law: tuple) -> tuple:
+        """The law type of the truncated law."""
+        return self.law_type(law) if self.law_type else law
 
 
-@marks(charmm)
-class CharmmSwitched(NamedTuple):
-    """Marker of charmm around a law."""
-
-    law: Any
-
-
-@marks(smooth)
-class Smooth(NamedTuple):
-    """Marker of smooth around a law."""
-
-    law: Any
-
-
-def _no_numbers(law: tuple, parameters: tuple, cutoff: float, switch_start: float) -> tuple:
-    return ()
-
-
-def _value_at_cutoff(law: tuple, parameters: tuple, cutoff: float, switch_start: float) -> tuple:
-    return (evaluate_law(law, cutoff * cutoff, parameters)[0],)
-
-
-def _value_and_slope_at_cutoff(law: tuple, parameters: tuple, cutoff: float, switch_start: float) -> tuple:
+def _value_and_slope(law: tuple, parameters: tuple, cutoff: float, _switch_start: float) -> tuple:
     u, f = evaluate_law(law, cutoff * cutoff, parameters)
     return (u, -f * cutoff, cutoff)
 
 
-def _switching_range(law: tuple, parameters: tuple, cutoff: float, switch_start: float) -> tuple:
-    return (switch_start, cutoff)
-
-
-def _squared_switching_range(law: tuple, parameters: tuple, cutoff: float, switch_start: float) -> tuple:
-    return (switch_start * switch_start, cutoff * cutoff)
-
-
-class Truncation(NamedTuple):
-    """One row of the table: the marker to put around a law (None: nothing), and the numbers its formula needs."""
-
-    marker: Callable | None
-    numbers: Callable[[tuple, tuple, float, float], tuple]
-
-    def around(self, law: tuple) -> tuple:
-        """The marker of the truncated law."""
-        return self.marker(law) if self.marker else law
-
+Shifted, ForceShifted, Switched = law_type("Shifted", shifted), law_type("ForceShifted", force_shifted), law_type("Switched", switched)
+CharmmSwitched, Smooth = law_type("CharmmSwitched", charmm), law_type("Smooth", smooth)
 
 TRUNCATIONS = {
-    "truncated": Truncation(None, _no_numbers),
-    "shifted": Truncation(Shifted, _value_at_cutoff),
-    "force-shifted": Truncation(ForceShifted, _value_and_slope_at_cutoff),
-    "switched": Truncation(Switched, _switching_range),
-    "charmm": Truncation(CharmmSwitched, _squared_switching_range),
-    "smooth": Truncation(Smooth, _squared_switching_range),
+    "truncated": Truncation(None, lambda law, parameters, cutoff, switch_start: ()),
+    "shifted": Truncation(Shifted, lambda law, parameters, cutoff, switch_start: evaluate_law(law, cutoff * cutoff, parameters)[:1]),
+    "force-shifted": Truncation(ForceShifted, _value_and_slope),
+    "switched": Truncation(Switched, lambda law, parameters, cutoff, switch_start: (switch_start, cutoff)),
+    "charmm": Truncation(CharmmSwitched, lambda law, parameters, cutoff, switch_start: (switch_start * switch_start, cutoff * cutoff)),
+    "smooth": Truncation(Smooth, lambda law, parameters, cutoff, switch_start: (switch_start * switch_start, cutoff * cutoff)),
 }
 
 SWITCHES = ("switched", "charmm", "smooth")  # those that start at r_on

@@ -1,0 +1,105 @@
+"""Pair laws on the plain pair list: one pair after the other, in any cell."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiled.kernels import kernel
+from minimd.forces.options import Options
+from minimd.forces.pair_laws import PairLaws, skin_for
+from minimd.neighbors.pair_list import PairList
+from minimd.potentials.pair_loop import pair_loop_for
+from minimd.potentials.parameters import by_species
+from minimd.potentials.term import FORCES, Term
+from minimd.structure.system import System, number_density
+
+ALL_PAIRS_UP_TO = 100  # atoms: below, an open scene is faster without a list that has to be rebuilt
+MOST_PAIRS = 2**30  # 8 bytes each
+MOST_IMAGES = 2**22  # 72 bytes each
+
+
+class PairListTerm(Term):
+    """Laws on all pairs within their cutoffs, found with one pair list."""
+
+    list: PairList
+
+    def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
+        n, cutoff = len(system), laws.cutoff
+        if not system.cell.is_periodic and n <= ALL_PAIRS_UP_TO:
+            cutoff = np.inf
+        skin = skin_for(system, laws, options, displacement) if cutoff < np.inf else 0.0
+        _check_size(system, cutoff, skin)
+        self.list = PairList(n, cutoff, skin, laws.excluded)
+        self._laws, self._loops = laws, [pair_loop_for(one.law) for one in laws.members]
+        self._parameters: list[tuple] = []
+        self._parameters_of = 0  # which build of the list
+        self._local = (np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((n, 6)))
+
+    @property
+    def summary(self) -> str:  # type: ignore[override]
+        """The list, for the report."""
+        return "all pairs" if self._in_users_order else f"pair list (skin {self.list.skin:.3g})"
+
+    @property
+    def _in_users_order(self) -> bool:
+        return self.list.cutoff == np.inf
+
+    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+        """See Term."""
+        self.list.update(system.positions, system.cell)
+        if self._parameters_of != self.list.n_builds:
+            species = system.species_index[self.list.order]
+            self._parameters = [by_species(one.table, species) for one in self._laws.members]
+            self._parameters_of = self.list.n_builds
+        if self._in_users_order:
+            self._run_loops(system.positions, detail, forces, energies, virials)
+            return
+        positions, local_forces, local_energies, local_virials = self._local
+        gather(system.positions, self.list.order, self.list.offsets, positions, local_forces)
+        if detail != FORCES:
+            local_energies[:], local_virials[:] = 0.0, 0.0
+        self._run_loops(positions, detail, local_forces, local_energies, local_virials)
+        scatter(local_forces, self.list.order, forces)
+        if detail != FORCES:
+            energies[self.list.order] += local_energies
+            virials[self.list.order] += local_virials
+
+    def _run_loops(self, positions: NDArray, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+        for one, loop, parameters in zip(self._laws.members, self._loops, self._parameters, strict=True):
+            loop(positions, self.list.pairs, one.law, parameters, detail, forces, energies, virials)
+
+    def skipped(self) -> Iterable[str]:
+        """See Term."""
+        return (["neighbor list (all pairs)"] if self._in_users_order else []) + self._laws.skipped()
+
+
+@kernel
+def gather(positions, order, offsets, local_positions, local_forces):
+    """local_positions = positions[order] + offsets, local_forces = 0, in the order of the list. All (N, 3)."""
+    for k in range(order.size):
+        for c in range(3):
+            local_positions[k, c] = positions[order[k], c] + offsets[k, c]
+            local_forces[k, c] = 0.0
+
+
+@kernel
+def scatter(local_forces, order, forces):
+    """forces[order] += local_forces, both (N, 3) [energy/length]."""
+    for k in range(order.size):
+        for c in range(3):
+            forces[order[k], c] += local_forces[k, c]
+
+
+def _check_size(system: System, cutoff: float, skin: float) -> None:
+    """Raise ValueError for more pairs or images than a list can hold: for a huge reach in a small cell, or a huge scene without cutoff."""
+    n_atoms, reach, cell = len(system), cutoff + skin, system.cell
+    n_pairs = 0.5 * n_atoms**2
+    if reach < np.inf:
+        among_all = 0.5 * n_atoms * number_density(system, reach) * 4.0 / 3.0 * np.pi * reach**3
+        n_pairs = among_all if cell.is_periodic else min(n_pairs, among_all)
+    n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
+    for name, number, most in (("pairs", n_pairs, MOST_PAIRS), ("images of the cell", n_images, MOST_IMAGES)):
+        if number > most:
+            hint = f"reduce the cutoff ({cutoff:g})" if skin < cutoff else f"reduce the skin ({skin:g})"
+            raise ValueError(f"pair lists hold up to {most:.1e} {name}, this scene needs about {number:.1e}: {hint}")

@@ -1,0 +1,123 @@
+"""Angles: a harmonic law of the angle at the middle atom of fixed triples."""
+
+from collections import namedtuple
+from math import pi
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.compiled.kernels import kernel
+from minimd.potentials.term import FORCES, PER_ATOM, Term
+from minimd.structure.bond_graph import checked_groups
+from minimd.structure.cell import minimum_image_translations
+from minimd.structure.system import System
+
+STRAIGHT = 1e-8  # least sin θ that u′(θ) is divided by: sin²θ = 1 − cos²θ is rounded to 1e-16
+
+
+class HarmonicAngle:
+    """Harmonic angle u(θ) = ½ k (θ − θ₀)² at the middle atom of each triple.
+
+    Parameters
+    ----------
+    k : stiffness [energy/rad²], one number or one for each angle.
+    angle : θ₀ [rad], between 0 and π, one number or one for each angle.
+    triples : (A, 3) int, atoms i, j, k with j in the middle.
+
+    Raises
+    ------
+    ValueError : if a number is not finite or out of range, or shapes do not fit.
+    """
+
+    def __init__(self, k: ArrayLike, angle: ArrayLike, triples: ArrayLike) -> None:
+        self.triples = checked_groups("triples", triples, 3)
+        self.k = _one_each("k", k, len(self.triples))
+        self.angle = _one_each("angle", angle, len(self.triples))
+        if np.any((self.angle < 0.0) | (self.angle > pi)):
+            raise ValueError(f"angle must lie between 0 and pi (radians); angle = {self.angle.tolist()}")
+
+    def bind(self, system: System) -> "AngleTerm":
+        """The term of these angles in a system.
+
+        Raises
+        ------
+        ValueError : if a triple names a missing atom.
+        """
+        return AngleTerm(self, checked_groups("triples", self.triples, 3, len(system)))
+
+
+class Triples(namedtuple("Triples", "first middle last first_translations last_translations")):
+    """first, middle, last : (A,) int.  first_translations, last_translations : (A, 3) [length], added to r_first − r_middle and r_last − r_middle."""
+
+
+@kernel
+def add_angle_forces(positions, triples, k, angle, detail, forces, energies, virials):
+    """Add harmonic angles u = ½ k (θ − θ₀)², with cos θ = a·b/(|a||b|), a = r_i − r_j, b = r_k − r_j.
+
+        F_i = s (b/(|a||b|) − cos θ a/|a|²),   F_k = s (a/(|a||b|) − cos θ b/|b|²),   F_j = −F_i − F_k,   s = u′(θ)/sin θ
+
+    Shapes and detail as in add_pair_forces; the virial a ⊗ F_i + b ⊗ F_k is symmetric because angles feel no torque.
+    TOTALS adds an angle to its middle atom, PER_ATOM a third of it to each atom.
+    """
+    for t in range(triples.middle.size):
+        i, j, l = triples.first[t], triples.middle[t], triples.last[t]
+        a = np.empty(3)
+        b = np.empty(3)
+        for c in range(3):
+            a[c] = positions[i, c] - positions[j, c] + triples.first_translations[t, c]
+            b[c] = positions[l, c] - positions[j, c] + triples.last_translations[t, c]
+        a2, b2 = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
+        ab = (a2 * b2) ** 0.5
+        cosine = min(1.0, max(-1.0, (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / ab))
+        theta = np.arccos(cosine)
+        slope = k[t] * (theta - angle[t])
+        s = slope / max(STRAIGHT, (1.0 - cosine * cosine) ** 0.5)
+        for c in range(3):
+            force_i = s * (b[c] / ab - cosine * a[c] / a2)
+            force_l = s * (a[c] / ab - cosine * b[c] / b2)
+            forces[i, c] += force_i
+            forces[l, c] += force_l
+            forces[j, c] -= force_i + force_l
+            if detail != FORCES:
+                for d in range(c, 3):
+                    w = a[d] * force_i + b[d] * force_l
+                    component = c if c == d else 6 - c - d
+                    if detail == PER_ATOM:
+                        virials[i, component] += w / 3.0
+                        virials[j, component] += w / 3.0
+                        virials[l, component] += w / 3.0
+                    else:
+                        virials[j, component] += w
+        if detail == PER_ATOM:
+            energies[i] += 0.5 * slope * (theta - angle[t]) / 3.0
+            energies[j] += 0.5 * slope * (theta - angle[t]) / 3.0
+            energies[l] += 0.5 * slope * (theta - angle[t]) / 3.0
+        elif detail != FORCES:
+            energies[j] += 0.5 * slope * (theta - angle[t])
+
+
+class AngleTerm(Term):
+    """Harmonic angles, each arm taken at its nearest image."""
+
+    def __init__(self, potential: HarmonicAngle, triples: NDArray[np.int64]) -> None:
+        first, middle, last = (np.ascontiguousarray(triples[:, k]) for k in range(3))
+        self._triples = Triples(first, middle, last, np.zeros((len(triples), 3)), np.zeros((len(triples), 3)))
+        self._k, self._angle = potential.k, potential.angle
+
+    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+        """See Term."""
+        cell, arms = system.cell, self._triples
+        if cell.is_periodic:
+            lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
+            minimum_image_translations(system.positions, arms.middle, arms.first, *lattice, arms.first_translations)
+            minimum_image_translations(system.positions, arms.middle, arms.last, *lattice, arms.last_translations)
+        add_angle_forces(system.positions, arms, self._k, self._angle, detail, forces, energies, virials)
+
+
+def _one_each(name: str, values: ArrayLike, n: int) -> NDArray[np.float64]:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape not in ((), (n,)):
+        raise ValueError(f"{name} must be one number or {n}, one for each angle; its shape is {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite; {name} = {array.tolist()}")
+    return np.ascontiguousarray(np.broadcast_to(array, n))

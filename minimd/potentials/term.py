@@ -1,0 +1,122 @@
+"""The one door for forces: a potential has bind(system), which returns a Term; a Term adds its forces to the sum."""
+
+from collections.abc import Iterable
+from math import inf
+from typing import Any, NamedTuple, Protocol
+
+from numpy.typing import NDArray
+
+from minimd.neighbors.verlet_list import VerletList
+from minimd.structure.system import System
+
+FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes the ones before
+BOND_LOOP = "bond loop"
+
+
+class PairLaw(NamedTuple):
+    """A law on all pairs within a cutoff, as the planner needs it to find a list of neighbors; laws with one bonded_scale share a list.
+
+    name : of the potential, for messages.  law : law type, truncation included.  cutoff : the largest [length].
+    table : (S, S, 1 + P) numbers of each pair of species, the squared cutoff first; S = 1 if all atoms are alike.
+    bonded_scale : factors for pairs one, two and three bonds apart.
+    """
+
+    name: str
+    law: tuple
+    table: NDArray
+    cutoff: float
+    bonded_scale: tuple[float, ...]
+
+
+class Term:
+    """One kind of force on one system: what bind of a potential returns. Only add must be written.
+
+        class Gravity:                                      # a potential: any object with bind(system)
+            def bind(self, system):
+                return Weight(system.masses)
+
+        class Weight(Term):                                 # F = −m g e_z, U = Σ m g z
+            def __init__(self, masses):
+                self.weights = 9.81 * masses
+
+            def add(self, system, detail, forces, energies, virials):
+                forces[:, 2] -= self.weights
+                if detail != FORCES:
+                    energies += self.weights * system.positions[:, 2]
+
+    bind is called when a simulation is made, and again when the cell changes; add is called at each evaluation, and may call
+    kernels compiled with numba.njit on the arrays. examples/own_force.py has two such potentials. The virial decides the
+    pressure; fields and walls, which act from outside, may leave it out.
+
+    Attributes
+    ----------
+    pair_law : a PairLaw for the planner to run on a list of neighbors; None for a term that adds its forces itself.
+    cutoff : an atom that moves farther in one step has passed its neighbors unseen [length].
+    list : the list of neighbors, if the term keeps one.  summary : that list, for the report.
+    ingredient : of a scene, what this term brings, to be told where it is absent.  warning : for the user, said once.
+    needs_one_accumulator : whether add with TOTALS adds to the first elements of energies and virials only.
+    """
+
+    pair_law: PairLaw | None = None
+    cutoff: float = inf
+    list: VerletList | None = None
+    summary: str = ""
+    ingredient: str = ""
+    warning: str = ""
+    needs_one_accumulator: bool = False
+
+    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+        """Add to forces (N, 3), and unless detail is FORCES to energies (N,) and virials (N, 6), xx yy zz yz xz xy.
+
+        With TOTALS only the sums of energies and virials over all atoms must be right, with PER_ATOM each atom's share.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no add")
+
+    def skipped(self) -> Iterable[str]:
+        """What this term does not need in this scene, for the report."""
+        return ()
+
+    def tail(self, system: System) -> tuple[float, float]:
+        """Energy and trace of the virial of what is beyond the cutoff [energy]."""
+        return 0.0, 0.0
+
+
+class NoTerm(Term):
+    """What a potential binds to where there is nothing for it to act on."""
+
+    def __init__(self, warning: str = "") -> None:
+        self.warning = warning
+
+    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+        """See Term."""
+
+
+class Potential(Protocol):
+    """What a Simulation takes: minimd's potentials, and any object of the user's with bind."""
+
+    def bind(self, system: System) -> Any:
+        """The Term for this system; an object that is no Term, with add and perhaps skipped, will do."""
+
+
+def bound(potential: Any, system: System) -> Term:
+    """The term of a potential on a system.
+
+    Raises
+    ------
+    TypeError : for something that is no potential, or binds to something that is no term.
+    """
+    if not hasattr(potential, "bind"):
+        raise TypeError(f"potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got {potential!r}")
+    term = potential.bind(system)
+    if isinstance(term, Term):
+        return term
+    if not hasattr(term, "add"):
+        raise TypeError(f"bind must return a term, an object with add(system, detail, forces, energies, virials); that of {potential!r} is {term!r}")
+    completed = Term()  # the defaults of a Term beside what the object has
+    completed.__dict__.update({name: getattr(term, name) for name in ("add", "skipped") if hasattr(term, name)})
+    return completed
+
+
+def no_bonds(what: str) -> str:
+    """The warning that something meant for bonds finds none."""
+    return f"{what} has no effect: the system has no bonds; give them as System(bonds=...) or System.from_ase(atoms, bonds=...)"

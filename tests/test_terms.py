@@ -1,0 +1,98 @@
+"""One door for forces: whatever has bind takes part, with as little as an add; what was computed can be set aside."""
+
+import warnings
+
+import numpy as np
+import pytest
+from references import liquid
+
+import minimd as md
+
+LJ = md.LennardJones(1.0, 1.0, 2.5)
+
+
+class Weight:
+    """A potential of the user's whose term has nothing but add."""
+
+    cutoff, list = 0.5, ["of the user's own"]  # names that mean something else here than in a Term
+
+    def bind(self, _system):
+        return self
+
+    def add(self, system, detail, forces, energies, virials):
+        forces[:, 2] -= 1.0
+        if detail:
+            energies += system.positions[:, 2]
+
+
+def soft(r2, height):
+    return height / r2, 2.0 * height / r2**2
+
+
+def test_a_term_needs_nothing_but_add():
+    system = liquid(5)
+    alone, both = md.Forces(system, LJ), md.Forces(system, [LJ, Weight()])
+    for forces in (alone, both):
+        forces.compute(1)
+    assert both.forces[:, 2] == pytest.approx(alone.forces[:, 2] - 1.0, abs=1e-12)
+    assert both.potential_energy == pytest.approx(alone.potential_energy + system.positions[:, 2].sum(), rel=1e-12)
+    assert (both.skipped(), both.pair_search, both.longest_stride) == (alone.skipped(), alone.pair_search, alone.longest_stride)
+    assert md.Simulation(system, [LJ, Weight()], md.VelocityVerlet(0.001)).run(2, progress=False).n_atoms == len(system)
+
+
+def test_what_is_no_potential_or_binds_to_no_term_is_refused():
+    class Empty:
+        def bind(self, _system):
+            return None
+
+    with pytest.raises(TypeError, match="potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got 3"):
+        md.Forces(liquid(2), 3)
+    with pytest.raises(TypeError, match="bind must return a term, an object with add"):
+        md.Forces(liquid(2), Empty())
+
+
+def test_a_law_of_the_user_is_tried_once(monkeypatch):
+    """Not for every pair of species, not at every plan, not in another cell."""
+    from minimd.potentials import pair
+
+    tried, check = [], pair.check_user_law
+    monkeypatch.setattr(pair, "check_user_law", lambda *arguments: tried.append(check(*arguments)))
+    system = liquid(5)
+    species = np.array(["A", "B", "C"])[np.arange(len(system)) % 3]
+    system = md.System(system.positions, cell=system.cell, species=species)
+    forces = md.Forces(system, md.PairPotential(soft, {"A": (1.0,), "B": (2.0,), "C": (3.0,)}, 2.0, mixing=lambda a, b: (a[0] + b[0],)))
+    forces.fit_skin(0.01)
+    forces.compute()
+    system.cell = md.Cell.of(1.01 * system.cell.vectors[0, 0])
+    forces.compute()
+    assert len(tried) == 1
+
+
+def test_what_was_computed_can_be_set_aside():
+    system = liquid(5)
+    forces = md.Forces(system, [LJ, Weight()])
+    forces.compute(2)
+    kept = forces.forces.copy(), forces.potential_energy, forces.virial, forces.energies, forces.virials
+    here = system.positions.copy()
+    array, vectors = forces.forces, kept[0]
+    with forces.set_aside():
+        system.positions[:] += np.random.default_rng(1).normal(0.0, 0.01, here.shape)
+        for detail in (0, 1, 2):
+            assert not np.array_equal(forces.compute(detail), vectors)
+            assert forces.has_energy == (detail > 0)
+    assert forces.forces is array
+    assert forces.has_energy
+    for after, before in zip((forces.forces, forces.potential_energy, forces.virial, forces.energies, forces.virials), kept, strict=True):
+        assert np.array_equal(after, before)
+
+
+def test_what_finds_no_bonds_is_told_once():
+    system = liquid(5)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        forces = md.Forces(system, [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 0, 1)), md.HarmonicBond(1.0, 1.0)])
+        forces.compute()
+        system.cell = md.Cell.of(1.01 * system.cell.vectors[0, 0])
+        forces.compute()
+    assert [str(one.message).split(":")[0].rsplit(" has", 1)[1] for one in told] == [" no effect"] * 2
+    assert "bond loop" in forces.skipped()

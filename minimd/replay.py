@@ -60,8 +60,6 @@ WIDTHS = (8, 11, 14, 15, 10, 14, 8, 9, 11)
 class Replay:
     """What a replay saw. str() is a table.
 
-    Attributes
-    ----------
     rows : a ReplayedStep of each step that could be made.  ending : what ended it, in words.  failed_at : step, or None if it did not fail again.
     findings : CrashReport of the first failure.  trajectory, picture : files, or None where none was written.
     """

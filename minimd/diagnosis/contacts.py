@@ -24,8 +24,6 @@ STEP = 1e-5  # of a central difference, relative to the distance
 class Contact:
     """What one law does to one pair.
 
-    Attributes
-    ----------
     first, second : atoms.  law : name of the potential.  is_bond : whether the pair is fixed.  is_users : whether the law is the user's own.
     distance : r [length], of the nearest image.  ratio : r/σ, or r/r₀ of a harmonic bond; None where the law has no length of its own.
     energy, force : u(r), −u′(r) [energy], [energy/length]; positive where the pair repels.  frequency : √(u″/μ) [1/time], None where u″ ≤ 0.

@@ -53,8 +53,6 @@ class Verdict(NamedTuple):
 class CrashReport:
     """The findings. str() is the text for people.
 
-    Attributes
-    ----------
     fault : what went wrong.  step : in which step.  last_good_step : of the state described.  first_step : from which it can be replayed.
     kind, pair, cause, advice : as Verdict.  closest : two atoms and their distance [length], or None.
     pushed, largest_force : the atom on which the largest force acts, and its size [energy/length].

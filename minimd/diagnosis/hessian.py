@@ -98,8 +98,6 @@ class Curvature:
     Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the forces, with the opposite sign,
     from central differences. Positions of the system are changed and put back.
 
-    Attributes
-    ----------
     n_evaluations : of the forces so far.  displacement : of the atom that is moved most [length].
     """
 

@@ -30,8 +30,6 @@ SNAPSHOTS_APART, LEAST_REPLAY = (
 class RunGuard:
     """Makes the steps of an engine, and finds out what went wrong when one fails.
 
-    Attributes
-    ----------
     seconds, n_steps : of the present run, without compilation.  failed_from : Snapshot from which the last failure can be replayed.
     """
 
@@ -85,10 +83,8 @@ class RunGuard:
     def advance(self, n_steps: int, with_energy: bool) -> None:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why.
 
-        Raises
-        ------
-        NonFiniteError, ConstraintError : if a step fails; the engine is then in the last good state.
-        KeyboardInterrupt : after Ctrl-C.  ValueError : if the scene no longer fits the list it needs.
+        Raises NonFiniteError, ConstraintError if a step fails; the engine is then in the last good state. KeyboardInterrupt: after Ctrl-C.
+        ValueError if the scene no longer fits the list it needs.
         """
         engine = self.engine
         self._before = before = engine.snapshot()
@@ -138,9 +134,7 @@ class RunGuard:
     def observe(self) -> Frame:
         """The present state, checked.
 
-        Raises
-        ------
-        NonFiniteError : if its energy is not finite or has run away; the engine is back in the state before the last block.
+        Raises NonFiniteError if its energy is not finite or has run away; the engine is back in the state before the last block.
         """
         frame = observe(self.engine)
         if self._first is None:

@@ -40,8 +40,6 @@ class Snapshot(NamedTuple):
 class Engine:
     """One system, its forces, its constraints and one method; see Simulation for the parameters.
 
-    Attributes
-    ----------
     system : System, the state; its arrays can be changed.  step, time : made so far, [time].
     interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  surroundings : Surroundings of the method.
     noise_shift : the noise of step n is that of n + noise_shift.  extra_observables : names of observables beside the usual ones.
@@ -72,9 +70,7 @@ class Engine:
     def advance(self, n_steps: int, with_energy: bool = True) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many. step and time stay as they are.
 
-        Raises
-        ------
-        NonFiniteError, ConstraintError : if a step fails; the state is then spoilt.
+        Raises NonFiniteError, ConstraintError if a step fails; the state is then spoilt.
         """
         self._bath.step, self._bath.contact = self.step + self.noise_shift, 0
         return self.method.advance(self._state, self._compute_forces, n_steps, with_energy, self.surroundings)
@@ -222,9 +218,7 @@ class Engine:
     def set_temperature(self, temperature: float, seed: int | None = None) -> None:
         """Draw Maxwell-Boltzmann velocities: kinetic temperature exactly this one, total momentum zero (of several free atoms).
 
-        Raises
-        ------
-        ValueError : if the temperature is negative or not finite.
+        Raises ValueError if the temperature is negative or not finite.
         """
         self.velocities[:] = maxwell_boltzmann(self.system.masses, temperature, self.system.units.k_B, seed)
         self.fit_images()
@@ -235,9 +229,7 @@ class Engine:
     def rescale_temperature(self, temperature: float) -> None:
         """Multiply all velocities so that the kinetic temperature is exactly this one.
 
-        Raises
-        ------
-        ValueError : if the temperature is negative or not finite, or nothing moves.
+        Raises ValueError if the temperature is negative or not finite, or nothing moves.
         """
         self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B, self.n_dof)
 

@@ -91,9 +91,7 @@ def _free_name(path: Path) -> Path:
 def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> None:
     """Write the file of a run that has just failed; its engine stands in the last good state, and is left there.
 
-    Raises
-    ------
-    OSError : if it cannot be written.
+    Raises OSError if it cannot be written.
     """
     from minimd.files.h5md_writer import H5MDWriter, opened  # h5py takes its time to load
 
@@ -128,9 +126,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
 def read_crash_report(path: str | Path) -> CrashFile:
     """What the file of a failed run holds.
 
-    Raises
-    ------
-    FileNotFoundError, OSError, ValueError : as read_file, or if it is not the file of a failed run.
+    Raises FileNotFoundError, OSError, ValueError as read_file, or if it is not the file of a failed run.
     """
     from minimd.files.h5md_reader import opened, read_file
 

@@ -20,8 +20,6 @@ from minimd.structure.units import SYSTEMS
 class H5MDContents:
     """What a minimd file holds apart from its frames.
 
-    Attributes
-    ----------
     record : Record, one entry for each frame.  system : System at the restart, to the last bit, with the constraints of the run.
     step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum : whether the run did.
@@ -52,9 +50,7 @@ def read_file(path: str | Path) -> H5MDContents:
 
     Frames that are not in every series, which only a machine that went down while writing can leave, do not count.
 
-    Raises
-    ------
-    FileNotFoundError, OSError : as opened.  ValueError : if it is not HDF5, not written by minimd, or holds no frame.
+    Raises FileNotFoundError, OSError as opened.  ValueError if it is not HDF5, not written by minimd, or holds no frame.
     """
     with opened(path, "r") as h5:
         if "minimd/restart" not in h5:

@@ -149,10 +149,8 @@ def all_series(h5: h5py.File) -> list[h5py.Dataset]:
 def opened(path: str | Path, mode: Literal["r", "r+", "w"]) -> h5py.File:
     """An HDF5 file.
 
-    Raises
-    ------
-    FileNotFoundError : if it is read and does not exist.  ValueError : if it is not HDF5.
-    OSError : if it is damaged, being written by another process, or its folder does not let it be written.
+    Raises FileNotFoundError if it is read and does not exist.  ValueError if it is not HDF5. OSError if it is damaged, being written by another
+    process, or its folder does not let it be written.
     """
     if mode != "w" and not Path(path).is_file():
         raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")

@@ -35,13 +35,9 @@ class H5MDWriter:
     After each flush, at least once a second while frames come, and after close the file is valid, whatever ended the run.
     Its restart is the last frame; or the end of the run, where that lies beyond the last frame and close is told that it was reached.
 
-    Parameters
-    ----------
     file : replaced if it exists.  engine : whose frames will come.  store_forces : also write forces.
 
-    Raises
-    ------
-    OSError : if the file cannot be created or has no room.
+    Raises OSError if the file cannot be created or has no room.
     """
 
     _n_frames: int  # in the file
@@ -62,10 +58,8 @@ class H5MDWriter:
 
         Forces are written if the file has them. The frame at the restart, which a resumed run observes again, is not doubled.
 
-        Raises
-        ------
-        ValueError : if the file holds another system or other constraints, no forces although store_forces, or if the
-            simulation does not stand at the step of the restart.  OSError : if the file cannot be written.
+        Raises ValueError if the file holds another system or other constraints, no forces although store_forces, or if the simulation does not
+        stand at the step of the restart.  OSError if the file cannot be written.
         """
         contents = read_file(file)
         _check_continues(file, contents, engine, store_forces)
@@ -79,9 +73,7 @@ class H5MDWriter:
     def write(self, frame: Frame) -> None:
         """Take one frame; a second one of the same step is passed over.
 
-        Raises
-        ------
-        OSError : if the file has no room or cannot be written; what it held before stays valid.  ValueError : if it is closed.
+        Raises OSError if the file has no room or cannot be written; what it held before stays valid.  ValueError if it is closed.
         """
         if not self._h5:
             raise ValueError(f"trajectory {str(self._file)!r} is closed; it takes no frame of step {frame.step}")
@@ -99,9 +91,7 @@ class H5MDWriter:
 
         completed : whether the run came to its end; the restart is then that end, else the last frame.
 
-        Raises
-        ------
-        OSError : if what is left cannot be written.
+        Raises OSError if what is left cannot be written.
         """
         if not self._h5:
             return
@@ -161,9 +151,7 @@ class H5MDWriter:
     def _reserve(self, n_bytes: int) -> None:
         """Make sure that the disk has room for so many bytes more [B].
 
-        Raises
-        ------
-        OSError : if it has not. A filesystem that cannot reserve is trusted.
+        Raises OSError if it has not. A filesystem that cannot reserve is trusted.
         """
         if not hasattr(os, "posix_fallocate"):
             return
@@ -213,9 +201,7 @@ class H5MDWriter:
 def annotate(path: str | Path, *, title: str | None = None, scene: str | None = None) -> None:
     """Store a title, or the text of the scene file that a run came from, in a minimd file; also from an observer of that run.
 
-    Raises
-    ------
-    FileNotFoundError, OSError, ValueError : if there is no such file.
+    Raises FileNotFoundError, OSError, ValueError if there is no such file.
     """
     with opened(path, "r+") as h5:
         if "minimd" not in h5:

@@ -38,9 +38,7 @@ class MDAnalysisWriter:
     TRR and NCDF hold velocities; XTC, rounded to 0.001 Å, and DCD do not. A DCD states the time between its frames at
     its beginning, so that it is begun with the second frame.
 
-    Raises
-    ------
-    OSError : if the file cannot be written.
+    Raises OSError if the file cannot be written.
     """
 
     def __init__(self, file: Path, engine: Engine, _store_forces: bool = False) -> None:

@@ -51,10 +51,8 @@ FORMATS: dict[str, Callable[[], Callable[..., Writer]]] = {  # suffix: its write
 def open_trajectories(paths: str | Path | Sequence[str | Path], engine: Engine, *, store_forces: bool, overwrite: bool) -> Iterator[list[Writer]]:
     """Writers for some files, all checked before the first is opened, all closed at the end; if one cannot be opened, none is left.
 
-    Raises
-    ------
-    ValueError : for a suffix that no writer knows.  FileExistsError : for a file that exists, unless overwrite.
-    FileNotFoundError, PermissionError : for a folder that does not exist or cannot be written.
+    Raises ValueError for a suffix that no writer knows.  FileExistsError for a file that exists, unless overwrite. FileNotFoundError,
+    PermissionError for a folder that does not exist or cannot be written.
     """
     several = [paths] if isinstance(paths, (str, Path)) else list(paths)
     files = [checked_output(path, overwrite) for path in several]
@@ -81,9 +79,7 @@ def _close_of(writer: Writer) -> Callable[..., None]:
 def checked_output(path: str | Path, overwrite: bool) -> Path:
     """The path, if a new file can be written there; nothing is left by trying.
 
-    Raises
-    ------
-    As open_trajectories.
+    Raises as open_trajectories.
     """
     file = Path(path)
     if file.suffix.lower() not in FORMATS:

@@ -19,9 +19,7 @@ class Options:
         within a domain, in float32; positions, velocities, energies, virials and the sums over ghosts in float64.
     skin : of the lists of neighbors [length]; chosen by neighbors.verlet_list.best_skin if not given.
 
-    Raises
-    ------
-    ValueError : for a number of threads below one, another precision, a skin that is negative or not finite.
+    Raises ValueError for a number of threads below one, another precision, a skin that is negative or not finite.
     """
 
     threads: int | None = None

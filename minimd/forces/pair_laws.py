@@ -22,8 +22,6 @@ TRIED_AT = (0.3, 0.5, 0.7, 0.9)  # of the cutoff
 class PairLaws:
     """Pair laws with one bonded_scale, for one system.
 
-    Attributes
-    ----------
     members : the laws.  cutoff : the largest of theirs [length].
     special : pairs (P, 2) with a factor other than 1, and that factor.  excluded : (P, 2) all of them: the list leaves out their nearest images.
     """

@@ -78,8 +78,6 @@ def steer(velocities, forces, timestep, mixing, most):
 class FIRE:
     """A descent, made in place on the positions of the system of some forces.
 
-    Attributes
-    ----------
     n_steps : made so far.  largest_force : the longest force on an atom that constraints leave [energy/length].
     stop_requested : set it to True to end after the present step.
     """
@@ -97,10 +95,8 @@ class FIRE:
     def begin(self) -> float:
         """Put lengths right and evaluate the forces; return the largest one, infinite if atoms had to be pushed apart first.
 
-        Raises
-        ------
-        NonFiniteError : for two atoms on one spot, and where forces are not finite for another reason.
-        ConstraintError : if the lengths cannot be put right.
+        Raises NonFiniteError for two atoms on one spot, and where forces are not finite for another reason. ConstraintError if the lengths
+        cannot be put right.
         """
         bonds = self._constraint_set.bonds
         if bonds is not None and bonds.violation(self._positions).max() > bonds.tolerance:
@@ -111,9 +107,7 @@ class FIRE:
     def run(self, tolerance: float, max_steps: int, tell: Callable[[int], None]) -> None:
         """Descend until no force is longer than the tolerance, or after max_steps.  tell : is called with the number of steps made.
 
-        Raises
-        ------
-        As begin.
+        Raises as begin.
         """
         self._max_steps, self._tolerance, self._tell = max_steps, tolerance, tell
         self._steepest()

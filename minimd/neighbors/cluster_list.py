@@ -38,12 +38,8 @@ class ClusterList(VerletList):
 
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
-    Parameters
-    ----------
     cutoff, skin, excluded : see VerletList.  is_mixed : whether the pair arithmetic is float32.  pool : the threads that build it.
 
-    Attributes
-    ----------
     clusters, domains, ghosts, rows, memory : see there.  arrays : what the loop needs of them.  n_builds : how often it was built.
     """
 

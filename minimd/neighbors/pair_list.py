@@ -23,12 +23,8 @@ class Pairs(namedtuple("Pairs", "start second image translations")):
 class PairList(VerletList):
     """All pairs within cutoff + skin, in any cell, all images of them; built in linear time.
 
-    Parameters
-    ----------
     cutoff, skin, excluded : see VerletList; an infinite cutoff lists all pairs, in open scenes.
 
-    Attributes
-    ----------
     pairs : Pairs, counting in the order of the list.  order : (N,) int, user's index of each atom in that order.
     offsets : (N, 3), lattice vectors to add to positions[order].  n_builds : how often it was built.
     """

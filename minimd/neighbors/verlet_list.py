@@ -39,8 +39,6 @@ class VerletList(ABC):
     Until then no pair that is not listed can have come within the cutoff: two atoms approach each other by at most the skin.
     Displacements are true ones: an atom moved by a lattice vector has moved.  L. Verlet, Phys. Rev. 159, 98 (1967).
 
-    Parameters
-    ----------
     cutoff : [length].
     skin : [length], ≥ 0.
     excluded : (P, 2) int, pairs whose nearest image is left out.
@@ -65,9 +63,7 @@ class VerletList(ABC):
     def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
         """Build the list anew if it may miss a pair; True if it was built.
 
-        Raises
-        ------
-        NonFiniteError : if a position is not finite.
+        Raises NonFiniteError if a position is not finite.
         """
         is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
         if is_same and not self._moved_too_far(positions):

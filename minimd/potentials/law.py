@@ -40,9 +40,7 @@ class UserLaw(NamedTuple):
 def user_law(function: Callable) -> UserLaw:
     """The law type of a plain or compiled function of r² and parameters that returns u and −u′(r)/r.
 
-    Raises
-    ------
-    TypeError : if it is not a function.
+    Raises TypeError if it is not a function.
     """
     if isinstance(function, Dispatcher):
         return UserLaw(function)
@@ -59,9 +57,7 @@ def is_user_law(law: tuple) -> bool:
 def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
     """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length]; NaN where the law has no real number.
 
-    Raises
-    ------
-    TypeError : if a law of the user's does not take these parameters or does not return two numbers.
+    Raises TypeError if a law of the user's does not take these parameters or does not return two numbers.
     """
     try:
         u, f = evaluate_law(law, r * r, parameters)
@@ -81,10 +77,8 @@ def _name(law: tuple) -> str:
 def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
     """Try a law of the user's at some distances [length]: does it return u and −u′(r)/r?
 
-    Raises
-    ------
-    TypeError : as law_at.
-    ValueError : if the second number is not −u′(r)/r, by central differences, at most of the distances where it is finite.
+    Raises TypeError as law_at. ValueError if the second number is not −u′(r)/r, by central differences, at most of the distances where it is
+    finite.
     """
     tried, wrong = 0, []
     for r in distances:

@@ -211,9 +211,7 @@ class PairTerm(Term):
     def tail(self, system: System) -> tuple[float, float]:
         """See Term.
 
-        Raises
-        ------
-        ValueError : if the cell has no volume.
+        Raises ValueError if the cell has no volume.
         """
         if not self._potential.tail_correction:
             return 0.0, 0.0
@@ -230,9 +228,7 @@ def _volume(system: System) -> float:
 def _integral(function: Callable[[float], float], low: float, high: float) -> float:
     """∫ function(x) dx.
 
-    Raises
-    ------
-    ValueError : if it does not converge.
+    Raises ValueError if it does not converge.
     """
     from scipy.integrate import quad  # here, so that importing minimd need not load it
 

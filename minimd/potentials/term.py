@@ -101,9 +101,7 @@ class Potential(Protocol):
 def bound(potential: Any, system: System) -> Term:
     """The term of a potential on a system.
 
-    Raises
-    ------
-    TypeError : for something that is no potential, or binds to something that is no term.
+    Raises TypeError for something that is no potential, or binds to something that is no term.
     """
     if not hasattr(potential, "bind"):
         raise TypeError(f"potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got {potential!r}")

@@ -20,14 +20,10 @@ def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: 
 
     Species are the chemical symbols, or the labels that atoms_from_system left there.
 
-    Parameters
-    ----------
     bonds : (B, 2) int, pairs of bonded atoms; ASE's atoms carry none.
     constraints : whether those of the atoms are kept; if not, they are somebody else's business.
 
-    Raises
-    ------
-    TypeError : for something that is no ase.Atoms.  ValueError : for constraints that minimd does not know.
+    Raises TypeError for something that is no ase.Atoms.  ValueError for constraints that minimd does not know.
     """
     if not isinstance(atoms, Atoms):
         raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")

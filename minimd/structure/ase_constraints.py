@@ -18,9 +18,7 @@ UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCo
 def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
     """The constraints of atoms: lengths, linear molecules and fixed atoms. FixCom asks for nothing that a System keeps: see fixes_center.
 
-    Raises
-    ------
-    ValueError : for a constraint of another kind, by name.
+    Raises ValueError for a constraint of another kind, by name.
     """
     lengths: list[Pairs] = []
     tolerances: list[float] = []

@@ -29,9 +29,7 @@ def pairs_by_bonds_apart(bonds: NDArray[np.int64], n_atoms: int) -> list[NDArray
 def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int | None = None) -> NDArray[np.int64]:
     """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none; n_atoms None: as many atoms as you like.
 
-    Raises
-    ------
-    ValueError : if the shape is another, an atom is missing, paired with itself, or a pair comes twice.
+    Raises ValueError if the shape is another, an atom is missing, paired with itself, or a pair comes twice.
     """
     array = checked_groups(name, pairs, 2, n_atoms)
     _, first, counts = np.unique(np.sort(array, axis=1), axis=0, return_index=True, return_counts=True)
@@ -44,9 +42,7 @@ def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int | None = None) -> ND
 def checked_groups(name: str, groups: ArrayLike, size: int, n_atoms: int | None = None) -> NDArray[np.int64]:
     """Groups of so many different atoms as a (G, size) int array; see checked_pairs.
 
-    Raises
-    ------
-    ValueError : if the shape is another, an atom is missing, or one stands twice in a group.
+    Raises ValueError if the shape is another, an atom is missing, or one stands twice in a group.
     """
     expected = f"{name} must be an (n, {size}) array of atom indices"
     try:

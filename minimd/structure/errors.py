@@ -40,9 +40,7 @@ class Interrupted(KeyboardInterrupt):
 def checked_count(name: str, value: Any, least: int = 1) -> int:
     """The value as an int.
 
-    Raises
-    ------
-    ValueError : unless it is an int or an integer of NumPy, not a bool, and at least least; name is its name in the message.
+    Raises ValueError unless it is an int or an integer of NumPy, not a bool, and at least least; name is its name in the message.
     """
     if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
         raise ValueError(f"{name} must be a whole number, at least {least}; {name} = {value!r}")

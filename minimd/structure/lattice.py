@@ -18,15 +18,11 @@ BASES = {  # atoms of the cubic unit cell, in units of its edge
 def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions (N, 3) and the three edges of the cell (3,) of a block of cubic unit cells, both [length].
 
-    Parameters
-    ----------
     lattice : name in BASES.
     repeat : three numbers of unit cells, each at least 1.
     lattice_constant : edge of the unit cell [length].
 
-    Raises
-    ------
-    ValueError : for an unknown lattice, numbers of cells that are not three positive ones, an edge that is not positive.
+    Raises ValueError for an unknown lattice, numbers of cells that are not three positive ones, an edge that is not positive.
     """
     if lattice not in BASES:
         raise ValueError(f"lattice must be one of {', '.join(map(repr, BASES))}; lattice = {lattice!r}")

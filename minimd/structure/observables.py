@@ -33,9 +33,7 @@ def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum:
 
     n_atoms : those that are not held fixed.
 
-    Raises
-    ------
-    ValueError : if none is left.
+    Raises ValueError if none is left.
     """
     n_dof = 3 * n_atoms - (3 if n_atoms > 1 and conserves_momentum else 0) - n_constraints
     if n_dof <= 0:
@@ -46,9 +44,7 @@ def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum:
 def temperature(velocities: Array, masses: Array, k_B: float = 1.0, n_dof: int | None = None) -> float:  # noqa: N803
     """Kinetic temperature T = 2K / (n_dof k_B), for total momentum zero; n_dof is 3N − 3 if not given, see degrees_of_freedom.
 
-    Raises
-    ------
-    ValueError : if no degree of freedom is left.
+    Raises ValueError if no degree of freedom is left.
     """
     return 2.0 * kinetic_energy(velocities, masses) / ((n_dof or degrees_of_freedom(len(masses))) * k_B)
 

@@ -20,8 +20,6 @@ DEGREE = math.pi / 180.0  # rad
 class UnitSystem:
     """A consistent set of units, and what its numbers must be multiplied with to be Å, ps and kJ/mol.
 
-    Attributes
-    ----------
     name : "ASE" or "LJ".
     k_B : Boltzmann constant [energy/temperature].
     to_angstrom, to_picosecond, to_kj_per_mol : factors for files that know only these units. Reduced numbers are written

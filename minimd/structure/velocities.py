@@ -14,9 +14,7 @@ def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int 
     Each component has variance k_B T/m before the mean motion is removed and the rest rescaled.
     masses : (N,).  target : T ≥ 0 [temperature].  seed : of numpy's PCG64; None for a new draw each time.
 
-    Raises
-    ------
-    ValueError : if the target is negative or not finite.
+    Raises ValueError if the target is negative or not finite.
     """
     _check(target)
     draw = np.random.default_rng(seed).standard_normal((len(masses), 3))
@@ -34,9 +32,7 @@ def without_momentum(velocities: Array, masses: Array) -> Array:
 def rescaled(velocities: Array, masses: Array, target: float, k_B: float = 1.0, n_dof: int | None = None) -> Array:  # noqa: N803
     """Velocities times √(T_target/T): kinetic temperature exactly the target, (N, 3).  n_dof : 3N − 3 if not given.
 
-    Raises
-    ------
-    ValueError : if the target is negative or not finite, or nothing moves.
+    Raises ValueError if the target is negative or not finite, or nothing moves.
     """
     _check(target)
     now = temperature(velocities, masses, k_B, n_dof)

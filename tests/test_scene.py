@@ -147,6 +147,20 @@ def test_bonds_and_angles_have_the_energy_of_their_formula(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("units", "time", "words"),
+    [
+        (md.units.ASE, 2.5 * md.units.fs, "2.5 fs"),
+        (md.units.ASE, -999.9 * md.units.fs, "-999.9 fs"),
+        (md.units.ASE, 12345.6 * md.units.ps, "12345.6 ps"),
+        (md.units.LJ, 0.004, "0.004 τ"),
+        (md.units.LJ, 12345.6, "12345.6 τ"),
+    ],
+)
+def test_times_are_shown_in_the_unit_that_people_use(units, time, words):
+    assert units.shown(time) == words
+
+
+@pytest.mark.parametrize(
     ("extra", "epsilon", "sigma"),
     [
         ("", np.sqrt(120.0 * 164.0), 0.5 * (3.4 + 3.65)),

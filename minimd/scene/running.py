@@ -115,7 +115,7 @@ def resume_run(
     simulation.step, simulation.time, simulation.heat = contents.step, contents.time, contents.heat
     for line in description(scene, simulation, steps):
         tell(line)
-    tell(f"resumed        at step {contents.step}, {_time(contents.time, scene.units)}, behind {contents.n_frames} frames")
+    tell(f"resumed        at step {contents.step}, {scene.units.shown(contents.time)}, behind {contents.n_frames} frames")
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories of the scene stay as they are")
     with kept([Path(file)], contents.step + steps), scene_kept(scene):
@@ -222,16 +222,16 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
         f"cell           {_cell(simulation)}",
         *([f"constraints    {_constraints(simulation)}"] if simulation.constraints else []),
         *(f"potential      {_potential(potential, scene.units)}" for potential in scene.potentials()),
-        f"method         {dynamics.method}, timestep {_time(dynamics.timestep, scene.units)}" + _bath(scene),
+        f"method         {dynamics.method}, timestep {scene.units.shown(dynamics.timestep)}" + _bath(scene),
     ]
-    return [*lines, f"run            {n_steps} steps = {_time(duration, scene.units)}, observed every {output.every}"]
+    return [*lines, f"run            {n_steps} steps = {scene.units.shown(duration)}, observed every {output.every}"]
 
 
 def _bath(scene: Scene) -> str:
     dynamics = scene.sections.dynamics
     if dynamics.relaxation_time is None:
         return ""
-    return f", bath at {dynamics.temperature:g} {scene.units.temperature}, relaxation time {_time(dynamics.relaxation_time, scene.units)}"
+    return f", bath at {dynamics.temperature:g} {scene.units.temperature}, relaxation time {scene.units.shown(dynamics.relaxation_time)}"
 
 
 def _atoms(simulation: Simulation) -> str:
@@ -264,10 +264,3 @@ def _potential(potential: object, unit_system: units.UnitSystem) -> str:
     if np.isinf(potential.cutoff):
         return f"{name}, no cutoff"
     return f"{name}, cutoff {potential.cutoff:g} {unit_system.length}, {potential.truncation}"
-
-
-def _time(duration: float, unit_system: units.UnitSystem) -> str:
-    if unit_system is units.LJ:
-        return f"{duration:.4g} {unit_system.time}"
-    femtoseconds = duration / units.FEMTOSECOND
-    return f"{femtoseconds:.4g} fs" if femtoseconds < 1000.0 else f"{femtoseconds / 1000.0:.6g} ps"

@@ -47,6 +47,12 @@ class UnitSystem:
     momentum: str
     angular_momentum: str
 
+    def shown(self, time: float) -> str:
+        """A time for people: to 4 digits in the unit of time steps below 1000 of them, else to 6 digits; "2.5 fs", "12.5 ps", "0.004 τ"."""
+        shown = time * self.to_picosecond
+        small = shown * self.shown_small_time
+        return f"{small:.4g} {self.small_time}" if abs(small) < 1000.0 else f"{shown:.6g} {self.shown_time}"
+
 
 ASE = UnitSystem(
     name="ASE",

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from minimd.diagnosis.shadow_energy import check_has_shadow
-from minimd.integrators import SPLITTINGS, LangevinBAOAB, Splitting, StochasticVelocityRescaling
+from minimd.integrators import Splitting
 from minimd.scene.problems import problems
 from minimd.scene.section import Reading
 from minimd.scene.sections import SceneSections
@@ -60,14 +60,9 @@ class Scene:
         return made
 
     def method(self) -> Splitting:
-        """The integrator with its time step, and its bath."""
-        dynamics = self.sections.dynamics
-        bath, time = dynamics.temperature, dynamics.relaxation_time
-        if bath is None or time is None:
-            return SPLITTINGS[dynamics.method](dynamics.timestep)
-        if dynamics.method == LangevinBAOAB.name:
-            return LangevinBAOAB(dynamics.timestep, bath, 1.0 / time, dynamics.seed)
-        return StochasticVelocityRescaling(dynamics.timestep, bath, time, dynamics.seed)
+        """The integrator with its time step, and its bath if it has one.  Raises ValueError, naming the file, for numbers it refuses."""
+        with _blamed_on(f"{self.path}: dynamics"):
+            return self.sections.dynamics.integrator()
 
     def simulation(self, system: System | None = None) -> Simulation:
         """The simulation at its start, with velocities drawn at the temperature of the scene, if it names one.
@@ -179,27 +174,14 @@ def parse_scene(text: str, path: Path) -> Scene:
     ValueError : as load_scene.
     """
     try:
-        document = tomllib.loads(text)
+        reading = Reading(tomllib.loads(text))
+        return Scene(path, text, SceneSections.model_validate(reading.document, context=reading))
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: this is no TOML: {error}{_named_key(text, str(error))}") from None
-    reading = Reading("LJ" if document.get("units") == "LJ" else "ASE")
-    try:
-        sections = SceneSections.model_validate(document, context=reading)
-        found = problems(document, reading, None)
+        place = re.search(r"at line (\d+)", str(error))  # else it is "at end of document"
+        line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
+        raise ValueError(f"{path}: this is no TOML: {error}, in {line!r}") from None
     except ValidationError as error:
-        found = problems(document, reading, error)
-    if found:
-        raise ValueError("\n".join(f"{path}: {sentence}" for sentence in found))
-    return Scene(path, text, sections)
-
-
-def _named_key(text: str, message: str) -> str:
-    """The key that is given twice, which tomllib tells by its place only."""
-    if not message.startswith("Cannot overwrite"):
-        return ""
-    place = re.search(r"at line (\d+)", message)
-    line = text.splitlines()[int(place[1]) - 1] if place else text.rstrip().splitlines()[-1]  # it says "at end of document"
-    return f"; the key {line.partition('=')[0].strip()!r} is given twice" if "=" in line else ""
+        raise ValueError("\n".join(f"{path}: {sentence}" for sentence in problems(reading, error))) from None
 
 
 @contextmanager

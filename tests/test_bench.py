@@ -7,9 +7,10 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from minimd.bench import command, engines, ingredients, memory, peers, rows, scaling, scenes, turns
+from minimd.bench import engines, ingredients, memory, peers, rows, scaling, scenes, turns
 from minimd.bench.outcome import as_json, markdown
 from minimd.bench.peers import Options, run_peers
+from minimd.commands import bench as command
 from minimd.commands import main as cli
 
 N_ATOMS = 256  # four cells along each edge

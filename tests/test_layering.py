@@ -17,7 +17,7 @@ ROOMS = {
 }
 ENDS = {
     "minimd.ase",
-    "minimd.mdanalysis.universe",
+    "minimd.mdanalysis",
     "minimd.scene",
     "minimd.commands.main",
     "minimd.bench",

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
-from minimd.files.h5md_writer import H5MDContents, read_file
+from minimd.files.h5md_writer import H5MDContents
 from minimd.integrators import DistanceConstraints
-from minimd.mdanalysis.universe import VERSION, diffusion_coefficient, radial_distribution, universe
+from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
 from minimd.structure import observables
 from minimd.structure.images import images_of_length, lengths_of
 from minimd.structure.system import System
@@ -77,14 +77,15 @@ def check_file(path: str | Path) -> FileCheck:
     ------
     FileNotFoundError, OSError, ValueError : as minimd.h5md.read_file.
     """
-    contents, moved = read_file(path), recompute(path)
-    record, is_free = _record(contents, moved), contents.conserves_momentum
-    return FileCheck(
-        heading=_heading(Path(path), contents),
-        comparisons=comparisons(moved),
-        report=conservation_report(record, linear=is_free, angular=is_free and not contents.system.cell.is_periodic),
-        structure=liquid(path),
-    )
+    with universe_of(path) as made:
+        contents, moved = made.contents, recompute(made)
+        record, is_free = _record(contents, moved), contents.conserves_momentum
+        return FileCheck(
+            heading=_heading(Path(path), contents),
+            comparisons=comparisons(moved),
+            report=conservation_report(record, linear=is_free, angular=is_free and not contents.system.cell.is_periodic),
+            structure=liquid(made),
+        )
 
 
 class Recomputed(NamedTuple):
@@ -104,24 +105,23 @@ class Recomputed(NamedTuple):
     length_error: NDArray[np.float64]
 
 
-def recompute(path: str | Path) -> Recomputed:
-    """Stored observables, and energies and momenta recomputed from velocities and masses, of all frames.
+def recompute(run: str | Path | RunUniverse) -> Recomputed:
+    """Stored observables, and energies and momenta recomputed from velocities and masses, of all frames.  run : a file, or its universe.
 
     Raises
     ------
     As universe.
     """
-    system = read_file(path).system
-    units, made, rows = system.units, universe(path), []
-    masses = made.atoms.masses
-    for ts in made.trajectory:
-        v = ts.velocities * np.float64(units.to_picosecond / units.to_angstrom)
-        stored = [np.array(ts.data[name]) for name in OBSERVED if name in ts.data]
-        moments = observables.kinetic_energy(v, masses), observables.momentum(v, masses), observables.absolute_momentum(v, masses)
-        system.positions[:] = ts.positions / np.float64(units.to_angstrom)
-        rows.append((ts.data["step"], ts.time / units.to_picosecond, *stored, *moments, length_error(system)))
-    names = [name for name in OBSERVED if name in ts.data]
-    made.trajectory.close()
+    with universe_of(run) as made:
+        system, masses, rows = made.contents.system.copy(), made.atoms.masses, []
+        units = system.units
+        for ts in made.trajectory:
+            v = ts.velocities * np.float64(units.to_picosecond / units.to_angstrom)
+            stored = [np.array(ts.data[name]) for name in OBSERVED if name in ts.data]
+            moments = observables.kinetic_energy(v, masses), observables.momentum(v, masses), observables.absolute_momentum(v, masses)
+            system.positions[:] = ts.positions / np.float64(units.to_angstrom)
+            rows.append((ts.data["step"], ts.time / units.to_picosecond, *stored, *moments, length_error(system)))
+        names = [name for name in OBSERVED if name in ts.data]
     step, time, *series = (np.array(column) for column in zip(*rows, strict=True))
     return Recomputed(step, time, dict(zip(names, series, strict=False)), *series[len(names) :])
 
@@ -175,25 +175,27 @@ def _heading(path: Path, contents: H5MDContents) -> str:
     return f"file           {path}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"
 
 
-def liquid(path: str | Path) -> list[str]:
-    """Lines about a periodic liquid: the first peak of g(r), and D where there are frames enough and the atoms left their places.
+def liquid(run: str | Path | RunUniverse) -> list[str]:
+    """Lines about a periodic liquid: the first peak of g(r), and D if there are frames enough and the atoms left their places.
 
     Atoms have left them if they moved by half the distance of neighbors within the window of the fit. Empty if not periodic.
+    run : a file, or its universe.
 
     Raises
     ------
     As universe.
     """
-    contents = read_file(path)
-    if not contents.system.cell.pbc.all() or len(contents.system) < 2:
-        return []
-    peak = _first_peak(*radial_distribution(path))
-    lines = [f"g(r)           first peak at {peak:.3g} {contents.system.units.length}"]
-    if contents.n_frames >= ENOUGH_FRAMES:
-        diffusion = diffusion_coefficient(path)
-        moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
-        if moved > 0.5 * peak * contents.system.units.to_angstrom:
-            lines.append(f"diffusion      {diffusion}")
+    with universe_of(run) as made:
+        contents, units = made.contents, made.contents.system.units
+        if not contents.system.cell.pbc.all() or len(contents.system) < 2:
+            return []
+        peak = _first_peak(*radial_distribution(made))
+        lines = [f"g(r)           first peak at {peak:.3g} {units.length}"]
+        if contents.n_frames >= ENOUGH_FRAMES:
+            diffusion = diffusion_coefficient(made)
+            moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
+            if moved > 0.5 * peak * units.to_angstrom:
+                lines.append(f"diffusion      {diffusion}")
     return lines
 
 

@@ -23,6 +23,10 @@ DPI = 150
 Ratios = NDArray[np.float64] | None
 
 
+class DisagreementError(ArithmeticError):
+    """Two engines have different energies in the same scene, so that nothing is timed."""
+
+
 class Outcome(Protocol):
     """The outcome of one benchmark."""
 

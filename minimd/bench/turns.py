@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.bench.engines import Engine
+from minimd.bench.outcome import DisagreementError
 
 SAME_START = 1e-5  # of the energy at step 0, between engines: single precision
 STEPS_COMPARED = 10  # few enough for trajectories not to part, enough for the energy to change by half an ε per atom
@@ -24,7 +25,7 @@ def check_agreement(engines: Sequence[Engine], n_atoms: int) -> None:
 
     Raises
     ------
-    ArithmeticError : if an engine differs from the first.
+    DisagreementError : if an engine differs from the first.
     """
     _compare("potential energy at step 0", [(e, e.potential_energy()) for e in engines], relative=SAME_START)
     for engine in engines:
@@ -71,7 +72,7 @@ def _compare(quantity: str, energies: Sequence[tuple[Engine, float]], relative: 
     first, expected = energies[0]
     for engine, energy in energies[1:]:
         if not abs(energy - expected) <= relative * abs(expected) + absolute:
-            raise ArithmeticError(f"{quantity}: {label(first)} has {expected:.8g}, {label(engine)} has {energy:.8g}")
+            raise DisagreementError(f"{quantity}: {label(first)} has {expected:.8g}, {label(engine)} has {energy:.8g}")
 
 
 def _seconds_per_step(engine: Engine) -> float:

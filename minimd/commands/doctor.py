@@ -5,6 +5,7 @@ import platform
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import llvmlite.binding
 import numpy as np
@@ -29,6 +30,11 @@ STEPS_TIMED, TURNS = 200, 3
 TASKS_TIMED = 1000
 
 Finding = tuple[bool, str]  # whether it is as it should be, and a sentence
+
+
+def add(commands: Any) -> None:
+    """Add the command to the subparsers of `minimd`."""
+    commands.add_parser("doctor", help="look at this machine and test minimd on it").set_defaults(command=lambda _: examine())
 
 
 def examine(tell: Callable[[str], None] = print) -> bool:

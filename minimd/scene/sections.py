@@ -3,7 +3,7 @@
 import inspect
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
@@ -13,7 +13,7 @@ from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones
 from minimd.potentials.mixing import MIXING
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.scene.section import Dimension, Section, one_of, reading_of
-from minimd.structure.constraints import SOLVERS, Constraint, DistanceConstraints, FixedAtoms
+from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
@@ -67,7 +67,7 @@ class ConstraintsSection(Section):
     lengths: Annotated[Positive | list[Positive] | None, Dimension("length")] = None
     fixed: list[NonNegativeInt] | None = None
     tolerance: Positive | None = None
-    solver: Annotated[str, one_of(SOLVERS)] | None = None
+    solver: SolverName | None = None
 
     @model_validator(mode="after")
     def _has_as_many_lengths_as_pairs(self, info: ValidationInfo) -> Self:
@@ -97,8 +97,8 @@ class ConstraintsSection(Section):
             return tuple(fixed)
         if held is None or held.pairs.tolist() != pairs:
             held = DistanceConstraints(pairs)
-        lengths, solver = held.lengths if self.lengths is None else self.lengths, cast(Any, self.solver or held.solver)
-        return (*fixed, DistanceConstraints(pairs, lengths, self.tolerance or held.tolerance, solver))
+        lengths = held.lengths if self.lengths is None else self.lengths
+        return (*fixed, DistanceConstraints(pairs, lengths, self.tolerance or held.tolerance, self.solver or held.solver))
 
 
 class SpeciesSection(Section):

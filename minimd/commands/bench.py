@@ -62,10 +62,10 @@ def _bench(run: Callable[[argparse.Namespace], "Outcome"], arguments: argparse.N
 
 
 def _peers(arguments: argparse.Namespace) -> "Outcome":
-    from minimd.bench.peers import Options, run_peers
+    from minimd.bench.peers import PeersOptions, run_peers
 
     cells = arguments.cells or ((5, 10) if arguments.quick else (5, 10, 20, 40))
-    return run_peers(Options(arguments.scene, cells, arguments.threads, arguments.precision, arguments.peers, arguments.repeats))
+    return run_peers(PeersOptions(arguments.scene, cells, arguments.threads, arguments.precision, arguments.peers, arguments.repeats))
 
 
 def _work_precision(arguments: argparse.Namespace) -> "Outcome":

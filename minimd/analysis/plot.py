@@ -48,7 +48,7 @@ def _times(contents: H5MDContents) -> np.ndarray:
 
 
 def _energy(panel: Axes, contents: H5MDContents) -> None:
-    """Total energy per atom, minus heat Q if there is a bath, against its start, and a straight line through it."""
+    """Total energy per atom, minus heat Q if there is a bath, since its start, with the line of its drift."""
     record, times = contents.record, _times(contents)
     has_bath = "conserved_energy" in record
     energy, name = (record.conserved_energy, "total energy − heat") if has_bath else (record.total_energy, "total energy")
@@ -81,7 +81,7 @@ def _momentum(panel: Axes, contents: H5MDContents) -> None:
 
 
 def _scaled(values: np.ndarray) -> tuple[np.ndarray, str]:
-    """Values without their power of ten, and that power as part of a unit; as they are where they are of order one or zero."""
+    """Values divided by a power of ten, and that power as part of a unit; unchanged if they are zero, or between 0.01 and 1000."""
     size = float(np.abs(values).max())
     power = int(np.floor(np.log10(size))) if 0.0 < size < np.inf else 0
     if -2 <= power <= 2:

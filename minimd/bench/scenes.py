@@ -22,6 +22,7 @@ MELT = "melt"
 SEED = 87287
 TIMESTEP = 0.005  # τ
 CUTOFF = 2.5  # σ of the pair
+CUTOFFS: Mapping[tuple[Label, Label], float] = {("A", "A"): CUTOFF}
 SHIFT = 4.0 * (CUTOFF**-12 - CUTOFF**-6)  # u(r_c) [ε] of Lennard-Jones, which a shifted potential takes away
 EQUILIBRATION = 500  # steps: 2.5 τ, in which a crystal at these temperatures melts
 
@@ -65,11 +66,11 @@ class BenchScene(NamedTuple):
 
 
 def melt(n: int) -> BenchScene:
-    """4 n³ atoms on the fcc lattice, with the velocities of the melt that they will be: LAMMPS' benchmark."""
+    """4 n³ atoms on the fcc lattice, with velocities at which it melts: LAMMPS' benchmark."""
     positions, edges = crystal("fcc", [n] * 3, constant_from_density("fcc", MELT_DENSITY))
     text = "Lennard-Jones melt: fcc at ρ* 0.8442, T* 1.44, r_c 2.5 σ, truncated, Δt* 0.005, NVE"
     system = _warm(md.System(positions, cell=edges, species=["A"] * len(positions)), MELT_TEMPERATURE)
-    return BenchScene("melt", text, system, (md.LennardJones(1.0, 1.0, CUTOFF, "truncated"),), {("A", "A"): CUTOFF}, MELT_TEMPERATURE)
+    return BenchScene("melt", text, system, (md.LennardJones(1.0, 1.0, CUTOFF, "truncated"),), CUTOFFS, MELT_TEMPERATURE)
 
 
 def kob_andersen(n: int) -> BenchScene:
@@ -103,10 +104,9 @@ def chains(n: int) -> BenchScene:
     positions, bonds = _winding_path(width)[:n_beads] * (edge / width), np.column_stack([first, first + 1])
     system = md.System(positions, cell=edge, species=["A"] * n_beads, bonds=bonds)
     law = md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 1.0, 1.0))
-    cutoffs: dict[tuple[Label, Label], float] = {("A", "A"): CUTOFF}
     text = "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c 2.5 σ, shifted, Δt* 0.005, NVE"
     potentials = (law, md.HarmonicBond(BOND_CONSTANT, BOND_LENGTH))
-    return BenchScene("chains", text, _warm(system, CHAIN_TEMPERATURE), potentials, cutoffs, CHAIN_TEMPERATURE, (), BOND_CONSTANT, BOND_LENGTH, True)
+    return BenchScene("chains", text, _warm(system, CHAIN_TEMPERATURE), potentials, CUTOFFS, CHAIN_TEMPERATURE, (), BOND_CONSTANT, BOND_LENGTH, True)
 
 
 def dumbbells(n: int) -> BenchScene:
@@ -121,8 +121,7 @@ def dumbbells(n: int) -> BenchScene:
     law = md.LennardJones(1.0, 1.0, CUTOFF, "truncated", bonded_scale=(0.0, 1.0, 1.0))
     text = "Rigid dumbbells: two atoms 0.6 σ apart, 0.4 molecules per σ³, T* 1.5, r_c 2.5 σ, truncated, Δt* 0.005, NVE"
     rigid = md.DistanceConstraints(bonds, DUMBBELL_LENGTH)
-    cutoffs: dict[tuple[Label, Label], float] = {("A", "A"): CUTOFF}
-    return BenchScene("dumbbells", text, _warm(system, DUMBBELL_TEMPERATURE), (law,), cutoffs, DUMBBELL_TEMPERATURE, (rigid,), 0.0, DUMBBELL_LENGTH)
+    return BenchScene("dumbbells", text, _warm(system, DUMBBELL_TEMPERATURE), (law,), CUTOFFS, DUMBBELL_TEMPERATURE, (rigid,), 0.0, DUMBBELL_LENGTH)
 
 
 SCENES: dict[str, Callable[[int], BenchScene]] = {"melt": melt, "kob-andersen": kob_andersen, "chains": chains, "dumbbells": dumbbells}
@@ -148,14 +147,10 @@ def pairs_in_range(scene: BenchScene, positions: NDArray[np.float64]) -> int:
     trees = {name: cKDTree(positions[species == name], boxsize=box) for name in scene.system.species_names}
     count = 0
     for a, b in combinations_with_replacement(trees, 2):
-        both_ways = trees[a].count_neighbors(trees[b], _cutoff(scene, a, b))
+        both_ways = trees[a].count_neighbors(trees[b], scene.cutoffs[(a, b) if (a, b) in scene.cutoffs else (b, a)])
         count += (both_ways - trees[a].n) // 2 if a == b else both_ways
     excludes = any(isinstance(law, PairPotential) and law.bonded_scale[0] == 0.0 for law in scene.potentials)
     return int(count) - excludes * len(scene.system.bonds)
-
-
-def _cutoff(scene: BenchScene, a: Label, b: Label) -> float:
-    return scene.cutoffs[(a, b) if (a, b) in scene.cutoffs else (b, a)]
 
 
 def _warm(system: md.System, temperature: float) -> md.System:

@@ -24,7 +24,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return OK
     try:
-        return FAILED if arguments.command(arguments) is False else OK  # a command that judges returns what it found
+        passed = arguments.command(arguments)  # None of a command that judges nothing
+        return OK if passed is None or passed else FAILED
     except KeyboardInterrupt as error:
         return _failed(str(error) or "interrupted", INTERRUPTED)
     except (NonFiniteError, ConstraintError) as error:

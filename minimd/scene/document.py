@@ -27,8 +27,8 @@ class Scene:
 
     Attributes
     ----------
-    path : the file; a structure file is sought beside it.  text : what it says.
-    sections : the same, checked, in the units of the engine.
+    path : the file; paths of structure files are relative to its folder.  text : of the file.
+    sections : its content, checked, in the units of the engine.
     """
 
     path: Path
@@ -41,11 +41,11 @@ class Scene:
         return units.SYSTEMS[self.sections.units]
 
     def system(self) -> System:
-        """The atoms where the scene puts them, with what holds them.
+        """The atoms at the start of the scene, with their constraints.
 
         Raises
         ------
-        ValueError, OSError : naming the file, for a structure that cannot be read or is no possible one, or impossible constraints.
+        ValueError, OSError : naming the file, for a structure that cannot be read or is impossible, or for impossible constraints.
         """
         with _blamed_on(f"{self.path}: structure"):
             system = self._from_lattice() if self.sections.structure.file is None else self._from_file()
@@ -67,13 +67,13 @@ class Scene:
     def simulation(self, system: System | None = None) -> Simulation:
         """The simulation at its start, with velocities drawn at the temperature of the scene, if it names one.
 
-        system : a state to go on from, instead of the structure of the scene; its velocities stay, and constraints as far as
-            the scene names no others.
+        system : a state to go on from, instead of the structure of the scene; it keeps its velocities, and its constraints unless the
+            scene names others.
         """
         dynamics = self.sections.dynamics
-        start, potentials = self.system() if system is None else self._constrained(system.copy()), self.potentials()
+        start, potentials, method = self.system() if system is None else self._constrained(system.copy()), self.potentials(), self.method()
         with _blamed_on(str(self.path)):
-            simulation = Simulation(start, potentials, self.method(), threads=dynamics.threads, precision=dynamics.precision)
+            simulation = Simulation(start, potentials, method, threads=dynamics.threads, precision=dynamics.precision)
         if self.sections.output.shadow_energy:
             simulation.extra_observables = ("shadow_energy",)
             with _blamed_on(f"{self.path}: output.shadow_energy"):
@@ -88,27 +88,23 @@ class Scene:
         several = [self.path.stem + ".h5md"] if named is None else [named] if isinstance(named, str) else named
         return [Path(name) for name in several]
 
-    def plot_name(self, trajectories: list[Path]) -> Path | None:
-        """The picture that the scene asks for; None if it does not.  Raises ValueError without an .h5md file to draw."""
-        plot = self.sections.output.plot
-        if plot is False:
+    def plot_name(self, trajectories: list[Path], *, beside: bool = False) -> Path | None:
+        """The picture that the scene asks for; None if it asks for none.
+
+        beside : the trajectories replace those of the scene. The picture is then named after them, and None where it cannot be drawn.
+
+        Raises
+        ------
+        ValueError : if no trajectory ends in .h5md, from which a picture is drawn, unless beside.
+        """
+        plot, drawn = self.sections.output.plot, [file for file in trajectories if file.suffix.lower() == ".h5md"]
+        if plot is False or (beside and not drawn):
             return None
-        drawn = [file for file in trajectories if file.suffix.lower() == ".h5md"]
         if not drawn:
             raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = {list(map(str, trajectories))}")
-        return drawn[0].with_suffix(".png") if plot is True else Path(plot)
-
-    def plot_beside(self, trajectory: Path) -> Path | None:
-        """The picture beside a trajectory that replaces those of the scene; None if the scene asks for none or it cannot be drawn."""
-        plot = self.sections.output.plot
-        if plot is False or trajectory.suffix.lower() != ".h5md":
-            return None
-        return trajectory.with_suffix(".png" if plot is True else Path(plot).suffix)
-
-    @property
-    def names_its_plot(self) -> bool:
-        """True if the scene gives its picture a name."""
-        return isinstance(self.sections.output.plot, str)
+        if isinstance(plot, str):
+            return drawn[0].with_suffix(Path(plot).suffix) if beside else Path(plot)
+        return drawn[0].with_suffix(".png")
 
     def _constrained(self, system: System) -> System:
         """A system with the constraints of the scene."""
@@ -152,8 +148,8 @@ def load_scene(path: str | Path) -> Scene:
 
     Raises
     ------
-    OSError : if it cannot be read.  ValueError : if it is no TOML or something in it is wrong: one line for each problem,
-        with the file, the place, what stands there and what may.
+    OSError : if it cannot be read.  ValueError : if it is no TOML or something in it is wrong: one line for each problem, with
+        the file, the place, the value and what is expected.
     """
     file = Path(path)
     try:
@@ -167,7 +163,7 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def parse_scene(text: str, path: Path) -> Scene:
-    """Check the text of a scene file; path is its name in messages and the place beside which a structure is sought.
+    """Check the text of a scene file.  path : its name in messages; paths of structure files are relative to its folder.
 
     Raises
     ------
@@ -186,7 +182,7 @@ def parse_scene(text: str, path: Path) -> Scene:
 
 @contextmanager
 def _blamed_on(place: str) -> Iterator[None]:
-    """Put the place in the scene before what the engine says about its values."""
+    """Begin the message of an error with the place in the scene that has caused it."""
     try:
         yield
     except (ValueError, TypeError) as error:

@@ -66,22 +66,16 @@ def run_scene(
             crash_report=place or False,
         )
     tell(str(simulation.report()))
-    if picture is not None:
+    if picture is not None and picture.exists() and not overwrite:
+        tell(f"not drawn      {picture} exists and is kept; draw with: minimd plot")
+    elif picture is not None:
+        from minimd.analysis.plot import plot_file
+
+        tell(f"drawing        {picture} ...")
         with kept(files, n_steps):
-            files = [*files, *_drawn(files, picture, overwrite, tell)]
+            files = [*files, plot_file(next(file for file in files if file.suffix.lower() == ".h5md"), picture)]
     tell(f"written        {', '.join(map(str, files))}")
     return simulation
-
-
-def _drawn(files: Sequence[Path], picture: Path, overwrite: bool, tell: Tell) -> list[Path]:
-    """Draw the picture of a run, unless it exists and may not be replaced; the files that were written."""
-    if picture.exists() and not overwrite:
-        tell(f"not drawn      {picture} exists and is kept; draw with: minimd plot")
-        return []
-    tell(f"drawing        {picture} ...")
-    from minimd.analysis.plot import plot_file
-
-    return [plot_file(next(file for file in files if file.suffix.lower() == ".h5md"), picture)]
 
 
 def resume_run(
@@ -117,7 +111,7 @@ def resume_run(
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories of the scene stay as they are")
     with kept([Path(file)], contents.step + steps), scene_kept(scene):
-        _append(Path(file), simulation, steps, scene.sections.output.every, progress)
+        _run_and_append(Path(file), simulation, steps, scene.sections.output.every, progress)
     tell(str(simulation.report()))
     tell(f"written        {file}")
     return simulation
@@ -129,8 +123,8 @@ def differences(one: Scene, other: Scene) -> list[str]:
     return keys + ["potential"] * (one.sections.potential != other.sections.potential)
 
 
-def _append(file: Path, simulation: Simulation, steps: int, every: int, progress: bool | None) -> None:
-    """Run, and append the frames to a file."""
+def _run_and_append(file: Path, simulation: Simulation, steps: int, every: int, progress: bool | None) -> None:
+    """Run, and append the frames to the file."""
     writer, completed = H5MDWriter.append_to(file, simulation), False
     try:
         observers = [lambda run: writer.write(run.frame())]
@@ -191,7 +185,7 @@ def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: 
     if plan is None:
         return
     with nothing_written():
-        found = simulation.minimize(**dict(plan), progress=progress)
+        found = simulation.minimize(**plan.model_dump(), progress=progress)
     if dynamics.temperature is not None:
         simulation.set_temperature(dynamics.temperature, dynamics.seed)  # anew: rigid bonds have turned
     tell(str(found))
@@ -233,8 +227,9 @@ def _atoms(simulation: Simulation) -> str:
 
 
 def _constraints(simulation: Simulation) -> str:
-    held = (f"atoms fixed: {len(one.atoms)}" if isinstance(one, FixedAtoms) else f"lengths kept: {len(one.pairs)}" for one in simulation.constraints)
-    return f"{', '.join(held)}; {simulation.n_dof} degrees of freedom"
+    fixed = [f"atoms fixed: {len(one.atoms)}" for one in simulation.constraints if isinstance(one, FixedAtoms)]
+    lengths = [f"lengths kept: {len(one.pairs)}" for one in simulation.constraints if not isinstance(one, FixedAtoms)]
+    return f"{', '.join(lengths + fixed)}; {simulation.n_dof} degrees of freedom"
 
 
 def _cell(simulation: Simulation) -> str:

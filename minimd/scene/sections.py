@@ -93,7 +93,7 @@ class ConstraintsSection(Section):
             pairs = held.pairs.tolist()
         if not pairs:
             if self.tolerance is not None or self.solver is not None:
-                raise ValueError("tolerance and solver are those of lengths, of which there are none; give pairs, or leave them out")
+                raise ValueError("tolerance and solver apply to lengths, of which there are none; give pairs, or leave them out")
             return tuple(fixed)
         if held is None or held.pairs.tolist() != pairs:
             held = DistanceConstraints(pairs)

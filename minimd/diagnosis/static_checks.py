@@ -25,7 +25,7 @@ class Line:
     """One thing that was looked at.  name : at most 14 letters.  words : with figures.  verdict : plain.  is_good : whether it is as it should be."""
 
     name: str
-    words: str
+    summary: str
     verdict: str
     is_good: bool
 

@@ -111,9 +111,7 @@ def replay(
     if drawing is not None:
         from minimd.analysis.replay_plot import plot_replay
 
-        series = {"energy": "total energy", "distance": "closest pair", "force": "largest force", "speed": "largest speed"}
-        steps = {name: [getattr(row, name) for row in rows] for name in ("step", *series)}
-        plot_replay(steps, series, past.findings, simulation.system.units, drawing)
+        plot_replay(rows, past.findings, simulation.system.units, drawing)
     return Replay(rows, ending, failed_at, past.findings, frames if frames is not None and frames.exists() else None, drawing)
 
 

@@ -2,14 +2,17 @@
 
 import json
 import re
+import warnings
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
-from minimd.bench import command, engines, ingredients, memory, peers, rows, scaling, scenes, turns
+import minimd as md
+from minimd.bench import engines, ingredients, memory, peers, scaling, scenes, turns
 from minimd.bench.outcome import as_json, markdown
-from minimd.bench.peers import Options, run_peers
+from minimd.bench.peers import PeersOptions, run_peers
+from minimd.commands import bench as command
 from minimd.commands import main as cli
 
 N_ATOMS = 256  # four cells along each edge
@@ -67,7 +70,7 @@ def cells_of(table):
 
 def test_ratios_of_the_table(fakes):
     """Speeds are 256 atoms / seconds of a step; peers are beside double on as many threads, minimd beside double on one."""
-    table = cells_of(markdown(run_peers(Options(cells=(4,), threads=(1, 2), precisions=("double", "mixed"), repeats=2))))
+    table = cells_of(markdown(run_peers(PeersOptions(cells=(4,), threads=(1, 2), precisions=("double", "mixed"), repeats=2))))
     assert table == [
         ["minimd", "1", "double", "0.0853 (0.0853 to 0.0853)", "", "1"],
         ["minimd", "1", "mixed", "0.128 (0.128 to 0.128)", "", "1.50 (1.50 to 1.50)"],
@@ -82,36 +85,36 @@ def test_ratios_of_the_table(fakes):
 def test_peer_is_no_reference_and_ratios_stay_among_equals():
     """Rows in the worst order: nothing but minimd, double, of the same threads and scene, may be divided by."""
     speeds = np.ones(1)
-    peer = rows.Row("peer", 1, "double", "melt", 1, 2.0 * speeds)
-    mixed = rows.Row("minimd", 1, "mixed", "melt", 1, 15.0 * speeds)
-    melts = [rows.Row("minimd", t, "double", "melt", 1, 10.0 * t * speeds) for t in (2, 1)]
-    chains = [rows.Row("minimd", t, "double", "chains", 1, 7.0 * t * speeds) for t in (2, 1)]
+    peer = peers.EngineSpeed("peer", 1, "double", "melt", 1, 2.0 * speeds)
+    mixed = peers.EngineSpeed("minimd", 1, "mixed", "melt", 1, 15.0 * speeds)
+    melts = [peers.EngineSpeed("minimd", t, "double", "melt", 1, 10.0 * t * speeds) for t in (2, 1)]
+    chains = [peers.EngineSpeed("minimd", t, "double", "chains", 1, 7.0 * t * speeds) for t in (2, 1)]
     everything = [peer, mixed, *chains, *melts]
-    assert rows.faster_than_peer(everything, peer) == [5.0]
-    assert rows.beside_one_thread(everything, melts[0]) == [2.0]
-    assert rows.beside_one_thread(everything, mixed) == [1.5]
-    assert rows.beside_one_thread(everything, peer) is None
+    assert peers.faster_than_peer(everything, peer) == [5.0]
+    assert peers.beside_one_thread(everything, melts[0]) == [2.0]
+    assert peers.beside_one_thread(everything, mixed) == [1.5]
+    assert peers.beside_one_thread(everything, peer) is None
 
 
 def test_spread_is_over_turns():
-    ours = rows.Row("minimd", 1, "double", "melt", 10, np.array([4e6, 6e6, 5e6]))
-    peer = rows.Row("peer", 1, "double", "melt", 10, np.array([2e6, 2e6, 1e6]))
+    ours = peers.EngineSpeed("minimd", 1, "double", "melt", 10, np.array([4e6, 6e6, 5e6]))
+    peer = peers.EngineSpeed("peer", 1, "double", "melt", 10, np.array([2e6, 2e6, 1e6]))
     table = cells_of(markdown(peers.Peers("melt", "text", 3, (), [[ours, peer]])))
     assert table[0][3] == "5.00 (4.00 to 6.00)"
     assert table[1][3:5] == ["2.00 (1.00 to 2.00)", "3.00 (2.00 to 5.00)"]  # the median of ratios, not the ratio of medians
 
 
 def test_costs_stand_beside_the_melt_by_atoms_and_by_pairs():
-    melt = ingredients.Cost("melt", 256, 6500.0, np.array([0.002, 0.002]))
-    mixture = ingredients.Cost("mixture", 512, 17000.0, np.array([0.010, 0.012]))
-    own, other = cells_of(markdown(ingredients.Costs([melt, mixture], 2)))
+    melt = ingredients.IngredientCost("melt", 256, 6500.0, np.array([0.002, 0.002]))
+    mixture = ingredients.IngredientCost("mixture", 512, 17000.0, np.array([0.010, 0.012]))
+    own, other = cells_of(markdown(ingredients.IngredientCosts([melt, mixture], 2)))
     assert own == ["melt", "256", "2000 (2000 to 2000)", "1", "25.4", "1"]
     assert other[3] == "2.75 (2.50 to 3.00)"
     assert other[5] == "2.10 (1.91 to 2.29)"  # 6500/256 of the pairs in 17000/512
 
 
 def test_json_holds_every_turn_and_where_it_was_measured(fakes):
-    content = json.loads(as_json(run_peers(Options(cells=(4, 5), threads=(1,), repeats=3))))
+    content = json.loads(as_json(run_peers(PeersOptions(cells=(4, 5), threads=(1,), repeats=3))))
     assert content["machine"]["cores"] >= 1
     assert set(content["versions"]) == {"minimd", "numba", "numpy", "fast", "slow"}
     assert [size["n_atoms"] for size in content["sizes"]] == [256, 500]
@@ -124,12 +127,12 @@ def test_json_holds_every_turn_and_where_it_was_measured(fakes):
 
 
 def test_slow_peer_takes_part_in_large_scenes_if_asked_for(fakes):
-    outcome = run_peers(Options(cells=(5,), threads=(1,), peers=("slow",), repeats=1))
+    outcome = run_peers(PeersOptions(cells=(5,), threads=(1,), peers=("slow",), repeats=1))
     assert [row.engine for row in outcome.sizes[0]] == ["minimd", "slow (serial)"]
 
 
 def test_reference_on_one_thread_always_runs():
-    assert Options(threads=(2,), precisions=("mixed",)).kinds() == [(1, "double"), (2, "mixed")]
+    assert PeersOptions(threads=(2,), precisions=("mixed",)).kinds() == [(1, "double"), (2, "mixed")]
 
 
 def test_turns_are_long_enough_for_lists_and_short_enough_for_people():
@@ -156,6 +159,25 @@ def test_peer_with_another_energy_is_refused(fakes, monkeypatch, capsys, energie
     assert not out
     assert message in err.splitlines()[-1]
     assert "minimd, double, 1 thread has -" in err
+
+
+def test_an_engine_that_blows_up_is_no_disagreement(fakes, monkeypatch, capsys):
+    class Exploding(FakeEngine):
+        def run(self, n_steps):
+            raise md.NonFiniteError("2 positions are not finite after step 412")
+
+    monkeypatch.setattr(peers, "PEERS", {"other": engines.Peer("other", lambda *_: Exploding("other", 1, "double", 0.01))})
+    assert cli.main(["bench", "peers", "--cells", "4", "--threads", "1"]) == cli.BLOWN_UP
+    assert capsys.readouterr().err.splitlines()[-1] == "minimd: error: 2 positions are not finite after step 412"
+
+
+def test_picture_of_peers_is_drawn_without_warnings(fakes):
+    outcome = run_peers(PeersOptions(cells=(4, 5), threads=(1, 2), repeats=2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        panel = outcome.figure().axes[0]
+    assert [line.get_linestyle() for line in panel.lines] == ["-", "-", "--", "--", "--"]
+    assert [line.get_marker() for line in panel.lines] == list("os^vD")
 
 
 def test_peer_with_another_time_step_is_refused(monkeypatch):
@@ -197,7 +219,7 @@ def test_command_prints_and_writes_the_table(short, capsys, tmp_path):
 
 @pytest.mark.parametrize("scene", ["kob-andersen", "chains", "dumbbells"])
 def test_other_scenes_run(short, scene):
-    (row,) = run_peers(Options(scene, cells=(4,), threads=(1,), peers=("none",), repeats=1)).sizes[0]
+    (row,) = run_peers(PeersOptions(scene, cells=(4,), threads=(1,), peers=("none",), repeats=1)).sizes[0]
     assert (row.engine, row.scene) == ("minimd", scene)
     assert (row.speeds > 0.0).all()
 
@@ -256,11 +278,11 @@ def test_numbers_must_be_numbers(capsys, options):
 
 def test_missing_peers_are_told_with_what_installs_them(fakes, monkeypatch, capsys):
     monkeypatch.setattr(peers, "find_spec", lambda name: name != "fast")
-    outcome = run_peers(Options(cells=(4,), threads=(1,), repeats=1))
+    outcome = run_peers(PeersOptions(cells=(4,), threads=(1,), repeats=1))
     assert [row.engine for row in outcome.sizes[0]] == ["minimd", "slow (serial)"]
     assert "not installed, so not compared with: fast; pip install 'minimd[peers]' installs them" in capsys.readouterr().err
     with pytest.raises(ValueError, match=r"fast is not installed; pip install 'minimd\[peers\]'"):
-        run_peers(Options(cells=(4,), threads=(1,), peers=("fast",)))
+        run_peers(PeersOptions(cells=(4,), threads=(1,), peers=("fast",)))
 
 
 def test_peer_that_does_not_start_is_named(fakes, monkeypatch):
@@ -269,13 +291,13 @@ def test_peer_that_does_not_start_is_named(fakes, monkeypatch):
 
     monkeypatch.setattr(peers, "PEERS", {"broken": engines.Peer("broken", load)})
     with pytest.raises(ValueError, match=r"broken is installed but does not start: libmpi\.so: not found; name the others with --peers"):
-        run_peers(Options(cells=(4,), threads=(1,)))
+        run_peers(PeersOptions(cells=(4,), threads=(1,)))
 
 
 def test_memory_is_told_at_large_sizes_only(fakes, monkeypatch):
     monkeypatch.setattr(peers, "FROM_ATOMS", 500)
     monkeypatch.setattr(peers, "bytes_per_atom", lambda scene, n, threads, precision: 100.0 * n + threads)
-    outcome = run_peers(Options(cells=(4, 5), threads=(1,), repeats=1))
+    outcome = run_peers(PeersOptions(cells=(4, 5), threads=(1,), repeats=1))
     assert [row.bytes_per_atom for size in outcome.sizes for row in size] == [None, None, None, 501.0, None]
     assert markdown(outcome).count("bytes per atom") == 1
     assert "| 1 | 501 |" in markdown(outcome)

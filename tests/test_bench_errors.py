@@ -5,6 +5,7 @@ import pytest
 
 import minimd as md
 from minimd.bench import work_precision
+from minimd.bench.kepler import about_line
 from minimd.bench.scenes import SCENES
 
 
@@ -34,11 +35,12 @@ def test_a_run_that_fails_has_no_finite_error():
 
 
 def test_errors_are_about_the_line_of_regression():
-    energies = 3.0 + np.linspace(0.0, 0.5, 41) + 0.1 * np.tile([1.0, -1.0], 21)[:41]
-    oscillation, drift = work_precision._errors(energies)
+    time = np.linspace(0.0, 1.0, 41)
+    energies = 3.0 + 0.5 * time + 0.1 * np.tile([1.0, -1.0], 21)[:41]
+    oscillation, drift = about_line(time, energies)
     assert oscillation == pytest.approx(0.1, rel=1e-2)
     assert drift == pytest.approx(0.5, rel=1e-2)
-    assert work_precision._errors(np.array([1.0, np.nan])) == (np.inf, np.inf)
+    assert about_line(np.array([0.0, 1.0]), np.array([1.0, np.nan])) == (np.inf, np.inf)
 
 
 def test_work_precision_of_minimd_falls_with_the_order_of_the_method(monkeypatch):

@@ -4,11 +4,13 @@ import h5py
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from MDAnalysis.coordinates.H5MD import H5MDReader
 
 import minimd as md
-from minimd.analysis import plot
+from minimd.analysis import picture
 from minimd.analysis.check import check_file
 from minimd.analysis.plot import plot_file
+from minimd.files import h5md_schema
 
 
 def simulation(units=md.units.LJ, pbc=(True, True, True)):
@@ -116,11 +118,11 @@ class Drawn(Figure):
     ],
 )
 def test_picture_shows_the_series_in_physical_units(tmp_path, monkeypatch, units, pbc, time, fourth):
-    monkeypatch.setattr(plot, "Figure", Drawn)
+    monkeypatch.setattr(picture, "Figure", Drawn)
     record = simulation(units, pbc).run(100, every=5, trajectory=tmp_path / "a.h5md")
-    picture = plot_file(tmp_path / "a.h5md")
-    assert picture == tmp_path / "a.png"
-    assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    drawn = plot_file(tmp_path / "a.h5md")
+    assert drawn == tmp_path / "a.png"
+    assert drawn.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     panels = Drawn.last.axes
     assert [panel.get_xlabel() for panel in panels] == [time] * 3 + [fourth[0]]
     assert panels[3].get_ylabel() == fourth[1]
@@ -160,3 +162,15 @@ def test_check_knows_a_bond_longer_than_half_the_cell(tmp_path):
     with pytest.warns(UserWarning, match="velocities along bonds"):
         simulation.run(20, every=5, trajectory=tmp_path / "a.h5md")
     assert [one.passed for one in check_file(tmp_path / "a.h5md").comparisons if one.name == "lengths"] == [True]
+
+
+@pytest.mark.parametrize("look", [check_file, plot_file])
+def test_a_file_is_read_once(run_file, tmp_path, monkeypatch, look):
+    """By minimd, what is no frame; by one reader of MDAnalysis, the frames."""
+    path, calls = tmp_path / "a.h5md", []
+    path.write_bytes(run_file.read_bytes())
+    for place, name in ((h5md_schema, "opened"), (H5MDReader, "__init__")):
+        original = getattr(place, name)
+        monkeypatch.setattr(place, name, lambda *a, name=name, original=original, **k: calls.append(name) or original(*a, **k))
+    look(path)
+    assert calls == ["opened", "__init__"]

@@ -207,7 +207,7 @@ def test_refused_or_failed_output_leaves_nothing_of_the_others(tmp_path, monkeyp
 
     closed = []
     monkeypatch.setattr("minimd.files.h5md_writer.H5MDWriter.close", lambda _self, completed: closed.append(completed))
-    monkeypatch.setattr("minimd.mdanalysis.universe.MDAnalysisWriter.__init__", lambda *_: (_ for _ in ()).throw(OSError("no more files")))
+    monkeypatch.setattr("minimd.files.mdanalysis_writer.MDAnalysisWriter.__init__", lambda *_: (_ for _ in ()).throw(OSError("no more files")))
     with pytest.raises(OSError, match="no more files"):
         simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "c.xtc"])
     assert closed == [False]

@@ -9,7 +9,7 @@ from references import melt
 import minimd as md
 from minimd.commands.main import main
 from minimd.diagnosis.report import conservation_report
-from minimd.mdanalysis.universe import diffusion_coefficient, radial_distribution
+from minimd.mdanalysis import diffusion_coefficient, radial_distribution
 
 pytestmark = pytest.mark.slow
 SMOOTH = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")

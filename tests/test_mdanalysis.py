@@ -8,9 +8,9 @@ import pytest
 
 import minimd as md
 from minimd.analysis.check import liquid, recompute
+from minimd.files import mdanalysis_writer
 from minimd.files.h5md_writer import H5MDWriter
-from minimd.mdanalysis import universe as mdanalysis
-from minimd.mdanalysis.universe import diffusion_coefficient, radial_distribution, universe
+from minimd.mdanalysis import diffusion_coefficient, mean_square_displacement, radial_distribution, universe, universes
 
 PER_PICOSECOND = 98.22694788464064  # of ASE's time unit
 FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]
@@ -128,9 +128,9 @@ def test_exception_leaves_a_valid_foreign_file(tmp_path, suffix):
 def test_full_disk_is_told_by_every_format(tmp_path, monkeypatch, suffix):
     def fill(sim):
         if sim.step == 4:
-            monkeypatch.setattr(mdanalysis, "disk_usage", lambda folder: usage(folder)._replace(free=1000))
+            monkeypatch.setattr(mdanalysis_writer, "disk_usage", lambda folder: usage(folder)._replace(free=1000))
 
-    usage = mdanalysis.disk_usage
+    usage = mdanalysis_writer.disk_usage
     with pytest.raises(OSError, match=rf"a\.{suffix}' could not take the frame of step 6: no room"):
         simulation().run(20, every=2, trajectory=tmp_path / f"a.{suffix}", observers=[fill])
     assert len(MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / f"a.{suffix}")).trajectory) == 3
@@ -155,7 +155,7 @@ def test_radial_distribution_equals_counting_all_images(tmp_path, monkeypatch, u
     frames = [rng.uniform(-2.0, 2.0, (n_atoms, 3)) @ cell for _ in range(n_frames)]  # far outside of the cell too
     for positions in frames:
         positions[::2] = positions[1::2] + rng.normal(0.0, 0.6, (n_atoms // 2, 3))  # so that g(r) is not flat
-    monkeypatch.setattr(mdanalysis, "RDF_DISTANCES", distances)
+    monkeypatch.setattr(universes, "RDF_DISTANCES", distances)
     made = md.System(frames[0], masses=1.0, cell=SKEWED @ cell, units=units)
     r, g = radial_distribution(written(tmp_path / "a.h5md", made, frames), n_bins)
     edges = np.linspace(1 / n_bins, 1.0, n_bins) * md.Cell.of(cell).heights.min() / 2
@@ -214,7 +214,7 @@ def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(tmp_path)
     for step in steps:
         writer.write(sim.frame()._replace(step=step, time=0.5 * step, positions=np.eye(3) + 0.5 * step * velocity))
     writer.close(completed=True)
-    lags, squares = mdanalysis.mean_square_displacement(tmp_path / "a.h5md")
+    lags, squares = mean_square_displacement(tmp_path / "a.h5md")
     np.testing.assert_allclose(lags, 0.5 * np.array([0, 1, 2, 3, 4, 6, 7, 8]))
     np.testing.assert_allclose(squares, 0.09 * lags**2, rtol=1e-6)
 
@@ -251,3 +251,19 @@ def test_diffusing_liquid_is_told_with_its_peak_and_coefficient(tmp_path):
     still = written(tmp_path / "still.h5md", md.System(sites, cell=5.0), sites + rng.normal(0.0, 0.01, (100, 125, 3)))
     (line,) = liquid(still)
     assert float(line.split()[-2]) == pytest.approx(1.0, abs=0.03)  # σ, next neighbors of the crystal
+
+
+def test_analyses_of_one_universe_are_those_of_its_file(tmp_path):
+    """In any order, and the universe stays open for more."""
+    rng = np.random.default_rng(4)
+    frames = rng.uniform(0.0, 9.0, (20, 24, 3))
+    path = written(tmp_path / "a.h5md", md.System(frames[0], cell=SKEWED @ TURNED_CELL), frames)
+    made = universe(path)
+    for _ in range(2):
+        for found, expected in zip(
+            (*radial_distribution(made), *mean_square_displacement(made)), (*radial_distribution(path), *mean_square_displacement(path)), strict=True
+        ):
+            np.testing.assert_array_equal(found, expected)
+        assert diffusion_coefficient(made).coefficient == diffusion_coefficient(path).coefficient
+        assert recompute(made).step.tolist() == list(range(20))
+    np.testing.assert_array_equal(made.trajectory[3].positions, frames[3].astype(np.float32))

@@ -7,8 +7,10 @@ import pytest
 from scene_texts import ARGON, REDUCED, scene_of
 
 import minimd as md
+from minimd.files.h5md_writer import read_file
+from minimd.integrators import THERMOSTATS, LangevinBAOAB
 from minimd.scene import load_scene, run_scene
-from minimd.scene.key_units import KEY_UNITS
+from minimd.scene.section import KEY_UNITS
 from minimd.structure.lattice import BASES, constant_from_density, crystal
 
 # SI values, independent of minimd.units (CODATA 2018; minimd has ASE's of 2014, equal to 1e-6)
@@ -160,6 +162,37 @@ def test_times_are_shown_in_the_unit_that_people_use(units, time, words):
     assert units.shown(time) == words
 
 
+class Third(LangevinBAOAB):
+    """A thermostat that is registered by a user."""
+
+    name = "third"
+
+    def __init__(self, timestep, temperature, friction, seed, strength=2.0):
+        super().__init__(timestep, temperature, strength * friction, seed)
+
+
+class Unusual(LangevinBAOAB):
+    """A thermostat with a parameter that scenes do not know."""
+
+    name = "unusual"
+
+    def __init__(self, timestep, temperature, collision_rate, seed):
+        super().__init__(timestep, temperature, collision_rate, seed)
+
+
+def test_every_registered_thermostat_is_built_from_its_own_parameters(monkeypatch):
+    monkeypatch.setitem(THERMOSTATS, "third", Third)
+    method = scene_of(REDUCED.replace("seed = 3", 'seed = 3\nmethod = "third"\nrelaxation_time = 0.5')).method()
+    assert type(method) is Third
+    assert (method.timestep, method.temperature, method.friction, method.seed) == (0.004, 1.44, 4.0, 3)
+
+
+def test_thermostat_with_a_parameter_that_no_key_gives_is_refused(monkeypatch):
+    monkeypatch.setitem(THERMOSTATS, "unusual", Unusual)
+    with pytest.raises(ValueError, match=r"^scene\.toml: dynamics cannot have method 'unusual': a scene has no key for its collision_rate; run"):
+        scene_of(REDUCED.replace("seed = 3", 'method = "unusual"\nrelaxation_time = 0.5'))
+
+
 @pytest.mark.parametrize(
     ("extra", "epsilon", "sigma"),
     [
@@ -233,7 +266,7 @@ def test_run_writes_what_the_scene_says_and_tells_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     told = []
     run_scene(scene_of(REDUCED.replace("every = 5", 'every = 5\nforces = true\ntrajectory = ["a.h5md", "b.extxyz"]')), tell=told.append)
-    contents = md.h5md.read_file("a.h5md")
+    contents = read_file("a.h5md")
     assert contents.record.step.tolist() == [0, 5, 10, 15, 20]
     assert contents.has_forces
     assert contents.scene.startswith("\nunits")

@@ -65,6 +65,22 @@ def test_one_quantity_in_two_units_is_refused():
         scene_of(text)
 
 
+def test_all_problems_of_one_table_are_told_at_once():
+    text = REDUCED.replace("steps = 20", "steps = -20\nrelaxation_tim = 0.3\nsed = 2")
+    with pytest.raises(ValueError, match="relaxation_tim") as caught:
+        scene_of(text)
+    assert [line.split(";")[0].split(" (")[0] for line in str(caught.value).splitlines()] == [
+        "scene.toml: dynamics.steps must be greater than or equal to 0",
+        "scene.toml: dynamics has no key 'relaxation_tim'",
+        "scene.toml: dynamics has no key 'sed'",
+    ]
+
+
+def test_key_without_its_unit_is_no_quantity():
+    with pytest.raises(ValueError, match=r"structure has no key 'density' \(= 1\.374\); did you mean 'density_g_cm3'\?"):
+        scene_of(ARGON.read_text().replace("density_g_cm3", "density"))
+
+
 def test_equilibration_needs_a_temperature_to_start_from():
     text = REDUCED.replace("temperature = 1.44\n", "") + "[equilibration]\nsteps = 10\ntemperature = 1.0\n"
     with pytest.raises(ValueError, match=r"equilibration needs dynamics\.temperature"):
@@ -75,8 +91,8 @@ def test_equilibration_needs_a_temperature_to_start_from():
     ("content", "words"),
     [
         ("a = [", "this is no TOML"),
-        ("[b]\nkey = 1\nkey = 2", "the key 'key' is given twice"),
-        ("b = 1\nb = 2\nc = 3\n", "the key 'b' is given twice"),
+        ("[b]\nkey = 1\nkey = 2", "this is no TOML: Cannot overwrite a value .*, in 'key = 2'$"),
+        ("b = 1\nb = 2\nc = 3\n", r"Cannot overwrite a value \(at line 2, column 6\), in 'b = 2'$"),
         ("\ufeff", "this is no TOML"),
         (b"\xff\xfe", "must be UTF-8 text"),
     ],

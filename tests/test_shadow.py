@@ -225,7 +225,7 @@ def test_probe_of_rigid_bonds_and_refusals():
 def test_jumps_at_the_cutoff_are_told(truncation, energy, force, words, is_good):
     """4 (2.5⁻¹² − 2.5⁻⁶) ε = −0.0163 ε."""
     (line,) = cutoff_lines(liquid(2), [md.LennardJones(1.0, 1.0, 2.5, truncation)])
-    assert f"energy {energy:.1e} ε, force {force:.1e} ε/σ at 2.5 σ" in line.words.replace(f"{0.0:.1e}", f"{0.0:.1e}")
+    assert f"energy {energy:.1e} ε, force {force:.1e} ε/σ at 2.5 σ" in line.summary.replace(f"{0.0:.1e}", f"{0.0:.1e}")
     assert words in line.verdict
     assert line.is_good == is_good
 
@@ -239,7 +239,7 @@ def test_a_wall_at_the_minimum_does_not_jump():
 def test_worst_of_all_pairs_of_species_is_told():
     system = md.System([[0, 0, 0], [1.2, 0, 0]], species=["A", "B"])
     (line,) = cutoff_lines(system, [md.LennardJones({"A": (1.0, 1.0), "B": (5.0, 1.0)}, cutoff=2.5, truncation="truncated")])
-    assert line.words.startswith("energy 8.2e-02")
+    assert line.summary.startswith("energy 8.2e-02")
 
 
 def test_report_tells_of_list_cutoff_and_constraints():

@@ -1,4 +1,4 @@
-"""Checking a run from its file alone: what MDAnalysis recomputes from the velocities, and what should have been conserved."""
+"""The check of a run from its file alone: energies and momenta recomputed from velocities that MDAnalysis reads, and conservation laws."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,24 +9,24 @@ from numpy.typing import NDArray
 
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
-from minimd.files.h5md_reader import H5MDContents, read_file
+from minimd.files.h5md_reader import H5MDContents
 from minimd.integrators import DistanceConstraints
-from minimd.mdanalysis.universe import VERSION, diffusion_coefficient, radial_distribution, universe
+from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
 from minimd.structure import observables
 from minimd.structure.images import images_of_length, lengths_of
 from minimd.structure.system import System
 
-SINGLE = 6e-8  # 2⁻²⁴, rounding of a velocity to float32, and so at most this part of Σ|mv|
-KINETIC = 1e-6  # K is quadratic in velocities: twice that rounding, and room for the sum
-LENGTHS = 2.1e-7  # √12 times that rounding: of three coordinates at either end
+SINGLE = 6e-8  # 2⁻²⁴, relative rounding of a velocity to float32, and therefore the largest error of a momentum relative to Σ|mv|
+KINETIC = 1e-6  # K is quadratic in velocities: twice that rounding, and a margin for the sum
+LENGTHS = 2.1e-7  # √12 times that rounding: a length depends on six rounded coordinates
 EXACT = 0.0
 OBSERVED = (*SERIES, "constraint_violation")
-ENOUGH_FRAMES = 20  # for a diffusion coefficient
+ENOUGH_FRAMES = 20  # for a diffusion coefficient: its fit then has eight lags
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One question to the file.  figure : the worst of all frames.  tolerance : its limit.  meaning : what the figure is."""
+    """One comparison.  figure : the worst of all frames.  tolerance : its limit.  meaning : what the figure is."""
 
     name: str
     figure: float
@@ -44,7 +44,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class FileCheck:
-    """The outcome of check_file. structure : lines about the liquid. str() is the text for people."""
+    """The outcome of check_file. structure : lines about the liquid. str() is the whole text."""
 
     heading: str
     comparisons: list[Comparison]
@@ -53,13 +53,13 @@ class FileCheck:
 
     @property
     def passed(self) -> bool:
-        """True if all comparisons agree, and energy and momentum are conserved; False also where too few frames do not tell."""
+        """True if all comparisons agree, and energy and momentum are conserved; False also if there are too few frames to judge."""
         conserved = self.report.energy_is_conserved is True and self.report.momentum_is_conserved
         return conserved and all(one.passed for one in self.comparisons)
 
     @property
     def outcome(self) -> str:
-        """One line."""
+        """The judgement in one line."""
         if self.report.energy_is_conserved is None and all(one.passed for one in self.comparisons):
             return f"NOT PASSED: too few frames to judge the energy ({self.report.n_frames}); observe more often"
         return "passed" if self.passed else "FAILED"
@@ -69,22 +69,23 @@ class FileCheck:
 
 
 def check_file(path: str | Path) -> FileCheck:
-    """Read a minimd file through MDAnalysis, recompute what can be recomputed, and judge what should be constant.
+    """Read a minimd file through MDAnalysis, compare stored observables with recomputed ones, and judge what should be constant.
 
-    Stored observables are float64 and uncast; velocities come in float32, which the tolerances allow for.
+    Stored observables are float64. Velocities come in float32, for which the tolerances allow.
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as minimd.h5md.read_file.
+    As minimd.mdanalysis.universe.
     """
-    contents, moved = read_file(path), recompute(path)
-    record, is_free = _record(contents, moved), contents.conserves_momentum
-    return FileCheck(
-        heading=_heading(Path(path), contents),
-        comparisons=comparisons(moved),
-        report=conservation_report(record, linear=is_free, angular=is_free and not contents.system.cell.is_periodic),
-        structure=liquid(path),
-    )
+    with universe_of(path) as made:
+        contents, moved, is_free = made.contents, recompute(made), made.contents.conserves_momentum
+        record = Record.of(contents.system.units, len(contents.system), {"step": moved.step, "time": moved.time, **moved.stored})
+        return FileCheck(
+            heading=_heading(Path(path), contents),
+            comparisons=comparisons(moved),
+            report=conservation_report(record, linear=is_free, angular=is_free and not contents.system.cell.is_periodic),
+            structure=liquid(made),
+        )
 
 
 class Recomputed(NamedTuple):
@@ -92,7 +93,7 @@ class Recomputed(NamedTuple):
 
     step : (T,).  time : (T,).  stored : observables of the file, float64 and uncast, named as in OBSERVED.
     kinetic_energy, momentum, absolute_momentum : (T,), (T, 3), (T,), recomputed from float32 velocities.
-    length_error : (T,), of the worst length that is kept, recomputed from float32 positions; see length_error.
+    length_error : (T,), of the worst constrained length, recomputed from float32 positions; see the function of this name.
     """
 
     step: NDArray[np.int64]
@@ -104,45 +105,41 @@ class Recomputed(NamedTuple):
     length_error: NDArray[np.float64]
 
 
-def recompute(path: str | Path) -> Recomputed:
-    """Stored observables, and energies and momenta recomputed from velocities and masses, of all frames.
+def recompute(run: str | Path | RunUniverse) -> Recomputed:
+    """Stored observables, and energies and momenta recomputed from velocities and masses, of all frames.  run : a file, or its universe.
 
     Raises
     ------
     As universe.
     """
-    system = read_file(path).system
-    units, made, rows = system.units, universe(path), []
-    masses = made.atoms.masses
-    for ts in made.trajectory:
-        v = ts.velocities * np.float64(units.to_picosecond / units.to_angstrom)
-        stored = [np.array(ts.data[name]) for name in OBSERVED if name in ts.data]
-        moments = observables.kinetic_energy(v, masses), observables.momentum(v, masses), observables.absolute_momentum(v, masses)
-        system.positions[:] = ts.positions / np.float64(units.to_angstrom)
-        rows.append((ts.data["step"], ts.time / units.to_picosecond, *stored, *moments, length_error(system)))
-    names = [name for name in OBSERVED if name in ts.data]
-    made.trajectory.close()
+    with universe_of(run) as made:
+        system, masses, rows = made.contents.system.copy(), made.atoms.masses, []
+        units = system.units
+        for ts in made.trajectory:
+            v = ts.velocities * np.float64(units.to_picosecond / units.to_angstrom)
+            stored = [np.array(ts.data[name]) for name in OBSERVED if name in ts.data]
+            moments = observables.kinetic_energy(v, masses), observables.momentum(v, masses), observables.absolute_momentum(v, masses)
+            system.positions[:] = ts.positions / np.float64(units.to_angstrom)
+            rows.append((ts.data["step"], ts.time / units.to_picosecond, *stored, *moments, length_error(system)))
+        names = [name for name in OBSERVED if name in ts.data]
     step, time, *series = (np.array(column) for column in zip(*rows, strict=True))
     return Recomputed(step, time, dict(zip(names, series, strict=False)), *series[len(names) :])
 
 
 def length_error(system: System) -> float:
-    """|r − d| of the worst length that a system should keep, of its largest coordinate; 0 if it keeps none."""
+    """The largest | |r| − d | of the constrained lengths, relative to the largest coordinate; 0 without such lengths."""
     scale = float(np.abs(system.positions).max())
     for one in system.constraints:
         if isinstance(one, DistanceConstraints):
             lengths = lengths_of(system.positions, system.cell, one)
-            bonds = (
-                system.positions[one.pairs[:, 1]]
-                - system.positions[one.pairs[:, 0]]
-                + images_of_length(system.positions, system.cell, one.pairs, lengths)
-            )
+            images = images_of_length(system.positions, system.cell, one.pairs, lengths)
+            bonds = system.positions[one.pairs[:, 1]] - system.positions[one.pairs[:, 0]] + images
             return float(np.abs(np.linalg.norm(bonds, axis=1) - lengths).max()) / scale
     return 0.0
 
 
 def comparisons(moved: Recomputed) -> list[Comparison]:
-    """Recomputed against stored."""
+    """Recomputed figures beside stored ones."""
     stored, absolute = moved.stored, moved.absolute_momentum
     parts = stored["potential_energy"] + stored["kinetic_energy"]
     kinetic = _largest(moved.kinetic_energy - stored["kinetic_energy"], stored["kinetic_energy"])
@@ -154,7 +151,7 @@ def comparisons(moved: Recomputed) -> list[Comparison]:
         Comparison("Σ|mv|", _largest(absolute - stored["absolute_momentum"], absolute), SINGLE, "recomputed − stored, of itself"),
         Comparison("total energy", _largest(parts - stored["total_energy"], stored["total_energy"]), EXACT, "potential + kinetic − total, of itself"),
         *([lengths] if "constraint_violation" in stored else []),
-        Comparison("steps", not_forward, EXACT, "frames that do not come later than the one before"),
+        Comparison("steps", not_forward, EXACT, "frames that are not later than the one before"),
     ]
 
 
@@ -165,35 +162,33 @@ def _largest(differences: NDArray[np.float64], scales: NDArray[np.float64]) -> f
         return float(np.where(sizes == 0.0, 0.0, sizes / scales).max())
 
 
-def _record(contents: H5MDContents, moved: Recomputed) -> Record:
-    return Record.of(contents.system.units, len(contents.system), {"step": moved.step, "time": moved.time, **moved.stored})
-
-
 def _heading(path: Path, contents: H5MDContents) -> str:
     first, last = contents.record.step[0], contents.record.step[-1]
     frames = f"{contents.n_frames} frames, steps {first} to {last}, {contents.method}, {contents.system.units.name} units"
     return f"file           {path}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"
 
 
-def liquid(path: str | Path) -> list[str]:
-    """Lines about a periodic liquid: the first peak of g(r), and D where there are frames enough and the atoms left their places.
+def liquid(run: str | Path | RunUniverse) -> list[str]:
+    """Lines about a periodic liquid: the first peak of g(r), and D if there are frames enough and the atoms left their places.
 
     Atoms have left them if they moved by half the distance of neighbors within the window of the fit. Empty if not periodic.
+    run : a file, or its universe.
 
     Raises
     ------
     As universe.
     """
-    contents = read_file(path)
-    if not contents.system.cell.pbc.all() or len(contents.system) < 2:
-        return []
-    peak = _first_peak(*radial_distribution(path))
-    lines = [f"g(r)           first peak at {peak:.3g} {contents.system.units.length}"]
-    if contents.n_frames >= ENOUGH_FRAMES:
-        diffusion = diffusion_coefficient(path)
-        moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
-        if moved > 0.5 * peak * contents.system.units.to_angstrom:
-            lines.append(f"diffusion      {diffusion}")
+    with universe_of(run) as made:
+        contents, units = made.contents, made.contents.system.units
+        if not contents.system.cell.pbc.all() or len(contents.system) < 2:
+            return []
+        peak = _first_peak(*radial_distribution(made))
+        lines = [f"g(r)           first peak at {peak:.3g} {units.length}"]
+        if contents.n_frames >= ENOUGH_FRAMES:
+            diffusion = diffusion_coefficient(made)
+            moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
+            if moved > 0.5 * peak * units.to_angstrom:
+                lines.append(f"diffusion      {diffusion}")
     return lines
 
 

@@ -5,14 +5,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
+from minimd.analysis.picture import four_panels, save
 from minimd.diagnosis.report import drift
-from minimd.files.h5md_reader import H5MDContents, read_file
-from minimd.mdanalysis.universe import mean_square_displacement, radial_distribution
+from minimd.files.h5md_reader import H5MDContents
+from minimd.mdanalysis.universes import RunUniverse, mean_square_displacement, radial_distribution, universe_of
 
-INCHES, DOTS_PER_INCH = (10.0, 7.0), 150
 ENERGY, TEMPERATURE, MOMENTUM, STRUCTURE, ACCENT = "#1f5fa8", "#c8501e", "#5b3f99", "#1b7f5c", "#222222"
 STYLE: dict[str, Any] = {"lw": 1.1, "solid_joinstyle": "round"}
 
@@ -29,29 +27,20 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as minimd.h5md.read_file, or if the picture cannot be written.
+    FileNotFoundError, OSError, ValueError : as universe, or if the picture cannot be written.
     """
-    contents = read_file(path)
-    figure = Figure(figsize=INCHES, dpi=DOTS_PER_INCH, layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(2, 2).ravel()
-    for draw, panel in zip((_energy, _temperature, _momentum), panels, strict=False):
-        draw(panel, contents)
-        panel.set_xlabel(f"time  [{_time_unit(contents)}]")
-    _structure(panels[3], Path(path), contents)
+    figure, panels = four_panels()
+    with universe_of(path) as made:
+        contents = made.contents
+        for draw, panel in zip((_energy, _temperature, _momentum), panels, strict=False):
+            draw(panel, contents)
+            panel.set_xlabel(f"time  [{contents.system.units.shown_time}]")
+        _structure(panels[3], made)
     for panel in panels:
-        _clean(panel)
+        panel.margins(x=0.01)
+        panel.title.set_fontsize(10)
     figure.suptitle(f"{contents.title}, {contents.method}, {contents.n_frames} frames", fontsize=11)
-    picture = Path(path).with_suffix(".png") if out is None else Path(out)
-    try:
-        figure.savefig(picture)
-    except OSError as error:
-        raise OSError(f"picture {str(picture)!r} cannot be written: {error.strerror or error}") from error
-    return picture
-
-
-def _time_unit(contents: H5MDContents) -> str:
-    return "τ" if contents.system.units.name == "LJ" else "ps"
+    return save(figure, Path(path).with_suffix(".png") if out is None else Path(out))
 
 
 def _times(contents: H5MDContents) -> np.ndarray:
@@ -59,7 +48,7 @@ def _times(contents: H5MDContents) -> np.ndarray:
 
 
 def _energy(panel: Axes, contents: H5MDContents) -> None:
-    """Total energy per atom, minus heat Q if there is a bath, against its start, and a straight line through it."""
+    """Total energy per atom, minus heat Q if there is a bath, since its start, with the line of its drift."""
     record, times = contents.record, _times(contents)
     has_bath = "conserved_energy" in record
     energy, name = (record.conserved_energy, "total energy − heat") if has_bath else (record.total_energy, "total energy")
@@ -92,7 +81,7 @@ def _momentum(panel: Axes, contents: H5MDContents) -> None:
 
 
 def _scaled(values: np.ndarray) -> tuple[np.ndarray, str]:
-    """Values without their power of ten, and that power as part of a unit; as they are where they are of order one or zero."""
+    """Values divided by a power of ten, and that power as part of a unit; unchanged if they are zero, or between 0.01 and 1000."""
     size = float(np.abs(values).max())
     power = int(np.floor(np.log10(size))) if 0.0 < size < np.inf else 0
     if -2 <= power <= 2:
@@ -100,34 +89,18 @@ def _scaled(values: np.ndarray) -> tuple[np.ndarray, str]:
     return values / 10.0**power, f"$10^{{{power}}}$ "
 
 
-def _structure(panel: Axes, path: Path, contents: H5MDContents) -> None:
-    """g(r) if it can be had, else the mean-square displacement, else a word."""
-    if contents.system.cell.pbc.all() and len(contents.system) > 1:
-        _radial_distribution(panel, path, contents.system.units.length)
-    elif contents.n_frames > 1:
-        _displacement(panel, path, contents)
+def _structure(panel: Axes, made: RunUniverse) -> None:
+    """g(r) if it can be had, else the mean-square displacement, else a note that there is none."""
+    system = made.contents.system
+    if system.cell.pbc.all() and len(system) > 1:
+        r, g = radial_distribution(made)
+        panel.axhline(1.0, color="0.7", lw=0.8)
+        panel.plot(r, g, color=STRUCTURE, **STYLE)
+        panel.set(xlabel=f"r  [{system.units.length}]", ylabel="g(r)", xlim=(0.0, r[-1]), title="radial distribution, all atoms")
+        panel.set_ylim(bottom=0.0)
+    elif made.contents.n_frames > 1:
+        lags, squares = mean_square_displacement(made)
+        panel.plot(lags, squares, color=STRUCTURE, **STYLE)
+        panel.set(xlabel=f"lag  [{system.units.shown_time}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{system.units.length}²]", title="mean-square displacement")
     else:
         panel.text(0.5, 0.5, "one frame only, no displacement", ha="center", va="center", transform=panel.transAxes, color="0.4")
-
-
-def _radial_distribution(panel: Axes, path: Path, length: str) -> None:
-    r, g = radial_distribution(path)
-    panel.axhline(1.0, color="0.7", lw=0.8)
-    panel.plot(r, g, color=STRUCTURE, **STYLE)
-    panel.set(xlabel=f"r  [{length}]", ylabel="g(r)", xlim=(0.0, r[-1]))
-    panel.set_ylim(bottom=0.0)
-    panel.set_title("radial distribution, all atoms")
-
-
-def _displacement(panel: Axes, path: Path, contents: H5MDContents) -> None:
-    lags, squares = mean_square_displacement(path)
-    panel.plot(lags, squares, color=STRUCTURE, **STYLE)
-    panel.set(xlabel=f"lag  [{_time_unit(contents)}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{contents.system.units.length}²]")
-    panel.set_title("mean-square displacement")
-
-
-def _clean(panel: Axes) -> None:
-    panel.spines[["top", "right"]].set_visible(False)
-    panel.grid(alpha=0.25, lw=0.6)
-    panel.margins(x=0.01)
-    panel.title.set_fontsize(10)

@@ -3,50 +3,25 @@
 Å, eV, u and ASE's unit of time are σ, ε, m and τ here, so that the numbers of a scene in reduced units stay as they are.
 """
 
+from typing import Any
+
 from ase import Atoms
 from ase.calculators.lj import LennardJones
 from ase.md.verlet import VelocityVerlet
 
-from minimd.bench.scenes import CUTOFF, Scene, pairs_in_range
+from minimd.bench.scenes import CUTOFF, SHIFT, BenchScene, pairs_in_range
 from minimd.structure.ase_atoms import atoms_from_system
 
 ARGON = 18  # asap3 wants a chemical element; the masses remain those of the scene
 
 
-class ASE:
-    """ASE's calculator LennardJones and its VelocityVerlet; see minimd.bench.engines.Engine."""
+class OnASE:
+    """An engine on ASE's atoms and dynamics; see minimd.bench.engines.TimedEngine."""
 
-    def __init__(self, scene: Scene, timestep: float) -> None:
-        self.name, self.threads, self.precision = "ASE (serial)", 1, "double"
-        self._scene, self._atoms = scene, atoms_from_system(scene.system)
-        self._atoms.calc = LennardJones(sigma=1.0, epsilon=1.0, rc=CUTOFF, smooth=False)
-        self._dynamics = VelocityVerlet(self._atoms, timestep)
+    threads, precision = 1, "double"
 
-    def potential_energy(self) -> float:
-        """U [ε], without the shift that ASE's calculator gives each pair."""
-        at_cutoff = 4.0 * (CUTOFF**-12 - CUTOFF**-6)
-        return float(self._atoms.get_potential_energy()) + at_cutoff * pairs_in_range(self._scene, self._atoms.positions)
-
-    def total_energy(self) -> float:
-        """U + K [ε]."""
-        return self.potential_energy() + float(self._atoms.get_kinetic_energy())
-
-    def run(self, n_steps: int) -> None:
-        """Make steps."""
-        self._dynamics.run(n_steps)
-
-
-class Asap:
-    """asap3's calculator LennardJones and its compiled VelocityVerlet; see minimd.bench.engines.Engine."""
-
-    def __init__(self, scene: Scene, timestep: float) -> None:
-        import asap3
-        from asap3.md.verlet import VelocityVerlet_Asap
-
-        self.name, self.threads, self.precision = "asap3 (serial)", 1, "double"
-        self._atoms = _argon(scene)
-        self._atoms.calc = asap3.LennardJones([ARGON], 1.0, 1.0, rCut=CUTOFF, modified=False, verbose=False)
-        self._dynamics = VelocityVerlet_Asap(self._atoms, timestep)  # ASE's, with the same calculator, takes twice as long
+    def __init__(self, name: str, atoms: Atoms, dynamics: Any) -> None:
+        self.name, self._atoms, self._dynamics = name, atoms, dynamics
 
     def potential_energy(self) -> float:
         """U [ε] of the present positions."""
@@ -61,8 +36,32 @@ class Asap:
         self._dynamics.run(n_steps)
 
 
-def _argon(scene: Scene) -> Atoms:
-    """ASE's atoms that are argon by name and keep their masses."""
+class ASE(OnASE):
+    """ASE's calculator LennardJones and its VelocityVerlet."""
+
+    def __init__(self, scene: BenchScene, timestep: float) -> None:
+        atoms = atoms_from_system(scene.system)
+        atoms.calc = LennardJones(sigma=1.0, epsilon=1.0, rc=CUTOFF, smooth=False)
+        super().__init__("ASE (serial)", atoms, VelocityVerlet(atoms, timestep))
+        self._scene = scene
+
+    def potential_energy(self) -> float:
+        """U [ε], without the shift that ASE's calculator gives each pair."""
+        return super().potential_energy() + SHIFT * pairs_in_range(self._scene, self._atoms.positions)
+
+
+def asap(scene: BenchScene, timestep: float) -> OnASE:
+    """asap3's calculator LennardJones and its compiled VelocityVerlet; ASE's, with the same calculator, takes twice as long."""
+    import asap3
+    from asap3.md.verlet import VelocityVerlet_Asap
+
+    atoms = _argon(scene)
+    atoms.calc = asap3.LennardJones([ARGON], 1.0, 1.0, rCut=CUTOFF, modified=False, verbose=False)
+    return OnASE("asap3 (serial)", atoms, VelocityVerlet_Asap(atoms, timestep))
+
+
+def _argon(scene: BenchScene) -> Atoms:
+    """ASE's atoms, argon by their atomic number, with the masses of the scene."""
     atoms = atoms_from_system(scene.system)
     masses = atoms.get_masses()
     atoms.numbers[:] = ARGON

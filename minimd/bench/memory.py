@@ -8,16 +8,16 @@ from pathlib import Path
 from minimd.bench.engines import SKIN_LAMMPS, Minimd, Precision, preload_mpi
 from minimd.bench.scenes import CUTOFF, MELT_DENSITY, MELT_TEMPERATURE, SCENES, SEED, TIMESTEP
 
-FROM_ATOMS = 256_000  # fewer would drown in what Python and the kernels need
+FROM_ATOMS = 256_000  # with fewer the memory of Python and of the kernels hides that of the atoms
 SMALL = 20  # a first scene of 32 000 atoms loads the kernels
-STEPS = 120  # so that the states are there that a failed run goes back to
-STATUS = Path("/proc/self/status")  # of Linux; getrusage's peak would be that of the parent process, if that was higher
+STEPS = 120  # enough for the snapshots to which a failed run goes back
+STATUS = Path("/proc/self/status")  # of Linux; the peak of getrusage can be that of the parent process
 
 
 def bytes_per_atom(scene: str, n: int, threads: int, precision: str) -> float | None:
     """Growth of minimd's peak memory from a scene of 32 000 atoms to one of about 4 n³, built and run, per atom more.
 
-    None where the operating system does not tell, or the measurement fails.
+    None if the operating system does not tell the peak, or the measurement fails.
     """
     return _in_a_process(f"peak_per_atom(minimd_peak({scene!r}, {threads}, {precision!r}), {n})")
 

@@ -1,7 +1,8 @@
-"""What a benchmark leaves behind: a table for people, JSON for programs, a picture."""
+"""The outcome of a benchmark: a table for people, JSON for programs, a picture."""
 
 import json
 import platform
+import sys
 from collections.abc import Mapping, Sequence
 from math import floor, log10
 from pathlib import Path
@@ -16,11 +17,15 @@ from minimd.compiled.machine import available_cores, processor_name, version
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DIGITS = 3
+DIGITS = 3  # of a median: turns differ by a percent or more
 ALIGN = {str: ":---", float: "---:"}
 DPI = 150
 
 Ratios = NDArray[np.float64] | None
+
+
+class DisagreementError(ArithmeticError):
+    """Two engines have different energies in the same scene, so that nothing is timed."""
 
 
 class Outcome(Protocol):
@@ -65,14 +70,14 @@ def write(outcome: Outcome, folder: Path) -> None:
 
 
 def new_figure(width: float, height: float) -> "Figure":
-    """An empty figure that no window needs to know."""
+    """An empty figure without a window."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def versions(packages: Sequence[str]) -> dict[str, str]:
-    """Versions of minimd, what it stands on, and the packages that took part."""
+    """Versions of minimd, of numba and numpy, and of the packages that took part."""
     return {"minimd": md.__version__} | {name: version(name) for name in ("numba", "numpy", *packages)}
 
 
@@ -89,8 +94,18 @@ def table(titles: Mapping[str, type], cells: Sequence[Sequence[str]]) -> list[st
     return [f"| {' | '.join(line)} |" for line in lines]
 
 
+def threads_text(n: int) -> str:
+    """ "1 thread", "2 threads"."""
+    return f"{n} thread{'s' if n > 1 else ''}"
+
+
+def tell(line: str) -> None:
+    """What is going on, on standard error, since the outcome goes to standard output."""
+    print(line, file=sys.stderr, flush=True)
+
+
 def spread(values: Ratios) -> str:
-    """Median (least to most); nothing for no values, and 1 for a row beside itself."""
+    """Median (least to most); nothing for no values, and 1 where a row is divided by itself."""
     if values is None:
         return ""
     if np.all(values == 1.0):
@@ -100,5 +115,5 @@ def spread(values: Ratios) -> str:
 
 
 def summary(values: Ratios) -> dict[str, Any] | None:
-    """The same for programs, every turn."""
+    """Median and the values of all turns, for programs."""
     return None if values is None else {"median": float(np.median(values)), "turns": values.tolist()}

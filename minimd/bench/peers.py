@@ -1,30 +1,67 @@
 """`minimd bench peers`: the same scene in minimd and in the other engines that are installed."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from minimd.bench.engines import PEERS, Engine, Minimd, Precision
+from minimd.bench.engines import PEERS, Minimd, Precision, TimedEngine
 from minimd.bench.memory import FROM_ATOMS, bytes_per_atom
-from minimd.bench.outcome import new_figure, spread, summary, table
-from minimd.bench.rows import Row, beside_one_thread, faster_than_peer
-from minimd.bench.scenes import CUTOFF, MELT, SCENES, TIMESTEP, Scene, equilibrated
+from minimd.bench.outcome import new_figure, spread, summary, table, tell, threads_text
+from minimd.bench.scenes import CUTOFF, MELT, SCENES, TIMESTEP, BenchScene, equilibrated
 from minimd.bench.turns import check_agreement, take_turns, warm_up
 from minimd.compiled.machine import available_cores
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+MINIMD = "minimd"
 PRECISIONS = ("double", "mixed")
 NO_PEERS = ("none",)
 INSTALL = "pip install 'minimd[peers]'"
 
 
-class Options(NamedTuple):
+class EngineSpeed(NamedTuple):
+    """One engine with one scene.
+
+    speeds : (R,) atom-steps per second in each turn.  bytes_per_atom : None if not measured.
+    """
+
+    engine: str
+    threads: int
+    precision: str
+    scene: str
+    n_atoms: int
+    speeds: NDArray[np.float64]
+    bytes_per_atom: float | None = None
+
+    @property
+    def is_minimd(self) -> bool:
+        """False for a peer."""
+        return self.engine == MINIMD
+
+
+def faster_than_peer(rows: Sequence[EngineSpeed], peer: EngineSpeed) -> NDArray[np.float64] | None:
+    """Speed of minimd, double, on as many threads / speed of the peer, turn by turn; None where that did not run."""
+    ours = None if peer.is_minimd else _double(rows, peer.threads, peer.scene)
+    return None if ours is None else ours.speeds / peer.speeds
+
+
+def beside_one_thread(rows: Sequence[EngineSpeed], row: EngineSpeed) -> NDArray[np.float64] | None:
+    """Speed of a row of minimd / speed of minimd, double, on one thread, with the same scene; None for peers."""
+    reference = _double(rows, 1, row.scene) if row.is_minimd else None
+    return None if reference is None else row.speeds / reference.speeds
+
+
+def _double(rows: Sequence[EngineSpeed], threads: int, scene: str) -> EngineSpeed | None:
+    """The row of minimd in double precision on some threads."""
+    return next((row for row in rows if row.is_minimd and (row.threads, row.precision, row.scene) == (threads, "double", scene)), None)
+
+
+class PeersOptions(NamedTuple):
     """What to run.
 
     threads : empty for one and all cores.  peers : names in PEERS; empty for those installed, "none" for none.
@@ -46,15 +83,15 @@ class Options(NamedTuple):
         return tuple(dict.fromkeys(self.threads or (1, available_cores())))
 
 
-def run_peers(options: Options) -> "Peers":
-    """Measure, size by size; what is going on is told on standard error.
+def run_peers(options: PeersOptions) -> "Peers":
+    """Measure size by size; progress goes to standard error.
 
     Raises
     ------
     ValueError : for options that do not fit, or a peer that does not start.
-    ArithmeticError : if two engines disagree about the start or the first steps.
+    DisagreementError : if two engines have different energies at the start or after the first steps.
     """
-    check(options)
+    check_options(options)
     peers = _peers(options)
     text = SCENES[options.scene](min(options.cells)).text
     sizes = [_beside_peers(n, options, peers) for n in options.cells]
@@ -69,7 +106,7 @@ class Peers:
     text: str
     repeats: int
     packages: Sequence[str]
-    sizes: Sequence[Sequence[Row]]
+    sizes: Sequence[Sequence[EngineSpeed]]
     name: ClassVar[str] = "peers"
 
     def lines(self) -> list[str]:
@@ -91,27 +128,22 @@ class Peers:
         """Speed against the number of atoms."""
         figure = new_figure(9.0, 4.5)
         axes = figure.subplots()
-        curves: dict[tuple[str, int, str], list[Row]] = {}
+        curves: dict[tuple[str, int, str], list[EngineSpeed]] = {}
         for row in (row for rows in self.sizes for row in rows):
             curves.setdefault((row.engine, row.threads, row.precision), []).append(row)
         for k, ((engine, threads, precision), rows) in enumerate(curves.items()):
             n, speeds = [row.n_atoms for row in rows], np.array([row.speeds for row in rows]) / 1e6
-            style = {"lw": 2.5} if rows[0].is_minimd else {"lw": 1.2, "ls": "--"}
-            label = f"{engine}, {precision}, {threads} thread{'s' if threads > 1 else ''}"
-            axes.plot(n, np.median(speeds, axis=1), "os^vD<>pP*Xhd"[k % 13] + "-", label=label, **style)
+            width, line = (2.5, "-") if rows[0].is_minimd else (1.2, "--")
+            label, marker = f"{engine}, {precision}, {threads_text(threads)}", "os^vD<>pP*Xhd"[k % 13]
+            axes.plot(n, np.median(speeds, axis=1), marker=marker, ls=line, lw=width, label=label)
             axes.fill_between(n, speeds.min(axis=1), speeds.max(axis=1), alpha=0.15)
         axes.set(xscale="log", yscale="log", xlabel="atoms", ylabel="10⁶ atom-steps / s", title=f"{self.scene}, median and range")
         figure.legend(loc="outside right center", fontsize="small")
         return figure
 
 
-def check(options: Options) -> None:
-    """Make sure that the options fit together and to this machine.
-
-    Raises
-    ------
-    ValueError : in one sentence, otherwise.
-    """
+def check_options(options: PeersOptions) -> None:
+    """Raise ValueError unless the options fit together and to this machine."""
     for name, value, allowed in (
         ("scene", (options.scene,), SCENES),
         ("precision", options.precisions, PRECISIONS),
@@ -132,22 +164,22 @@ def check(options: Options) -> None:
             raise ValueError(f"{PEERS[name].package} is not installed; {INSTALL} installs the peers")
 
 
-def _peers(options: Options) -> tuple[str, ...]:
-    """Names of the peers that take part; those that could, but are missing, are told."""
+def _peers(options: PeersOptions) -> tuple[str, ...]:
+    """Names of the peers that take part; tells which are not installed."""
     able = [name for name, peer in PEERS.items() if options.scene in peer.scenes]
     if not able or options.peers == NO_PEERS:
         return ()
     missing = {PEERS[name].package: None for name in able if not find_spec(PEERS[name].package)}
     if missing and not options.peers:
-        print(f"not installed, so not compared with: {', '.join(missing)}; {INSTALL} installs them", file=sys.stderr)
+        tell(f"not installed, so not compared with: {', '.join(missing)}; {INSTALL} installs them")
     return tuple(name for name in options.peers or able if PEERS[name].package not in missing)
 
 
-def _beside_peers(n: int, options: Options, peers: Sequence[str]) -> list[Row]:
+def _beside_peers(n: int, options: PeersOptions, peers: Sequence[str]) -> list[EngineSpeed]:
     scene = SCENES[options.scene](n)
-    if options.scene != MELT:  # which melts on its own
+    if options.scene != MELT:  # the melt melts while the engines warm up
         scene = equilibrated(scene)
-    engines: list[Engine] = [Minimd(scene, *kind) for kind in options.kinds()]
+    engines: list[TimedEngine] = [Minimd(scene, *kind) for kind in options.kinds()]
     n_atoms = len(scene.system)
     for name in peers:
         if name in options.peers or n_atoms <= PEERS[name].most_atoms:
@@ -155,12 +187,12 @@ def _beside_peers(n: int, options: Options, peers: Sequence[str]) -> list[Row]:
             engines.extend(_load(name, scene, threads) for threads in counts)
     check_agreement(engines, n_atoms)
     speeds = n_atoms * take_turns(engines, warm_up(engines, n_atoms), options.repeats, n_atoms)
-    rows = [Row(e.name, e.threads, e.precision, scene.name, n_atoms, speeds[k]) for k, e in enumerate(engines)]
+    rows = [EngineSpeed(e.name, e.threads, e.precision, scene.name, n_atoms, speeds[k]) for k, e in enumerate(engines)]
     return [with_memory(row, n) for row in rows]
 
 
-def _load(name: str, scene: Scene, threads: int) -> Engine:
-    """A peer with the scene; whatever keeps it from starting becomes one sentence."""
+def _load(name: str, scene: BenchScene, threads: int) -> TimedEngine:
+    """A peer with the scene.  Raises ValueError for any failure of its program."""
     try:
         return PEERS[name].load(scene, threads, TIMESTEP)
     except Exception as error:
@@ -168,15 +200,15 @@ def _load(name: str, scene: Scene, threads: int) -> Engine:
         raise ValueError(f"{name} is installed but does not start: {reason}; name the others with --peers") from error
 
 
-def with_memory(row: Row, n: int) -> Row:
-    """The row, with the memory of minimd per atom if the scene is large enough to tell."""
+def with_memory(row: EngineSpeed, n: int) -> EngineSpeed:
+    """The row, with the memory of minimd per atom if the scene is large enough for a measurement."""
     if not row.is_minimd or 4 * n**3 < FROM_ATOMS:
         return row
-    print(f"{row.n_atoms} atoms: memory of minimd, {row.precision}, {row.threads} threads", file=sys.stderr)
+    tell(f"{row.n_atoms} atoms: memory of minimd, {row.precision}, {threads_text(row.threads)}")
     return row._replace(bytes_per_atom=bytes_per_atom(row.scene, n, row.threads, row.precision))
 
 
-def _table(rows: Sequence[Row]) -> list[str]:
+def _table(rows: Sequence[EngineSpeed]) -> list[str]:
     titles: dict[str, type] = {
         "engine": str,
         "threads": float,
@@ -196,7 +228,7 @@ def _table(rows: Sequence[Row]) -> list[str]:
     return ["", f"## {rows[0].n_atoms} atoms", "", *table(titles, cells)]
 
 
-def _as_mapping(rows: Sequence[Row], row: Row) -> dict[str, Any]:
+def _as_mapping(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:
     return {
         "engine": row.engine,
         "threads": row.threads,

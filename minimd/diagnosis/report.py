@@ -22,15 +22,15 @@ LENGTHS_KEPT = 1e-8  # of d², violation of a rigid length that no one will see
 
 @dataclass(frozen=True)
 class Line:
-    """One thing that was looked at.  name : at most 14 letters.  words : with figures.  verdict : plain.  is_good : whether it is as it should be."""
+    """One thing that was looked at.  name : at most 14 letters.  summary : with figures.  verdict : plain.  is_good : whether it is as it should be."""
 
     name: str
-    words: str
+    summary: str
     verdict: str
     is_good: bool
 
     def __str__(self) -> str:
-        return f"{self.name:<14} {self.words}: {self.verdict}"
+        return f"{self.name:<14} {self.summary}: {self.verdict}"
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from minimd.diagnosis.shadow_energy import check_has_shadow
-from minimd.integrators import SPLITTINGS, LangevinBAOAB, Splitting, StochasticVelocityRescaling
+from minimd.integrators import Splitting
 from minimd.scene.problems import problems
 from minimd.scene.section import Reading
 from minimd.scene.sections import SceneSections
@@ -27,8 +27,8 @@ class Scene:
 
     Attributes
     ----------
-    path : the file; a structure file is sought beside it.  text : what it says.
-    sections : the same, checked, in the units of the engine.
+    path : the file; paths of structure files are relative to its folder.  text : of the file.
+    sections : its content, checked, in the units of the engine.
     """
 
     path: Path
@@ -41,11 +41,11 @@ class Scene:
         return units.SYSTEMS[self.sections.units]
 
     def system(self) -> System:
-        """The atoms where the scene puts them, with what holds them.
+        """The atoms at the start of the scene, with their constraints.
 
         Raises
         ------
-        ValueError, OSError : naming the file, for a structure that cannot be read or is no possible one, or impossible constraints.
+        ValueError, OSError : naming the file, for a structure that cannot be read or is impossible, or for impossible constraints.
         """
         with _blamed_on(f"{self.path}: structure"):
             system = self._from_lattice() if self.sections.structure.file is None else self._from_file()
@@ -60,25 +60,20 @@ class Scene:
         return made
 
     def method(self) -> Splitting:
-        """The integrator with its time step, and its bath."""
-        dynamics = self.sections.dynamics
-        bath, time = dynamics.temperature, dynamics.relaxation_time
-        if bath is None or time is None:
-            return SPLITTINGS[dynamics.method](dynamics.timestep)
-        if dynamics.method == LangevinBAOAB.name:
-            return LangevinBAOAB(dynamics.timestep, bath, 1.0 / time, dynamics.seed)
-        return StochasticVelocityRescaling(dynamics.timestep, bath, time, dynamics.seed)
+        """The integrator with its time step, and its bath if it has one.  Raises ValueError, naming the file, for numbers it refuses."""
+        with _blamed_on(f"{self.path}: dynamics"):
+            return self.sections.dynamics.integrator()
 
     def simulation(self, system: System | None = None) -> Simulation:
         """The simulation at its start, with velocities drawn at the temperature of the scene, if it names one.
 
-        system : a state to go on from, instead of the structure of the scene; its velocities stay, and constraints as far as
-            the scene names no others.
+        system : a state to go on from, instead of the structure of the scene; it keeps its velocities, and its constraints unless the
+            scene names others.
         """
         dynamics = self.sections.dynamics
-        start, potentials = self.system() if system is None else self._constrained(system.copy()), self.potentials()
+        start, potentials, method = self.system() if system is None else self._constrained(system.copy()), self.potentials(), self.method()
         with _blamed_on(str(self.path)):
-            simulation = Simulation(start, potentials, self.method(), threads=dynamics.threads, precision=dynamics.precision)
+            simulation = Simulation(start, potentials, method, threads=dynamics.threads, precision=dynamics.precision)
         if self.sections.output.shadow_energy:
             simulation.extra_observables = ("shadow_energy",)
             with _blamed_on(f"{self.path}: output.shadow_energy"):
@@ -93,27 +88,23 @@ class Scene:
         several = [self.path.stem + ".h5md"] if named is None else [named] if isinstance(named, str) else named
         return [Path(name) for name in several]
 
-    def plot_name(self, trajectories: list[Path]) -> Path | None:
-        """The picture that the scene asks for; None if it does not.  Raises ValueError without an .h5md file to draw."""
-        plot = self.sections.output.plot
-        if plot is False:
+    def plot_name(self, trajectories: list[Path], *, beside: bool = False) -> Path | None:
+        """The picture that the scene asks for; None if it asks for none.
+
+        beside : the trajectories replace those of the scene. The picture is then named after them, and None where it cannot be drawn.
+
+        Raises
+        ------
+        ValueError : if no trajectory ends in .h5md, from which a picture is drawn, unless beside.
+        """
+        plot, drawn = self.sections.output.plot, [file for file in trajectories if file.suffix.lower() == ".h5md"]
+        if plot is False or (beside and not drawn):
             return None
-        drawn = [file for file in trajectories if file.suffix.lower() == ".h5md"]
         if not drawn:
             raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = {list(map(str, trajectories))}")
-        return drawn[0].with_suffix(".png") if plot is True else Path(plot)
-
-    def plot_beside(self, trajectory: Path) -> Path | None:
-        """The picture beside a trajectory that replaces those of the scene; None if the scene asks for none or it cannot be drawn."""
-        plot = self.sections.output.plot
-        if plot is False or trajectory.suffix.lower() != ".h5md":
-            return None
-        return trajectory.with_suffix(".png" if plot is True else Path(plot).suffix)
-
-    @property
-    def names_its_plot(self) -> bool:
-        """True if the scene gives its picture a name."""
-        return isinstance(self.sections.output.plot, str)
+        if isinstance(plot, str):
+            return drawn[0].with_suffix(Path(plot).suffix) if beside else Path(plot)
+        return drawn[0].with_suffix(".png")
 
     def _constrained(self, system: System) -> System:
         """A system with the constraints of the scene."""
@@ -157,8 +148,8 @@ def load_scene(path: str | Path) -> Scene:
 
     Raises
     ------
-    OSError : if it cannot be read.  ValueError : if it is no TOML or something in it is wrong: one line for each problem,
-        with the file, the place, what stands there and what may.
+    OSError : if it cannot be read.  ValueError : if it is no TOML or something in it is wrong: one line for each problem, with
+        the file, the place, the value and what is expected.
     """
     file = Path(path)
     try:
@@ -172,39 +163,26 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def parse_scene(text: str, path: Path) -> Scene:
-    """Check the text of a scene file; path is its name in messages and the place beside which a structure is sought.
+    """Check the text of a scene file.  path : its name in messages; paths of structure files are relative to its folder.
 
     Raises
     ------
     ValueError : as load_scene.
     """
     try:
-        document = tomllib.loads(text)
+        reading = Reading(tomllib.loads(text))
+        return Scene(path, text, SceneSections.model_validate(reading.document, context=reading))
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: this is no TOML: {error}{_named_key(text, str(error))}") from None
-    reading = Reading("LJ" if document.get("units") == "LJ" else "ASE")
-    try:
-        sections = SceneSections.model_validate(document, context=reading)
-        found = problems(document, reading, None)
+        place = re.search(r"at line (\d+)", str(error))  # else it is "at end of document"
+        line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
+        raise ValueError(f"{path}: this is no TOML: {error}, in {line!r}") from None
     except ValidationError as error:
-        found = problems(document, reading, error)
-    if found:
-        raise ValueError("\n".join(f"{path}: {sentence}" for sentence in found))
-    return Scene(path, text, sections)
-
-
-def _named_key(text: str, message: str) -> str:
-    """The key that is given twice, which tomllib tells by its place only."""
-    if not message.startswith("Cannot overwrite"):
-        return ""
-    place = re.search(r"at line (\d+)", message)
-    line = text.splitlines()[int(place[1]) - 1] if place else text.rstrip().splitlines()[-1]  # it says "at end of document"
-    return f"; the key {line.partition('=')[0].strip()!r} is given twice" if "=" in line else ""
+        raise ValueError("\n".join(f"{path}: {sentence}" for sentence in problems(reading, error))) from None
 
 
 @contextmanager
 def _blamed_on(place: str) -> Iterator[None]:
-    """Put the place in the scene before what the engine says about its values."""
+    """Begin the message of an error with the place in the scene that has caused it."""
     try:
         yield
     except (ValueError, TypeError) as error:

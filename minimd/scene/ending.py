@@ -8,12 +8,12 @@ from time import time
 from minimd.files.h5md_reader import read_file
 from minimd.structure.errors import ConstraintError, NonFiniteError
 
-CLOCK = 1.0  # seconds by which a file system may date a file too early
+CLOCK = 1.0  # s, the coarsest time stamps of a file system
 
 
 @contextmanager
 def kept(files: Sequence[Path], end: int) -> Iterator[None]:
-    """If a run fails, add to its message which of its files were written and are kept; after Ctrl-C also how to go on.
+    """If a run fails, add to the message which of its files were written and are kept; after Ctrl-C also the command that goes on.
 
     end : the step at which the run was to end.
     """
@@ -33,7 +33,7 @@ def kept(files: Sequence[Path], end: int) -> Iterator[None]:
 
 @contextmanager
 def nothing_written(where: str = "") -> Iterator[None]:
-    """Say of an interrupted preparation that it has left nothing.  where : it was interrupted, if the message does not say so."""
+    """If a preparation is interrupted, add to the message that nothing was written.  where : words about what was interrupted, if needed."""
     try:
         yield
     except KeyboardInterrupt as error:
@@ -50,7 +50,7 @@ def _how_to_go_on(written: Sequence[Path], end: int) -> str:
 
 
 def _words(error: BaseException) -> str:
-    """What an error says, without the number of an error of the operating system."""
+    """The message of an error, without the number that errors of the operating system have."""
     if isinstance(error, OSError) and error.strerror is not None:
         return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
     return str(error) or "interrupted"

@@ -1,13 +1,12 @@
-"""What is wrong with a scene file, one sentence for each problem: where, what it is, what it must be."""
+"""What is wrong with a scene file, one sentence for each problem: where, what stands there, what is expected."""
 
 import json
-from collections.abc import Iterator
 from difflib import get_close_matches
 from typing import Any
 
 from pydantic import ValidationError
 
-from minimd.scene.section import Reading, Section, Unknown
+from minimd.scene.section import UNKNOWN, Reading, Section
 
 PLAIN = {  # pydantic's words: ours
     "Input should be": "must be",
@@ -23,75 +22,67 @@ PLAIN = {  # pydantic's words: ours
 }
 
 
-def problems(document: dict, reading: Reading, error: ValidationError | None) -> list[str]:
-    """Sentences about the unknown keys and wrong values of a document, in that order; an empty list if all is well."""
-    paths = {id(table): path for path, table in _tables(document, "")}
-    sentences = [_about_unknown(unknown, paths[id(unknown.table)], reading) for unknown in reading.unknown]
-    meant = {(paths[id(u.table)], name) for u in reading.unknown if (name := _meant(u, reading)[1])}
+def problems(reading: Reading, error: ValidationError) -> list[str]:
+    """Sentences about what pydantic found in a document, in its order, one for each place."""
+    found = error.errors(include_url=False)
+    unknown = [details["loc"] for details in found if details["type"] == "extra_forbidden"]
+    meant = {(*loc[:-1], _near(loc, reading)[1]) for loc in unknown}
     wrong: dict[str, list[str]] = {}
-    for details in error.errors(include_url=False) if error else ():
-        place, name, sentence = _about_value(details, document, reading)
-        if (place.rpartition(".")[0], name) not in meant and not (details["type"] == "value_error" and place in paths.values() and reading.unknown):
+    for details in found:
+        if details["type"] != "missing" or details["loc"] not in meant:
+            place, sentence = _told(details, reading)
             wrong.setdefault(place, []).append(sentence)
     if "units" in wrong:  # then all other keys look wrong too
-        return [_joined(wrong["units"])]
-    deepest = [place for place in wrong if not any(other.startswith(place + "[") for other in wrong)]
-    return sentences + [_joined(wrong[place]) for place in deepest]
+        wrong = {"units": wrong["units"]}
+    return [_joined(sentences) for place, sentences in wrong.items() if not any(other.startswith(place + "[") for other in wrong)]
 
 
-def _tables(node: Any, path: str) -> Iterator[tuple[str, dict]]:
-    """All tables of a document with their paths, such as potential[0].species.Ar."""
-    if isinstance(node, dict):
-        yield path, node
-        for key, value in node.items():
-            yield from _tables(value, f"{path}.{key}" if path else key)
-    elif isinstance(node, list):
-        for index, value in enumerate(node):
-            yield from _tables(value, f"{path}[{index}]")
-
-
-def _meant(unknown: Unknown, reading: Reading) -> tuple[str | None, str | None]:
-    """The key that was probably meant, and its field."""
-    keys = reading.sections[id(unknown.table)].keys(reading.units)
-    stem = unknown.key.rpartition("_")[0] or unknown.key
-    near = [key for key, (name, _) in keys.items() if name in (unknown.key, stem)] or get_close_matches(unknown.key, keys, n=1)
-    return (near[0], keys[near[0]][0]) if near else (None, None)
-
-
-def _about_unknown(unknown: Unknown, path: str, reading: Reading) -> str:
-    keys = reading.sections[id(unknown.table)].keys(reading.units)
-    where = path or "a scene"
-    if unknown.twice:
-        return f"{where} has {unknown.key!r} beside the same quantity in another unit; give one of them"
-    near, _ = _meant(unknown, reading)
-    hint = f"did you mean {near!r}? " if near else ""
-    return f"{where} has no key {unknown.key!r} (= {_shown(unknown.table[unknown.key])}); {hint}Keys in {reading.units} units: {', '.join(keys)}"
-
-
-def _about_value(details: Any, document: dict, reading: Reading) -> tuple[str, str | None, str]:
-    """Path of a wrong value, the field where it is missing, and the sentence about it."""
-    place, value, section = _written(details["loc"], document, reading)
-    name = details["loc"][-1] if details["loc"] else None
-    if details["type"] == "missing":
-        keys = list(section.keys_of(str(name), reading.units)) if section else [str(name)]
-        path = ".".join(filter(None, (place, keys[0])))
-        return path, name, f"{path} is missing" + (f"; give it, or {' or '.join(keys[1:])}" if len(keys) > 1 else "; give it")
-    if details["type"] == "union_tag_not_found":
-        return place, None, f"{place}.type is missing; it says what kind of potential this is: 'lennard-jones', 'harmonic-bond' or 'harmonic-angle'"
-    if details["type"] == "union_tag_invalid":
-        return place, None, f"{place}.type must be one of {details['ctx']['expected_tags']}; {place}.type = {_shown(value['type'])}"
+def _told(details: Any, reading: Reading) -> tuple[str, str]:
+    """The path of a problem, and the sentence about it."""
+    loc, kind = details["loc"], details["type"]
+    place, value, section = _written(loc, reading)
+    if kind == "extra_forbidden":
+        return f"{place}.{loc[-1]}", _about_key(loc, reading)
+    if kind == "missing":
+        keys = list(section.keys_of(str(loc[-1]), reading.units)) if section else [str(loc[-1])]
+        path = f"{place}.{keys[0]}".removeprefix(".")
+        return path, " or ".join([f"{path} is missing; give it", *keys[1:]])
+    if kind == "union_tag_not_found":
+        return place, f"{place}.type is missing; it says what kind of potential this is: 'lennard-jones', 'harmonic-bond' or 'harmonic-angle'"
+    if kind == "union_tag_invalid":
+        return place, f"{place}.type must be one of {details['ctx']['expected_tags']}; {place}.type = {_shown(value['type'])}"
     if place == "potential" and isinstance(value, dict):
-        return place, None, "potential must be written [[potential]], with two brackets, because a scene can have several; it is [potential]"
+        return place, "potential must be written [[potential]], with two brackets, because a scene can have several; it is [potential]"
     words = details["msg"]
     for theirs, ours in PLAIN.items():
         words = words.replace(theirs, ours)
     words = words.partition(" after validation")[0]
-    return place, None, f"{place} {words}".strip() if isinstance(value, dict) else f"{place} {words}; {place} = {_shown(value)}"
+    return place, f"{place} {words}".strip() + ("" if isinstance(value, dict) else f"; {place} = {_shown(value)}")
 
 
-def _written(loc: tuple, document: dict, reading: Reading) -> tuple[str, Any, type[Section] | None]:
-    """Path, value and section class at one of pydantic's locations, with the keys and values as they stand in the file."""
-    path, node, section = "", document, reading.sections.get(id(document))
+def _about_key(loc: tuple, reading: Reading) -> str:
+    """The sentence about a key that a section does not have, or has in another unit already."""
+    place, table, section = _written(loc, reading)
+    key, keys = loc[-1].removeprefix(UNKNOWN), section.keys(reading.units) if section else {}
+    if key in keys:
+        return f"{place} has {key!r} beside the same quantity in another unit; give one of them"
+    near = _near(loc, reading)[0]
+    hint = f"did you mean {near!r}? " if near else ""
+    return f"{place or 'a scene'} has no key {key!r} (= {_shown(table[key])}); {hint}Keys in {reading.units} units: {', '.join(keys)}"
+
+
+def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:
+    """The key that was probably meant by an unknown one, and its field."""
+    section, key = _written(loc, reading)[2], loc[-1].removeprefix(UNKNOWN)
+    keys = section.keys(reading.units) if section else {}
+    stem = key.rpartition("_")[0] or key
+    near = [one for one, (name, _) in keys.items() if name in (key, stem)] or get_close_matches(key, keys, n=1)
+    return (near[0], keys[near[0]][0]) if near else (None, None)
+
+
+def _written(loc: tuple, reading: Reading) -> tuple[str, Any, type[Section] | None]:
+    """Path, value and section class at one of pydantic's locations, as far as the file has it, with the keys and values of the file."""
+    path, node, section = "", reading.document, reading.sections.get(id(reading.document))
     for step in loc:
         if isinstance(node, list) and isinstance(step, int):
             path, node = f"{path}[{step}]", node[step]
@@ -100,7 +91,7 @@ def _written(loc: tuple, document: dict, reading: Reading) -> tuple[str, Any, ty
             key = next((key for key in keys if key in node), None)
             if key is None:
                 continue
-            path, node = f"{path}.{key}" if path else key, node[key]
+            path, node = f"{path}.{key}".removeprefix("."), node[key]
         section = reading.sections.get(id(node))
     return path, node, section
 

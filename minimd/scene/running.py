@@ -1,4 +1,4 @@
-"""Running a scene from start to report, and telling so all the while."""
+"""Running a scene from start to report, with a line about each thing that is done."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -10,7 +10,6 @@ from minimd.files.crash_file import crash_file_place
 from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.h5md_writer import H5MDWriter, annotate
 from minimd.files.trajectory import checked_output
-from minimd.integrators import DistanceConstraints
 from minimd.potentials import PairPotential
 from minimd.scene.document import Scene, parse_scene
 from minimd.scene.ending import kept, nothing_written
@@ -46,9 +45,9 @@ def run_scene(
     """
     dynamics, output = scene.sections.dynamics, scene.sections.output
     files = scene.trajectories() if trajectory is None else [trajectory]
-    picture = scene.plot_name(files) if trajectory is None else scene.plot_beside(trajectory)
+    picture = scene.plot_name(files, beside=trajectory is not None)
     n_steps = dynamics.steps if steps is None else steps
-    check_outputs(files, picture if scene.names_its_plot and trajectory is None else None, overwrite)
+    check_outputs(files, picture if isinstance(output.plot, str) and trajectory is None else None, overwrite)
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
@@ -68,41 +67,34 @@ def run_scene(
             crash_report=place or False,
         )
     tell(str(simulation.report()))
-    if picture is not None:
+    if picture is not None and picture.exists() and not overwrite:
+        tell(f"not drawn      {picture} exists and is kept; draw with: minimd plot")
+    elif picture is not None:
+        from minimd.analysis.plot import plot_file
+
+        tell(f"drawing        {picture} ...")
         with kept(files, n_steps):
-            files = [*files, *_drawn(files, picture, overwrite, tell)]
+            files = [*files, plot_file(next(file for file in files if file.suffix.lower() == ".h5md"), picture)]
     tell(f"written        {', '.join(map(str, files))}")
     return simulation
-
-
-def _drawn(files: Sequence[Path], picture: Path, overwrite: bool, tell: Tell) -> list[Path]:
-    """Draw the picture of a run; none if that would replace one that stands there."""
-    if picture.exists() and not overwrite:
-        tell(f"not drawn      {picture} exists and is kept; draw with: minimd plot")
-        return []
-    tell(f"drawing        {picture} ...")
-    from minimd.analysis.plot import plot_file
-
-    return [plot_file(next(file for file in files if file.suffix.lower() == ".h5md"), picture)]
 
 
 def resume_run(
     file: str | Path, steps: int | None = None, *, scene: Scene | None = None, progress: bool | None = None, tell: Tell = print
 ) -> Simulation:
-    """Go on with the run in an H5MD file, from its restart, and append to it; its other trajectories are not continued.
+    """Go on with the run in an H5MD file, from its restart, and append to it; other trajectories of the run are not continued.
 
-    A run from a script has no scene in its file. There, read_file(file).system of minimd.h5md is the System at the restart, from
-    which a new Simulation starts; with its step and time set to those of the contents, H5MDWriter.append_to continues the file.
+    The file of a run from a script has no scene. Its restart is read_file(file).system, see minimd.files.h5md_writer: a new Simulation
+    starts from there, and with step and time set to those of the contents H5MDWriter.append_to continues the file.
 
     Parameters
     ----------
     steps : how many more; up to the end of the scene if not given.
-    scene : whose potentials and method are used, instead of those of the scene that is stored in the file; it may name no other
-        constraints than the file holds.
+    scene : gives potentials and method, instead of the scene in the file; it must have the constraints of the file.
 
     Raises
     ------
-    ValueError, OSError : for a file that cannot be continued or holds no scene.
+    ValueError, OSError : for a file that cannot be continued, or has no scene.
     NonFiniteError, KeyboardInterrupt : as Simulation.run.
     """
     contents = read_file(file)
@@ -116,24 +108,24 @@ def resume_run(
     simulation.step, simulation.time, simulation.reservoir_energy = contents.step, contents.time, contents.reservoir_energy
     for line in description(scene, simulation, steps):
         tell(line)
-    tell(f"resumed        at step {contents.step}, {scene.units.shown(contents.time)}, behind {contents.n_frames} frames")
+    tell(f"resumed        at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames")
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories of the scene stay as they are")
     with kept([Path(file)], contents.step + steps), scene_kept(scene):
-        _append(Path(file), simulation, steps, scene.sections.output.every, progress)
+        _run_and_append(Path(file), simulation, steps, scene.sections.output.every, progress)
     tell(str(simulation.report()))
     tell(f"written        {file}")
     return simulation
 
 
 def differences(one: Scene, other: Scene) -> list[str]:
-    """Keys of two scenes that decide over forces and steps, and differ."""
+    """Keys that have different values in two scenes, of those that determine forces and steps."""
     keys = [f"dynamics.{key}" for key in ("method", "timestep") if getattr(one.sections.dynamics, key) != getattr(other.sections.dynamics, key)]
     return keys + ["potential"] * (one.sections.potential != other.sections.potential)
 
 
-def _append(file: Path, simulation: Simulation, steps: int, every: int, progress: bool | None) -> None:
-    """Run, and append the frames to a file."""
+def _run_and_append(file: Path, simulation: Simulation, steps: int, every: int, progress: bool | None) -> None:
+    """Run, and append the frames to the file."""
     writer, completed = H5MDWriter.append_to(file, simulation.engine), False
     try:
         observers = [lambda run: writer.write(run.frame())]
@@ -148,19 +140,19 @@ def _steps_left(contents: H5MDContents, scene: Scene, file: str | Path) -> int:
     left = scene.sections.dynamics.steps - contents.step
     if left <= 0:
         raise ValueError(
-            f"the run in {str(file)!r} has come to the end of its scene: it stands at step {contents.step}, dynamics.steps = "
-            f"{scene.sections.dynamics.steps}; say with --steps how many more"
+            f"the run in {str(file)!r} has reached the end of its scene: it stands at step {contents.step}, dynamics.steps = "
+            f"{scene.sections.dynamics.steps}; give the number of further steps with --steps"
         )
     return left
 
 
 def _scene_keeper(scene: Scene, files: Sequence[Path]) -> Observer:
-    """An observer that puts the scene into its H5MD files at the first frame, so that even a killed run can be resumed."""
+    """An observer that stores the scene in its H5MD files at the first frame, so that even a killed run can be resumed."""
 
     def keep_scene(run: Simulation) -> None:
         for file in files if run.step == 0 else ():
             if file.suffix.lower() == ".h5md":
-                with suppress(OSError):  # a full disk is told of by the next frame
+                with suppress(OSError):  # the next frame reports a full disk
                     annotate(file, title=scene.sections.title or None, scene=scene.text)
 
     return keep_scene
@@ -168,12 +160,12 @@ def _scene_keeper(scene: Scene, files: Sequence[Path]) -> Observer:
 
 @contextmanager
 def scene_kept(scene: Scene) -> Iterator[None]:
-    """Put the scene into the crash report of a run that fails, so that it can be replayed."""
+    """Store the scene in the crash file of a run that fails, so that the run can be replayed."""
     try:
         yield
     except (NonFiniteError, ConstraintError) as error:
         if error.file is not None:
-            with suppress(OSError, ValueError):  # the failure itself must be heard
+            with suppress(OSError, ValueError):  # the failure itself is reported
                 annotate(error.file, title=scene.sections.title or None, scene=scene.text)
         raise
 
@@ -190,15 +182,13 @@ def check_outputs(trajectories: Sequence[Path], picture: Path | None, overwrite:
 
 def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:
     """Move the atoms to a minimum, if the scene asks for it."""
-    plan = scene.sections.minimization
+    plan, dynamics = scene.sections.minimization, scene.sections.dynamics
     if plan is None:
         return
     with nothing_written():
-        found = simulation.minimize(
-            force_tolerance=plan.force_tolerance, max_steps=plan.max_steps, max_step_length=plan.max_step_length, progress=progress
-        )
-    if scene.sections.dynamics.temperature is not None:
-        simulation.set_temperature(scene.sections.dynamics.temperature, scene.sections.dynamics.seed)  # rigid bonds have turned
+        found = simulation.minimize(**plan.model_dump(), progress=progress)
+    if dynamics.temperature is not None:
+        simulation.set_temperature(dynamics.temperature, dynamics.seed)  # anew: rigid bonds have turned
     tell(str(found))
 
 
@@ -214,25 +204,19 @@ def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tel
 
 
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:
-    """What has been built and will be run, in lines."""
-    dynamics, output = scene.sections.dynamics, scene.sections.output
-    duration = n_steps * dynamics.timestep
-    lines = [
+    """Lines about what has been built and will be run."""
+    dynamics, shown = scene.sections.dynamics, scene.units.shown
+    relaxation = dynamics.relaxation_time
+    bath = f", bath at {dynamics.temperature:g} {scene.units.temperature}, relaxation time {shown(relaxation)}" if relaxation else ""
+    return [
         f"scene          {scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""),
         f"system         {_atoms(simulation)}",
         f"cell           {_cell(simulation)}",
         *([f"constraints    {_constraints(simulation)}"] if simulation.constraints else []),
         *(f"potential      {_potential(potential, scene.units)}" for potential in scene.potentials()),
-        f"method         {dynamics.method}, timestep {scene.units.shown(dynamics.timestep)}" + _bath(scene),
+        f"method         {dynamics.method}, timestep {shown(dynamics.timestep)}{bath}",
+        f"run            {n_steps} steps = {shown(n_steps * dynamics.timestep)}, observed every {scene.sections.output.every}",
     ]
-    return [*lines, f"run            {n_steps} steps = {scene.units.shown(duration)}, observed every {output.every}"]
-
-
-def _bath(scene: Scene) -> str:
-    dynamics = scene.sections.dynamics
-    if dynamics.relaxation_time is None:
-        return ""
-    return f", bath at {dynamics.temperature:g} {scene.units.temperature}, relaxation time {scene.units.shown(dynamics.relaxation_time)}"
 
 
 def _atoms(simulation: Simulation) -> str:
@@ -244,9 +228,9 @@ def _atoms(simulation: Simulation) -> str:
 
 
 def _constraints(simulation: Simulation) -> str:
-    lengths = [f"lengths kept: {len(one.pairs)}" for one in simulation.constraints if isinstance(one, DistanceConstraints)]
     fixed = [f"atoms fixed: {len(one.atoms)}" for one in simulation.constraints if isinstance(one, FixedAtoms)]
-    return ", ".join([*lengths, *fixed]) + f"; {simulation.n_dof} degrees of freedom"
+    lengths = [f"lengths kept: {len(one.pairs)}" for one in simulation.constraints if not isinstance(one, FixedAtoms)]
+    return f"{', '.join(lengths + fixed)}; {simulation.n_dof} degrees of freedom"
 
 
 def _cell(simulation: Simulation) -> str:
@@ -262,6 +246,4 @@ def _potential(potential: object, unit_system: units.UnitSystem) -> str:
     name = type(potential).__name__
     if not isinstance(potential, PairPotential):
         return name
-    if np.isinf(potential.cutoff):
-        return f"{name}, no cutoff"
-    return f"{name}, cutoff {potential.cutoff:g} {unit_system.length}, {potential.truncation}"
+    return f"{name}, " + ("no cutoff" if np.isinf(potential.cutoff) else f"cutoff {potential.cutoff:g} {unit_system.length}, {potential.truncation}")

@@ -1,15 +1,35 @@
-"""What all sections of a scene file share: keys with units, strict types, and notes about what is unknown.
+"""What all sections of a scene file share: strict types, and keys that end in a unit.
 
-A key that holds a quantity carries its unit, timestep_fs; a field of a section is named without it, and holds the quantity.
+A key that holds a quantity ends in its unit, as timestep_fs does. The field is named without it, timestep, and holds the quantity in the
+units of the engine.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationInfo, model_validator
 
-from minimd.scene.key_units import KEY_UNITS
+from minimd.structure.units import BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3
+
+KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension: ending of the key: size of that unit
+    "ASE": {
+        "length": {"_A": 1.0},
+        "time": {"_fs": FEMTOSECOND},
+        "temperature": {"_K": 1.0},
+        "energy": {"_K": BOLTZMANN_EV_PER_K, "_eV": 1.0},
+        "force": {"_eV_A": 1.0},
+        "density": {"_g_cm3": GRAM_PER_CM3},
+        "stiffness": {"_eV_A2": 1.0},
+        "angle": {"_degree": DEGREE},
+        "angular stiffness": {"_eV_rad2": 1.0},
+    },
+    "LJ": {
+        **{dimension: {"": 1.0} for dimension in ("length", "time", "temperature", "energy", "force", "density", "stiffness", "angular stiffness")},
+        "angle": {"_degree": DEGREE},
+    },
+}
+UNKNOWN = "?"  # stands before a key that its section does not have
 
 
 class Dimension(str):
@@ -17,28 +37,21 @@ class Dimension(str):
 
 
 @dataclass
-class Unknown:
-    """A key that its section does not have, and one that it has already in another unit."""
-
-    table: dict
-    key: str
-    twice: bool
-
-
-@dataclass
 class Reading:
-    """What is noted while a document is read: its unit system, the class of each table by its id, unknown keys."""
+    """The context of a validation: the document, and the class that read each of its tables, by id of the table."""
 
-    units: str
+    document: dict[str, Any]
     sections: dict[int, type["Section"]] = field(default_factory=dict)
-    unknown: list[Unknown] = field(default_factory=list)
+
+    @property
+    def units(self) -> str:
+        """The unit system of the document; ASE if it names none that exists."""
+        return "LJ" if self.document.get("units") == "LJ" else "ASE"
 
 
 def reading_of(info: ValidationInfo) -> Reading:
-    """The notes that go with a validation."""
-    if not isinstance(info.context, Reading):
-        raise TypeError("a section is read with context=Reading(units)")
-    return info.context
+    """The context of a validation."""
+    return cast(Reading, info.context)
 
 
 class Section(BaseModel):
@@ -48,7 +61,7 @@ class Section(BaseModel):
 
     @classmethod
     def keys_of(cls, name: str, units: str) -> dict[str, float | None]:
-        """The keys under which a field may be written, and the factor that each puts on its numbers; None for no number."""
+        """The keys under which a field may be written, and the factor that each puts on its numbers; None for no quantity."""
         dimension = next((mark for mark in cls.model_fields[name].metadata if isinstance(mark, Dimension)), None)
         return {name: None} if dimension is None else {name + ending: size for ending, size in KEY_UNITS[units][dimension].items()}
 
@@ -57,39 +70,41 @@ class Section(BaseModel):
         """All keys of the section: the field of each, and the factor that it puts on its numbers."""
         return {key: (name, size) for name in cls.model_fields for key, size in cls.keys_of(name, units).items()}
 
+    @classmethod
+    def key(cls, name: str, info: ValidationInfo) -> str:
+        """The first key under which a field may be written in the document that is being read."""
+        return next(iter(cls.keys_of(name, reading_of(info).units)))
+
     @model_validator(mode="before")
     @classmethod
     def _without_units(cls, table: Any, info: ValidationInfo) -> Any:
-        """The table under the names of the fields, units multiplied into the numbers; unknown keys are noted and dropped."""
+        """The table under the names of the fields, units multiplied into the numbers.
+
+        A key that is unknown, or gives a quantity for the second time, gets a name that no field has.
+        """
         if not isinstance(table, dict):
             return table
         reading = reading_of(info)
         reading.sections[id(table)] = cls
         keys, fields = cls.keys(reading.units), {}
         for key, value in table.items():
-            name, size = keys.get(key, (None, None))
-            if name is None or name in fields:
-                reading.unknown.append(Unknown(table, key, twice=name is not None))
-            else:
-                fields[name] = _multiplied(value, size)
+            name, size = keys.get(key, (UNKNOWN + key, None))
+            fields[UNKNOWN + key if name in fields else name] = _multiplied(value, size)
         return fields
 
 
 def _multiplied(value: Any, size: float | None) -> Any:
-    if size is None or isinstance(value, bool):
-        return value
     if isinstance(value, list):
         return [_multiplied(entry, size) for entry in value]
-    return value * size if isinstance(value, int | float) else value
+    return value * size if size is not None and isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
-def one_of(allowed: Iterable[str]) -> AfterValidator:
-    """A check that a text is one of some names."""
-    names = tuple(allowed)
+def one_of(allowed: Collection[str]) -> AfterValidator:
+    """A check that a text is one of some names.  allowed : read at each check, so that names which are registered later count."""
 
     def check(value: str) -> str:
-        if value not in names:
-            raise ValueError(f"must be one of {', '.join(map(repr, names))}")
+        if value not in allowed:
+            raise ValueError(f"must be one of {', '.join(map(repr, allowed))}")
         return value
 
     return AfterValidator(check)

@@ -1,21 +1,23 @@
 """What may stand in a scene file: one class for each section, one line for each key."""
 
-from collections.abc import Sequence
+import inspect
+from collections import ChainMap
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
-from minimd.integrators import SPLITTINGS, THERMOSTATS
+from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones
 from minimd.potentials.mixing import MIXING
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.scene.section import Dimension, Section, one_of, reading_of
-from minimd.structure.constraints import SOLVERS, TOLERANCE, Constraint, DistanceConstraints, FixedAtoms
+from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
-
+METHODS: Mapping[str, type[Splitting]] = ChainMap[str, Any](THERMOSTATS, SPLITTINGS)
 
 Three = Field(min_length=3, max_length=3)
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
@@ -46,12 +48,10 @@ class StructureSection(Section):
             self._forbid("file", "element", "repeat", "density", "lattice_constant")
             return self
         self._forbid("lattice", "cell")
-        units = reading_of(info).units
-        if self.repeat is None or (self.element is None and units == "ASE"):
+        if self.repeat is None or (self.element is None and reading_of(info).units == "ASE"):
             raise ValueError("must have repeat beside lattice" if self.repeat is None else "must have element beside lattice")
         if (self.density is None) == (self.lattice_constant is None):
-            either, other = (next(iter(self.keys_of(name, units))) for name in ("density", "lattice_constant"))
-            raise ValueError(f"must have either {either} or {other} beside lattice")
+            raise ValueError(f"must have either {self.key('density', info)} or {self.key('lattice_constant', info)} beside lattice")
         return self
 
     def _forbid(self, origin: str, *others: str) -> None:
@@ -67,11 +67,11 @@ class ConstraintsSection(Section):
     lengths: Annotated[Positive | list[Positive] | None, Dimension("length")] = None
     fixed: list[NonNegativeInt] | None = None
     tolerance: Positive | None = None
-    solver: Annotated[str, one_of(SOLVERS)] | None = None
+    solver: SolverName | None = None
 
     @model_validator(mode="after")
     def _has_as_many_lengths_as_pairs(self, info: ValidationInfo) -> Self:
-        key = next(iter(self.keys_of("lengths", reading_of(info).units)))
+        key = self.key("lengths", info)
         if self.lengths is not None and not self.pairs:
             raise ValueError(f"must have pairs beside {key}")
         if isinstance(self.lengths, list) and isinstance(self.pairs, list) and len(self.lengths) != len(self.pairs):
@@ -81,26 +81,24 @@ class ConstraintsSection(Section):
     def constraints(self, bonds: list[list[int]] | None, known: Sequence[Constraint]) -> tuple[Constraint, ...]:
         """The constraints of a system whose file, of structure or run, holds some already.
 
-        bonds : of the structure.  known : of the file; they give what the section leaves open, lengths too if the pairs are the same.
+        bonds : of the structure.  known : of the file; what the section leaves open is as they have it, the lengths if the pairs are the same.
         Raises ValueError for impossible ones.
         """
-        held = next((one for one in known if isinstance(one, DistanceConstraints)), None)
         fixed: list[Constraint] = [one for one in known if isinstance(one, FixedAtoms)]
         if self.fixed is not None:
             fixed = [FixedAtoms(self.fixed)] if self.fixed else []
+        held = next((one for one in known if isinstance(one, DistanceConstraints)), None)
         pairs = bonds if self.pairs == "bonds" else self.pairs
         if pairs is None and held is not None:
             pairs = held.pairs.tolist()
-        if not pairs and (self.tolerance is not None or self.solver is not None):
-            raise ValueError("tolerance and solver are those of lengths, of which there are none; give pairs, or leave them out")
-        return (*fixed, self._distances(pairs, held)) if pairs else tuple(fixed)
-
-    def _distances(self, pairs: list[list[int]], held: DistanceConstraints | None) -> DistanceConstraints:
-        is_held = held is not None and held.pairs.tolist() == pairs
-        lengths = held.lengths if held is not None and is_held and self.lengths is None else self.lengths
-        tolerance, solver = (held.tolerance, held.solver) if held is not None and is_held else (TOLERANCE, SOLVERS[0])
-        chosen: Any = self.solver or solver
-        return DistanceConstraints(pairs, lengths, self.tolerance or tolerance, chosen)
+        if not pairs:
+            if self.tolerance is not None or self.solver is not None:
+                raise ValueError("tolerance and solver apply to lengths, of which there are none; give pairs, or leave them out")
+            return tuple(fixed)
+        if held is None or held.pairs.tolist() != pairs:
+            held = DistanceConstraints(pairs)
+        lengths = held.lengths if self.lengths is None else self.lengths
+        return (*fixed, DistanceConstraints(pairs, lengths, self.tolerance or held.tolerance, self.solver or held.solver))
 
 
 class SpeciesSection(Section):
@@ -123,12 +121,12 @@ class LennardJonesSection(Section):
     epsilon: Annotated[NotNegative | None, Dimension("energy")] = None
     sigma: Annotated[Positive | None, Dimension("length")] = None
     species: dict[str, SpeciesSection] | None = None
-    pairs: list[PairSection] = Field(default_factory=list)
+    pairs: list[PairSection] = Field([])
     mixing: Annotated[str, one_of(MIXING)] = "lorentz-berthelot"
     cutoff: Annotated[Positive | None, Dimension("length")] = None
     truncation: Annotated[str, one_of(TRUNCATIONS)] = "shifted"
     switch_start: Annotated[Positive | None, Dimension("length")] = None
-    bonded_scale: Annotated[list[FiniteFloat], Three] = Field(default_factory=lambda: [1.0, 1.0, 1.0])
+    bonded_scale: Annotated[list[FiniteFloat], Three] = Field([1.0, 1.0, 1.0])
     tail_correction: bool = False
 
     @model_validator(mode="after")
@@ -180,9 +178,12 @@ class HarmonicAngleSection(Section):
 
 
 class DynamicsSection(Section):
-    """[dynamics]: method and length. Without a temperature velocities stay; a bath needs one, and a relaxation time (1/friction)."""
+    """[dynamics]: method and length of the run. Without a temperature the velocities stay as they are.
 
-    method: Annotated[str, one_of([*SPLITTINGS, *THERMOSTATS])] = "velocity-verlet"
+    A thermostat gets what its constructor asks for, by name: timestep, temperature, relaxation_time or friction = 1/relaxation_time, seed.
+    """
+
+    method: Annotated[str, one_of(METHODS)] = "velocity-verlet"
     timestep: Annotated[Positive, Dimension("time")]
     steps: NonNegativeInt
     temperature: Annotated[NotNegative | None, Dimension("temperature")] = None
@@ -192,13 +193,30 @@ class DynamicsSection(Section):
     precision: Literal["double", "mixed"] = "double"
 
     @model_validator(mode="after")
-    def _has_a_bath_if_it_needs_one(self) -> Self:
-        is_bath = self.method in THERMOSTATS
-        if is_bath != (self.relaxation_time is not None) or (is_bath and self.temperature is None):
-            raise ValueError(
-                f"a thermostat ({', '.join(THERMOSTATS)}) needs a temperature and a relaxation time, other methods take no relaxation time"
-            )
+    def _fits_its_method(self, info: ValidationInfo) -> Self:
+        given, wanted = self._parameters(), inspect.signature(METHODS[self.method]).parameters
+        needed = [name for name, parameter in wanted.items() if parameter.default is parameter.empty]
+        unknown = [name for name in needed if name not in given]
+        if unknown:
+            raise ValueError(f"cannot have method {self.method!r}: a scene has no key for its {' and '.join(unknown)}; run it from a script")
+        missing = [self.key("relaxation_time" if name == "friction" else name, info) for name in needed if given[name] is None]
+        if missing:
+            raise ValueError(f"must have {' and '.join(missing)} beside method {self.method!r}")
+        if self.relaxation_time is not None and not {"relaxation_time", "friction"} & wanted.keys():
+            key = self.key("relaxation_time", info)
+            raise ValueError(f"cannot have {key} beside method {self.method!r}, which takes no relaxation time; {', '.join(THERMOSTATS)} do")
         return self
+
+    def integrator(self) -> Splitting:
+        """The method with its time step; a thermostat with its bath."""
+        method, given = METHODS[self.method], self._parameters()
+        return method(**{name: given[name] for name in inspect.signature(method).parameters if given.get(name) is not None})
+
+    def _parameters(self) -> dict[str, Any]:
+        """What the constructor of a method may ask for, by the name of its parameter; None for what the scene does not give."""
+        time = self.relaxation_time
+        bath = {"temperature": self.temperature, "relaxation_time": time, "friction": None if time is None else 1.0 / time, "seed": self.seed}
+        return {"timestep": self.timestep, **bath}
 
 
 class MinimizationSection(Section):
@@ -252,8 +270,7 @@ class SceneSections(Section):
     @model_validator(mode="after")
     def _can_equilibrate(self, info: ValidationInfo) -> Self:
         if self.equilibration is not None and self.dynamics.temperature is None:
-            key = next(iter(DynamicsSection.keys_of("temperature", reading_of(info).units)))
-            raise ValueError(f"equilibration needs dynamics.{key}, the temperature of the first velocities")
+            raise ValueError(f"equilibration needs dynamics.{DynamicsSection.key('temperature', info)}, the temperature of the first velocities")
         return self
 
     @model_validator(mode="after")

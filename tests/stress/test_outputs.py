@@ -9,7 +9,7 @@ from stress_scenes import SMOOTH, assert_stops, solid
 
 import minimd as md
 from minimd.files.h5md_reader import read_file
-from minimd.mdanalysis.universe import universe
+from minimd.mdanalysis import universe
 
 SUFFIXES = [".h5md", ".dcd", ".xtc", ".trr", ".extxyz", ".traj"]
 

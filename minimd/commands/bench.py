@@ -1,23 +1,23 @@
-"""The command `minimd bench`: which benchmark, how large, and where its outcome goes. Nothing heavy is imported before one runs."""
+"""`minimd bench`: which benchmark, how large, and where its outcome goes. Nothing heavy is imported before one runs."""
 
 import argparse
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from minimd.commands.options import whole_number
+
 if TYPE_CHECKING:
     from minimd.bench.outcome import Outcome
 
 QUIET = "Let nothing else run meanwhile."
 REPEATS, REPEATS_QUICK = 7, 3
+PEER_NAMES = "lammps, lammps-checked, lammps-shake, lammps-plain, lammps-omp, openmm, ase, asap3"
 
 
-class DisagreementError(Exception):
-    """Two engines have different energies in the same scene: nothing is timed."""
-
-
-def add_benchmarks(bench: argparse.ArgumentParser) -> None:
-    """All benchmarks, with their options."""
+def add(commands: Any) -> None:
+    """Add the command, with all benchmarks and their options, to the subparsers of `minimd`."""
+    bench = commands.add_parser("bench", help="time minimd: beside other engines, and run time against error")
     benchmarks = bench.add_subparsers(metavar="benchmark", title="benchmarks", required=True)
     peers = _add(benchmarks, "peers", _peers, "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3")
     peers.description = (
@@ -37,9 +37,6 @@ def add_benchmarks(bench: argparse.ArgumentParser) -> None:
     scaling.add_argument("--threads", type=counts, default=(), metavar="T,...", help="default: 1 and all cores")
 
 
-PEER_NAMES = "lammps, lammps-checked, lammps-shake, lammps-plain, lammps-omp, openmm, ase, asap3"
-
-
 def _add(benchmarks: Any, name: str, run: Callable[[argparse.Namespace], "Outcome"], text: str) -> argparse.ArgumentParser:
     """One benchmark, with the options that all have."""
     parser = benchmarks.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", epilog=QUIET)
@@ -51,28 +48,24 @@ def _add(benchmarks: Any, name: str, run: Callable[[argparse.Namespace], "Outcom
     return parser
 
 
-def _bench(run: Callable[[argparse.Namespace], "Outcome"], arguments: argparse.Namespace) -> int:
+def _bench(run: Callable[[argparse.Namespace], "Outcome"], arguments: argparse.Namespace) -> None:
     from minimd.bench.outcome import markdown, write
 
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
     if arguments.repeats is None:
         arguments.repeats = REPEATS_QUICK if arguments.quick else REPEATS
-    try:
-        outcome = run(arguments)
-    except ArithmeticError as error:
-        raise DisagreementError(str(error)) from error
+    outcome = run(arguments)
     print(markdown(outcome))
     if arguments.out:
         write(outcome, arguments.out)
-    return 0
 
 
 def _peers(arguments: argparse.Namespace) -> "Outcome":
-    from minimd.bench.peers import Options, run_peers
+    from minimd.bench.peers import PeersOptions, run_peers
 
     cells = arguments.cells or ((5, 10) if arguments.quick else (5, 10, 20, 40))
-    return run_peers(Options(arguments.scene, cells, arguments.threads, arguments.precision, arguments.peers, arguments.repeats))
+    return run_peers(PeersOptions(arguments.scene, cells, arguments.threads, arguments.precision, arguments.peers, arguments.repeats))
 
 
 def _work_precision(arguments: argparse.Namespace) -> "Outcome":
@@ -95,10 +88,7 @@ def _scaling(arguments: argparse.Namespace) -> "Outcome":
 
 def at_least_one(text: str) -> int:
     """A whole number from 1 on."""
-    number = int(text) if text.isdecimal() else 0
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"must be a whole number, at least 1; it is {text!r}")
-    return number
+    return whole_number(text, 1)
 
 
 def counts(text: str) -> tuple[int, ...]:

@@ -4,10 +4,12 @@ MDAnalysis holds positions and velocities in float32, in Å and Å/ps, and knows
 pass unchanged, 1 σ as 1 Å and 1 τ as 1 ps.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import MDAnalysis
 import numpy as np
@@ -17,32 +19,40 @@ from MDAnalysis.guesser.tables import SYMB2Z
 from MDAnalysis.lib.mdamath import triclinic_box, triclinic_vectors
 from numpy.typing import NDArray
 
-from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.mdanalysis_writer import quiet
-from minimd.structure.cell import Cell
 from minimd.structure.units import ASE
 
 VERSION = MDAnalysis.__version__
 RDF_FRAMES, RDF_DISTANCES = 50, 1e7  # at most, so that g(r) takes half a second
 MSD_FRAMES, MSD_ATOMS = 200, 400  # at most
-FIT_FROM, FIT_TO = 0.1, 0.5  # of the duration: behind the ballistic start, before few pairs of frames are left
+FIT_FROM, FIT_TO = 0.1, 0.5  # of the duration: after the ballistic start, before few pairs of frames are left
 CM2_PER_S = 1e-4  # per Å²/ps
 
 
-def universe(path: str | Path) -> MDAnalysis.Universe:
+class RunUniverse(MDAnalysis.Universe):
+    """The universe of a minimd file.  contents : what the file holds apart from its frames."""
+
+    contents: H5MDContents
+
+
+def universe(path: str | Path, contents: H5MDContents | None = None) -> RunUniverse:
     """A minimd file as an MDAnalysis universe: masses, types, names, elements where labels are symbols, bonds, all frames.
 
     MDAnalysis places a cell with its first vector along x and the second in the xy plane. Where the cell of the file lies
     otherwise, its periodic distances are wrong until positions are turned likewise, as radial_distribution does.
 
+    contents : of the file, if they have been read.
+
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as minimd.h5md.read_file.
+    FileNotFoundError, OSError, ValueError : as minimd.files.h5md_writer.read_file.
     """
-    system = read_file(path).system
-    labels = [str(label) for label in system.species]
+    contents = contents or read_file(path)
+    system, labels = contents.system, [str(label) for label in contents.system.species]
     with quiet():
-        made = MDAnalysis.Universe.empty(len(system), trajectory=False)
+        made = RunUniverse.empty(len(system), trajectory=False)
+        made.contents = contents
         made.add_TopologyAttr("masses", system.masses)
         made.add_TopologyAttr("types", labels)
         made.add_TopologyAttr("names", labels)
@@ -54,6 +64,19 @@ def universe(path: str | Path) -> MDAnalysis.Universe:
     return made
 
 
+@contextmanager
+def universe_of(run: str | Path | RunUniverse) -> Iterator[RunUniverse]:
+    """The universe of a run: one that is given stays open, that of a file is closed at the end.  Raises as universe."""
+    if isinstance(run, RunUniverse):
+        yield run
+        return
+    made = universe(run)
+    try:
+        yield made
+    finally:
+        made.trajectory.close()
+
+
 class RadialDistribution(NamedTuple):
     """g(r) of all atoms.  r : (B,) [length of the file].  g : (B,) dimensionless."""
 
@@ -61,48 +84,47 @@ class RadialDistribution(NamedTuple):
     g: NDArray[np.float64]
 
 
-def radial_distribution(path: str | Path, n_bins: int = 200) -> RadialDistribution:
+def radial_distribution(run: str | Path | RunUniverse, n_bins: int = 200) -> RadialDistribution:
     """g(r) by MDAnalysis' InterRDF, up to half the smallest height of the cell, from evenly chosen frames and atoms.
 
     Bonded pairs count like all others. Distances are measured from some atoms to all if all would take too long.
+    run : a file, or its universe.
 
     Raises
     ------
     ValueError : if the cell is not periodic in all directions, or there is one atom only.  And as universe.
     """
-    system = read_file(path).system
-    if not system.cell.pbc.all() or len(system) < 2:
-        raise ValueError(f"g(r) needs two atoms and a cell periodic in all directions; {str(path)!r} holds {system!r}")
-    r_max = float(system.cell.heights.min() / 2.0) * system.units.to_angstrom
-    width = r_max / n_bins
-    with quiet():
-        made = universe(path)
-        made.trajectory.add_transformations(_turned(system.cell, system.units.to_angstrom))
+    with universe_of(run) as made, quiet():
+        system = made.contents.system
+        if not system.cell.pbc.all() or len(system) < 2:
+            raise ValueError(f"g(r) needs two atoms and a cell periodic in all directions; {made.trajectory.filename!r} holds {system!r}")
+        r_max = float(system.cell.heights.min() / 2.0) * system.units.to_angstrom
         stride = ceil(len(made.trajectory) / RDF_FRAMES)
         some = _every(made, RDF_DISTANCES * stride / len(made.trajectory) / len(system))
         # From one bin on, so that no atom is its own neighbor; the others of N atoms are N − 1.
-        result = InterRDF(some, made.atoms, nbins=n_bins - 1, range=(width, r_max)).run(step=stride).results
-        made.trajectory.close()
+        result = _TurnedRDF(some, made.atoms, nbins=n_bins - 1, range=(r_max / n_bins, r_max)).run(step=stride).results
     return RadialDistribution(result.bins / system.units.to_angstrom, result.rdf * len(system) / (len(system) - 1))
+
+
+class _TurnedRDF(InterRDF):
+    """g(r) of frames that are turned into the reduced lattice as MDAnalysis places it; all periodic distances stay."""
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        system = self.g2.universe.contents.system
+        self._dimensions = triclinic_box(*(system.cell.lattice * system.units.to_angstrom))
+        self._vectors, self._inverse = triclinic_vectors(self._dimensions, dtype=np.float64), system.cell.inverse / system.units.to_angstrom
+
+    def _single_frame(self) -> None:
+        fractions = self._ts.positions.astype(np.float64) @ self._inverse
+        self._ts.positions = (fractions - np.floor(fractions)) @ self._vectors
+        self._ts.dimensions = self._dimensions
+        super()._single_frame()
 
 
 def _every(made: MDAnalysis.Universe, n_atoms: float) -> MDAnalysis.AtomGroup:
     """About so many atoms, evenly chosen."""
     return made.atoms[:: max(1, ceil(len(made.atoms) / max(1.0, n_atoms)))]
-
-
-def _turned(cell: Cell, to_angstrom: float) -> Any:
-    """Transformation of frames into the reduced lattice as MDAnalysis places it; all periodic distances stay."""
-    dimensions = triclinic_box(*(cell.lattice * to_angstrom))
-    vectors, inverse = triclinic_vectors(dimensions, dtype=np.float64), cell.inverse / to_angstrom
-
-    def turn(ts: Any) -> Any:
-        fractions = ts.positions.astype(np.float64) @ inverse
-        ts.positions = (fractions - np.floor(fractions)) @ vectors
-        ts.dimensions = dimensions
-        return ts
-
-    return turn
 
 
 @dataclass(frozen=True)
@@ -127,38 +149,36 @@ class Diffusion:
         return f"D = {self.coefficient:.4g} {unit}{absolute}, from lags of {self.window[0]:.4g} to {self.window[1]:.4g} {time}"
 
 
-def mean_square_displacement(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def mean_square_displacement(run: str | Path | RunUniverse) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
 
-    Frames and atoms are evenly chosen where there are many.
+    Frames and atoms are evenly chosen where there are many.  run : a file, or its universe.
 
     Raises
     ------
     ValueError : if there is one frame only.  And as universe.
     """
-    with quiet():
-        made = universe(path)
+    with universe_of(run) as made, quiet():
         if len(made.trajectory) < 2:
-            raise ValueError(f"a displacement needs at least 2 frames; {str(path)!r} holds {len(made.trajectory)}")
+            raise ValueError(f"a displacement needs at least 2 frames; {made.trajectory.filename!r} holds {len(made.trajectory)}")
         result = EinsteinMSD(_every(made, MSD_ATOMS), fft=False).run(step=ceil(len(made.trajectory) / MSD_FRAMES)).results
-        made.trajectory.close()
     return np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.timeseries)
 
 
-def diffusion_coefficient(path: str | Path, window: tuple[float, float] | None = None) -> Diffusion:
+def diffusion_coefficient(run: str | Path | RunUniverse, window: tuple[float, float] | None = None) -> Diffusion:
     """D from the mean-square displacement, a straight line fitted within a window of lags.
 
-    window : [ps, or τ]; from a tenth to half of the duration if not given.
+    run : a file, or its universe.  window : [ps, or τ]; from a tenth to half of the duration if not given.
 
     Raises
     ------
     ValueError : if the window holds fewer than three lags.  And as mean_square_displacement.
     """
-    lags, squares = mean_square_displacement(path)
+    with universe_of(run) as made:
+        (lags, squares), units = mean_square_displacement(made), made.contents.system.units
     start, end = window or (FIT_FROM * lags[-1], FIT_TO * lags[-1])
     chosen = (lags >= start) & (lags <= end)
     if chosen.sum() < 3:
         raise ValueError(f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {chosen.sum()} of {len(lags)}")
     coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
-    absolute = coefficient * CM2_PER_S if read_file(path).system.units is ASE else None
-    return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares)
+    return Diffusion(coefficient, coefficient * CM2_PER_S if units is ASE else None, (float(start), float(end)), lags, squares)

@@ -8,8 +8,7 @@ from rigid_scenes import SCENES, chain, cube, ring, rod, water
 from scipy.optimize import fsolve
 
 import minimd as md
-from minimd.constraints.solver import ConstraintSolver
-from minimd.integrators import DistanceConstraints
+from minimd.constraints import ConstraintSolver, DistanceConstraints
 
 EPS = np.finfo(float).eps
 

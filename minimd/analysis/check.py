@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
 from minimd.files.h5md_writer import H5MDContents, read_file
-from minimd.integrators import DistanceConstraints
 from minimd.mdanalysis.universe import VERSION, diffusion_coefficient, radial_distribution, universe
 from minimd.structure import observables
+from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.images import images_of_length, lengths_of
 from minimd.structure.system import System
 

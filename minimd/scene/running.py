@@ -9,13 +9,12 @@ import numpy as np
 from minimd.diagnosis.crash_report import place_of
 from minimd.files.h5md_writer import H5MDContents, H5MDWriter, annotate, read_file
 from minimd.files.trajectory import checked_output
-from minimd.integrators import DistanceConstraints
 from minimd.potentials import PairPotential
 from minimd.scene.document import Scene, parse_scene
 from minimd.scene.ending import kept, nothing_written
 from minimd.simulation.simulation import Observer, Simulation
 from minimd.structure import units
-from minimd.structure.constraints import FixedAtoms
+from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.structure.errors import ConstraintError, NonFiniteError
 
 Tell = Callable[[str], None]

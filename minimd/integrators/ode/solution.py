@@ -1,14 +1,14 @@
-"""What the methods for small systems return, in the manner of SciPy."""
+"""The results of the drivers for small systems, in the manner of SciPy."""
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.structure.errors import ConvergenceError, NonFiniteError
 
-Path = TypeVar("Path", bound="Solution")
+__all__ = ["Solution"]
 
 
 @dataclass
@@ -38,6 +38,11 @@ class Solution:
         """(n + 1, …) velocities."""
         return self._half(1)
 
+    def ended(self, why: str) -> Self:
+        """The same solution, which did not reach its end."""
+        self.success, self.message = False, why
+        return self
+
     def _half(self, k: int) -> NDArray[np.float64]:
         if self.shape is None:
             raise AttributeError("this problem has no q and v; its states are in y")
@@ -45,13 +50,7 @@ class Solution:
         return self.y[:, k * n : (k + 1) * n].reshape(-1, *self.shape)
 
 
-def ended(path: Path, why: str) -> Path:
-    """A solution that did not reach its end."""
-    path.success, path.message = False, why
-    return path
-
-
 def with_path(error: ConvergenceError | NonFiniteError, path: Solution) -> ConvergenceError | NonFiniteError:
     """The error of a run with the path before it, error.solution."""
-    error.solution = ended(path, str(error))
+    error.solution = path.ended(str(error))
     return error

@@ -3,9 +3,8 @@
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.constraints.graph import Graph, graph_of
+from minimd.constraints.graph import Floats, Graph, Ints, graph_of
 from minimd.constraints.linear_triatomic import DriftLinear, ProjectLinear
 from minimd.constraints.newton import DriftComponents, Memory, ProjectComponents, dependent_constraint
 from minimd.constraints.pairs import DriftPairs, ProjectPairs
@@ -14,8 +13,6 @@ from minimd.constraints.settle import DriftTriangles
 from minimd.constraints.shake import SweepDrift, SweepVelocities
 from minimd.constraints.vectors import Bonds, Molecules
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 STRAIGHT = 1e-9  # relative: a triangle whose longest side is the sum of the others to this accuracy is a line; files give some nine digits
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
@@ -24,9 +21,9 @@ class AllConstraints(Protocol):
     """All distance constraints of a system, in the order of the user: attributes of ConstraintSolver."""
 
     pairs: Ints
-    lengths: Array
-    offsets: Array
-    inverse_masses: Array
+    lengths: Floats
+    offsets: Floats
+    inverse_masses: Floats
     tolerance: float
     threads: int
 
@@ -36,7 +33,7 @@ class Networks:
 
     shape = "networks"
 
-    def __init__(self, every: AllConstraints, graph: Graph, positions: Array) -> None:
+    def __init__(self, every: AllConstraints, graph: Graph, positions: Floats) -> None:
         self.order, self.graph, self.masses = graph.order, graph, every.inverse_masses
         self.n_constraints = graph.order.size
         offsets = np.ascontiguousarray(every.offsets[graph.order])
@@ -47,18 +44,18 @@ class Networks:
         self.multipliers = self.memory.total
         self.check(positions)
 
-    def check(self, positions: Array) -> None:
+    def check(self, positions: Floats) -> None:
         """ValueError if a constraint depends on the others."""
         k = dependent_constraint(positions, self.graph.components, self.bonds, self.memory)
         if k >= 0:
             i, j = self.graph.first[k], self.graph.second[k]
             raise ValueError(f"constraint {self.order[k]} (atoms {i}-{j}) follows from the others or contradicts them; leave it out")
 
-    def drift(self, positions: Array, velocities: Array, duration: float) -> int:
+    def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
         """Drift of the atoms of the group. Returns a number of iterations, or −1 − the constraint, within the group, that cannot be kept."""
         return self.pool.run(DriftComponents(), (positions, velocities, self.masses), self.graph.components, self.bonds, duration, self.memory)
 
-    def project(self, positions: Array, vectors: Array, targets: Array) -> int:
+    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """r_ij · x_ij = targets for the vectors x. Returns as drift."""
         return self.pool.run(ProjectComponents(), (positions, vectors, self.masses), self.graph.components, self.bonds, targets, self.memory)
 
@@ -68,11 +65,11 @@ class Pairs(Networks):
 
     shape = "bonds of their own"
 
-    def drift(self, positions: Array, velocities: Array, duration: float) -> int:
+    def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
         """See Networks."""
         return self.pool.run(DriftPairs(), (positions, velocities, self.masses), self.bonds, duration)
 
-    def project(self, positions: Array, vectors: Array, targets: Array) -> int:
+    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """See Networks."""
         return self.pool.run(ProjectPairs(), (positions, vectors, self.masses), self.bonds, targets, self.multipliers)
 
@@ -82,11 +79,11 @@ class Sweeps(Networks):
 
     shape = "networks, by sweeps"
 
-    def drift(self, positions: Array, velocities: Array, duration: float) -> int:
+    def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
         """See Networks."""
         return self.pool.run(SweepDrift(), (positions, velocities, self.masses), self.graph.components, self.bonds, duration, self.memory)
 
-    def project(self, positions: Array, vectors: Array, targets: Array) -> int:
+    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """See Networks; by sweeps, as RATTLE does, if all targets are zero."""
         if targets.any():
             return super().project(positions, vectors, targets)
@@ -98,14 +95,14 @@ class Triangles(Networks):
 
     shape = "triangles"
 
-    def __init__(self, every: AllConstraints, graph: Graph, positions: Array) -> None:
+    def __init__(self, every: AllConstraints, graph: Graph, positions: Floats) -> None:
         super().__init__(every, graph, positions)
         lengths2 = self.bonds.lengths2
         base = _equal_sides(graph, graph.components.starts[:-1], lengths2, self.masses)
         corners, arms, sides = _corners(graph, base, self.bonds.offsets)
         self.molecules = Molecules(corners, arms, np.sqrt(np.column_stack([lengths2[sides[:, 0]], lengths2[base]])))
 
-    def drift(self, positions: Array, velocities: Array, duration: float) -> int:
+    def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
         """See Networks."""
         answer = self.pool.run(DriftTriangles(), (positions, velocities, self.masses), self.molecules, duration)
         return answer if answer > 0 else 3 * answer + 2  # the first constraint of the triangle
@@ -116,7 +113,7 @@ class LinearTriatomics(Networks):
 
     shape = "linear molecules"
 
-    def __init__(self, every: AllConstraints, graph: Graph, positions: Array) -> None:
+    def __init__(self, every: AllConstraints, graph: Graph, positions: Floats) -> None:
         super().__init__(every, graph, positions)
         self.n_constraints = 4 * (graph.order.size // 3)
         lengths2 = self.bonds.lengths2
@@ -127,15 +124,15 @@ class LinearTriatomics(Networks):
         shapes = np.column_stack([1.0 - beta, beta, lengths2[self.ends]])
         self.molecules = Molecules(corners[:, [1, 0, 2]], offsets, shapes)  # the middle atom is the corner opposite the longest side
 
-    def check(self, positions: Array) -> None:
+    def check(self, positions: Floats) -> None:
         """Nothing: their constraints depend on each other, and their solver takes this into account."""
 
-    def drift(self, positions: Array, velocities: Array, duration: float) -> int:
+    def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
         """See Networks."""
         answer = self.pool.run(DriftLinear(), (positions, velocities, self.masses), self.molecules, duration)
         return answer if answer > 0 else 3 * answer + 2
 
-    def project(self, positions: Array, vectors: Array, targets: Array) -> int:
+    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """See Networks."""
         multipliers = np.empty(len(self.ends))
         answer = self.pool.run(ProjectLinear(), (positions, vectors, self.masses), self.molecules, targets[self.ends], multipliers)
@@ -144,7 +141,7 @@ class LinearTriatomics(Networks):
         return answer
 
 
-def groups_of(every: AllConstraints, positions: Array, solver: str) -> list[Any]:
+def groups_of(every: AllConstraints, positions: Floats, solver: str) -> list[Any]:
     """All constraints, sorted by shape.  solver : as for DistanceConstraints."""
     graph = graph_of(every.pairs, every.inverse_masses)
     kinds = np.full(graph.order.size, Sweeps if solver == "shake" else Networks, dtype=object)
@@ -160,12 +157,12 @@ def groups_of(every: AllConstraints, positions: Array, solver: str) -> list[Any]
     return [_group(kind, every, graph.order[kinds == kind], positions) for kind in dict.fromkeys(kinds)]
 
 
-def _group(kind: type[Networks], every: AllConstraints, ids: Ints, positions: Array) -> Networks:
+def _group(kind: type[Networks], every: AllConstraints, ids: Ints, positions: Floats) -> Networks:
     graph = graph_of(every.pairs[ids], every.inverse_masses)
     return kind(every, graph._replace(order=ids[graph.order]), positions)
 
 
-def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Array, inverse_masses: Array, solver: str) -> list[type[Networks] | None]:
+def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats, solver: str) -> list[type[Networks] | None]:
     """LinearTriatomics, Triangles, or None for those without a special solver."""
     lengths = np.sqrt(lengths2[starts[:, None] + np.arange(3)])
     excess = 2.0 * lengths.max(axis=1, initial=0.0) - lengths.sum(axis=1)
@@ -181,13 +178,13 @@ def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Array, inverse_mas
     return [LinearTriatomics if straight else Triangles if settles else None for straight, settles in zip(is_straight, water, strict=True)]
 
 
-def _longest(graph: Graph, lengths2: Array) -> Ints:
+def _longest(graph: Graph, lengths2: Floats) -> Ints:
     """The longest constraint of each triangle."""
     sides = graph.components.starts[:-1, None] + np.arange(3)
     return np.take_along_axis(sides, np.argmax(lengths2[sides], axis=1)[:, None], axis=1)[:, 0]
 
 
-def _equal_sides(graph: Graph, starts: Ints, lengths2: Array, inverse_masses: Array) -> Ints:
+def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats) -> Ints:
     """For each triangle the constraint whose ends have equal masses and equal distances from the third atom; −1 if there is none."""
     answer = np.full(len(starts), -1)
     for k in range(3):
@@ -199,7 +196,7 @@ def _equal_sides(graph: Graph, starts: Ints, lengths2: Array, inverse_masses: Ar
     return answer
 
 
-def _corners(graph: Graph, base: Ints, offsets: Array) -> tuple[Ints, Array, Ints]:
+def _corners(graph: Graph, base: Ints, offsets: Floats) -> tuple[Ints, Floats, Ints]:
     """Of each triangle: atoms (apex, b, c) with b-c the base, offsets of b and c from the apex (T, 2, 3), and the two other constraints (T, 2)."""
     sides = graph.components.starts[:-1, None] + np.arange(3)
     first, second = graph.first[sides], graph.second[sides]

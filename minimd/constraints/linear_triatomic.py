@@ -11,8 +11,8 @@ before the drift, with the forces (−α μ − λ s, μ, −β μ + λ s) on a,
 G. Ciccotti, M. Ferrario, J.-P. Ryckaert, Mol. Phys. 47, 1253 (1982).
 """
 
+from collections import namedtuple
 from math import sqrt
-from typing import NamedTuple
 
 from minimd.compiled.kernels import inlined, marks
 from minimd.constraints.vectors import NOTHING, dot, separation
@@ -93,5 +93,5 @@ def project_linear(first, last, atoms, molecules, targets, multipliers):
     return 1
 
 
-DriftLinear = marks(drift_linear)(NamedTuple("DriftLinear", []))
-ProjectLinear = marks(project_linear)(NamedTuple("ProjectLinear", []))
+DriftLinear = marks(drift_linear)(namedtuple("DriftLinear", ()))
+ProjectLinear = marks(project_linear)(namedtuple("ProjectLinear", ()))

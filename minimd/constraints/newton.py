@@ -7,6 +7,7 @@ with r_ij = r_j − r_i + offset. J.-P. Ryckaert, G. Ciccotti, H. J. C. Berendse
 H. C. Andersen, J. Comput. Phys. 52, 24 (1983); V. Kräutler, W. F. van Gunsteren, P. H. Hünenberger, J. Comput. Chem. 22, 501 (2001).
 """
 
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 from minimd.compiled.kernels import inlined, kernel, marks
@@ -192,5 +193,5 @@ def dependent_constraint(positions, components, bonds, memory):
     return NOTHING
 
 
-DriftComponents = marks(drift_with(restore_lengths))(NamedTuple("DriftComponents", []))
-ProjectComponents = marks(project_components)(NamedTuple("ProjectComponents", []))
+DriftComponents = marks(drift_with(restore_lengths))(namedtuple("DriftComponents", ()))
+ProjectComponents = marks(project_components)(namedtuple("ProjectComponents", ()))

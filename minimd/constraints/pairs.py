@@ -6,8 +6,8 @@
 s and r are r_j − r_i + offset before the drift and now. H. C. Andersen, J. Comput. Phys. 52, 24 (1983).
 """
 
+from collections import namedtuple
 from math import sqrt
-from typing import NamedTuple
 
 from minimd.compiled.kernels import inlined, marks
 from minimd.constraints.vectors import NOTHING, add_opposite, dot, separation
@@ -56,5 +56,5 @@ def project_pairs(start, end, atoms, bonds, targets, multipliers):
     return 1
 
 
-DriftPairs = marks(drift_pairs)(NamedTuple("DriftPairs", []))
-ProjectPairs = marks(project_pairs)(NamedTuple("ProjectPairs", []))
+DriftPairs = marks(drift_pairs)(namedtuple("DriftPairs", ()))
+ProjectPairs = marks(project_pairs)(namedtuple("ProjectPairs", ()))

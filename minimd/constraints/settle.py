@@ -15,8 +15,8 @@ z ∥ b₀ × c₀ (with b₀, c₀ taken from a), x ∥ a₁ × z and y = z × 
 S. Miyamoto, P. A. Kollman, J. Comput. Chem. 13, 952 (1992), eq. A8-A17.
 """
 
+from collections import namedtuple
 from math import sqrt
-from typing import NamedTuple
 
 from minimd.compiled.kernels import inlined, marks
 from minimd.constraints.vectors import NOTHING, combined, cross, dot, separation, unit
@@ -98,4 +98,4 @@ def drift_triangles(first, last, atoms, triangles, duration):
     return 1
 
 
-DriftTriangles = marks(drift_triangles)(NamedTuple("DriftTriangles", []))
+DriftTriangles = marks(drift_triangles)(namedtuple("DriftTriangles", ()))

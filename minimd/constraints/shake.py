@@ -6,8 +6,8 @@
 J.-P. Ryckaert, G. Ciccotti, H. J. C. Berendsen, J. Comput. Phys. 23, 327 (1977); H. C. Andersen, J. Comput. Phys. 52, 24 (1983).
 """
 
+from collections import namedtuple
 from math import sqrt
-from typing import NamedTuple
 
 from minimd.compiled.kernels import inlined, marks
 from minimd.constraints.newton import drift_with
@@ -64,5 +64,5 @@ def sweep_velocities(first, last, atoms, components, bonds):
     return most
 
 
-SweepDrift = marks(drift_with(sweep_lengths))(NamedTuple("SweepDrift", []))
-SweepVelocities = marks(sweep_velocities)(NamedTuple("SweepVelocities", []))
+SweepDrift = marks(drift_with(sweep_lengths))(namedtuple("SweepDrift", ()))
+SweepVelocities = marks(sweep_velocities)(namedtuple("SweepVelocities", ()))

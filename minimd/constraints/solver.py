@@ -8,16 +8,14 @@ solver="shake"             sweeps, for all but the lines    shake
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
+from minimd.constraints.graph import Floats, Ints
 from minimd.constraints.groups import groups_of
 from minimd.constraints.newton import drift_some
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.errors import ConstraintError
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 ROUNDINGS = 20.0  # rounding errors of the largest coordinate: no length can be kept more accurately
 
 
@@ -41,7 +39,7 @@ class ConstraintSolver:
     """
 
     def __init__(
-        self, constraints: DistanceConstraints, positions: Array, inverse_masses: Array, offsets: Array | None = None, threads: int = 1
+        self, constraints: DistanceConstraints, positions: Floats, inverse_masses: Floats, offsets: Floats | None = None, threads: int = 1
     ) -> None:
         offsets = np.zeros((len(constraints.pairs), 3)) if offsets is None else offsets
         lengths = _checked_lengths(constraints, positions, inverse_masses, offsets)
@@ -61,7 +59,7 @@ class ConstraintSolver:
         """The constraints, for a report."""
         return ", ".join(f"{len(group.order)} in {group.shape}" for group in self.groups)
 
-    def drift(self, positions: Array, velocities: Array, duration: float) -> None:
+    def drift(self, positions: Floats, velocities: Floats, duration: float) -> None:
         """positions += duration · velocities, projected along the old gradients; velocities changed accordingly. (N, 3) both.
 
         Raises
@@ -76,14 +74,14 @@ class ConstraintSolver:
                 self._fail(group.order[-1 - answer], positions, velocities, duration)
             self.iterations = max(self.iterations, answer)
 
-    def project_velocities(self, velocities: Array, positions: Array) -> None:
+    def project_velocities(self, velocities: Floats, positions: Floats) -> None:
         """Velocities projected so that r_ij · v_ij = 0 for all constraints. (N, 3) both."""
         for group in self.groups:
             answer = group.project(positions, velocities, np.zeros(len(group.order)))
             if answer < 0:
                 self._fail(group.order[-1 - answer], positions, velocities, 0.0)
 
-    def project_positions(self, positions: Array) -> None:
+    def project_positions(self, positions: Floats) -> None:
         """Positions moved along their present bonds, with mass weights, until all lengths are kept. (N, 3)."""
         at_rest = np.zeros_like(positions)
         for _ in range(10):
@@ -93,7 +91,7 @@ class ConstraintSolver:
                 return
         self._fail(int(np.argmax(self.violation(positions))), positions, at_rest, 1.0)
 
-    def multipliers(self, positions: Array, velocities: Array, accelerations: Array) -> list[tuple[Ints, Array]]:
+    def multipliers(self, positions: Floats, velocities: Floats, accelerations: Floats) -> list[tuple[Ints, Floats]]:
         """For each group its constraints and their λ [energy/length²]: the constraint force on j is λ r_ij; accelerations are projected."""
         found = []
         for group in self.groups:
@@ -102,7 +100,7 @@ class ConstraintSolver:
             found.append((group.order, group.multipliers.copy()))
         return found
 
-    def virial(self, positions: Array, velocities: Array, forces: Array) -> Array:
+    def virial(self, positions: Floats, velocities: Floats, forces: Floats) -> Floats:
         """W = Σ λ r_ij ⊗ r_ij of the constraint forces, (3, 3) [energy]. forces : (N, 3), all others."""
         virial = np.zeros((3, 3))
         for order, multipliers in self.multipliers(positions, velocities, forces * self.inverse_masses[:, None]):
@@ -110,22 +108,22 @@ class ConstraintSolver:
             virial += np.einsum("k,ki,kj->ij", multipliers, bonds, bonds)
         return virial
 
-    def bonds(self, positions: Array) -> Array:
+    def bonds(self, positions: Floats) -> Floats:
         """r_ij, (K, 3) [length]."""
         return positions[self.pairs[:, 1]] - positions[self.pairs[:, 0]] + self.offsets
 
-    def violation(self, positions: Array) -> Array:
+    def violation(self, positions: Floats) -> Floats:
         """|r² − d²|/d², (K,)."""
         bonds = self.bonds(positions)
         return np.abs(np.einsum("ij,ij->i", bonds, bonds) - self.lengths**2) / self.lengths**2
 
-    def velocity_violation(self, positions: Array, velocities: Array) -> Array:
+    def velocity_violation(self, positions: Floats, velocities: Floats) -> Floats:
         """|r · (v_j − v_i)|/(d v), (K,), v the speed of the faster end; zero where nothing moves."""
         turning = velocities[self.pairs[:, 1]] - velocities[self.pairs[:, 0]]
         speeds = np.linalg.norm(velocities, axis=1)[self.pairs].max(axis=1)
         return np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning)) / (self.lengths * np.where(speeds > 0.0, speeds, 1.0))
 
-    def _fail(self, constraint: int, positions: Array, velocities: Array, duration: float) -> None:
+    def _fail(self, constraint: int, positions: Floats, velocities: Floats, duration: float) -> None:
         """ConstraintError with the larger violation: closed forms fail before they move atoms, iterations afterwards."""
         i, j = self.pairs[constraint]
         off = max(self.violation(positions)[constraint], self.violation(positions + duration * velocities)[constraint])
@@ -137,7 +135,7 @@ class ConstraintSolver:
         raise error
 
 
-def _checked_lengths(constraints: DistanceConstraints, positions: Array, inverse_masses: Array, offsets: Array) -> Array:
+def _checked_lengths(constraints: DistanceConstraints, positions: Floats, inverse_masses: Floats, offsets: Floats) -> Floats:
     """(K,) [length], as given or as in the positions. Raises ValueError as ConstraintSolver."""
     pairs = constraints.pairs
     if pairs.max(initial=-1) >= len(positions):

@@ -9,12 +9,11 @@ C. C. Pantelides, SIAM J. Sci. Stat. Comput. 9, 213 (1988); B. Leimkuhler, L. R.
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
+from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import CENTRAL, central_differences
 
-Array = NDArray[np.float64]
 SPACINGS = 0.1 / 3.0 ** np.arange(12)  # of points of the formulas below, in units of the time in which the path changes by its size
 WEIGHTS = {  # of the values at −3 … 3 spacings, for the first and second derivative: formulas of order 6 and 4
     1: (np.array([-1, 9, -45, 0, 45, -9, 1]) / 60.0, np.array([0, 1, -8, 0, 8, -1, 0]) / 12.0),

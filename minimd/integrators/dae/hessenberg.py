@@ -12,9 +12,10 @@ E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.integrators.dae.consistent_start import KEPT, REFUSED, WIDE, are_independent, nearest_root, time_derivative, unit_of_time
+from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import CENTRAL
 from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
@@ -22,7 +23,6 @@ from minimd.integrators.ode.problems import DifferentialAlgebraic
 
 __all__ = ["Hessenberg1", "Hessenberg2", "Hessenberg3"]
 
-Array = NDArray[np.float64]
 Parts = tuple[Array, ...]
 
 

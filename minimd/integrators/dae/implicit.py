@@ -10,10 +10,10 @@ S. L. Campbell, SIAM J. Sci. Stat. Comput. 6, 334 (1985); E. Hairer, G. Wanner, 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.integrators.dae.consistent_start import WIDE, nearest_root, time_derivative, unit_of_time
 from minimd.integrators.dae.pencil import pencil_index
+from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import CENTRAL, central_differences
 from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
@@ -21,7 +21,6 @@ from minimd.integrators.ode.problems import DifferentialAlgebraic
 
 __all__ = ["Implicit"]
 
-Array = NDArray[np.float64]
 ABSENT = 1e-12  # relative to the largest ∂F/∂y′: smaller ones count as zero
 RANK, NOISY_RANK = 1e-7, 1e-4  # relative singular values that count as zero, of matrices from differences and from differences of differences
 RELUCTANT = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others

@@ -9,16 +9,15 @@ E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, eq. 1.46.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.integrators.dae.hessenberg import Hessenberg3
+from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import central_differences, forward_differences
 from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
 
 __all__ = ["Mechanical"]
-
-Array = NDArray[np.float64]
 
 
 class Mechanical(Hessenberg3):

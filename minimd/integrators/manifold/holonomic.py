@@ -15,9 +15,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from minimd.integrators.method import Step
+from minimd.integrators.method import Array, Step
 from minimd.integrators.ode.differences import central_differences
 from minimd.integrators.ode.functions import Function
 from minimd.integrators.ode.newton import Newton, Solver
@@ -29,7 +29,6 @@ from minimd.structure.errors import ConvergenceError
 
 __all__ = ["Holonomic"]
 
-Array = NDArray[np.float64]
 KEPT = 1e-12  # relative corrections of a start that are made without a warning
 DEPENDENT = 1e-10  # ratio of singular values of G M^(−1/2) below which constraints count as dependent
 

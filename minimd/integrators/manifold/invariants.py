@@ -13,9 +13,9 @@ from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from minimd.integrators.method import Problem
+from minimd.integrators.method import Array, Problem
 from minimd.integrators.ode.differences import central_differences
 from minimd.integrators.ode.functions import Field, Function, argument_names
 from minimd.integrators.ode.partitioned import Partitioned
@@ -24,7 +24,6 @@ from minimd.structure.errors import ConvergenceError
 
 __all__ = ["Invariants", "stabilized"]
 
-Array = NDArray[np.float64]
 Shape = tuple[int, ...] | None
 PARALLEL = 1e-8  # sine of the angle between a gradient and the span of the others below which they count as dependent
 

@@ -15,19 +15,17 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
 from minimd.integrators.dae.hessenberg import Hessenberg2
 from minimd.integrators.manifold.invariants import Invariants, Manifold, Shape, check_invariants, corrected
-from minimd.integrators.method import Method, Problem, Step
+from minimd.integrators.method import Array, Method, Problem, Step
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.problems import FirstOrder
 from minimd.structure.errors import ConvergenceError
 
 __all__ = ["index_two", "projected", "symmetrically_projected", "with_multipliers"]
 
-Array = NDArray[np.float64]
 Arrival = Callable[[Array], Array]
 MAX_CORRECTIONS = 50
 SMALL = 1e-10  # relative errors of invariants below which they are taken for rounding once they no longer shrink

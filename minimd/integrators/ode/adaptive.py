@@ -11,10 +11,10 @@ from math import copysign, isfinite
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.compiled.machine import EPS
-from minimd.integrators.method import Method, Problem, Step
+from minimd.integrators.method import Array, Method, Problem, Step
 from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_problem
 from minimd.integrators.ode.problems import DifferentialAlgebraic
 from minimd.integrators.ode.solution import Solution
@@ -22,7 +22,6 @@ from minimd.structure.errors import ConvergenceError, checked_count
 
 __all__ = ["StepControl", "run_adaptive"]
 
-Array = NDArray[np.float64]
 SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0  # factor of the proposed step; bounds of its change from one step to the next: Hairer et al., II.4
 
 

@@ -14,16 +14,13 @@ from collections import deque
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.integrators.method import ClassProperty, Method, Problem, Step
+from minimd.integrators.method import Array, ClassProperty, Method, Problem, Step
 from minimd.integrators.ode.runge_kutta import StageStep
 from minimd.integrators.ode.stages import StageEquations
 from minimd.integrators.ode.tableau import radau_iia
 
 __all__ = ["BDF1", "BDF2", "BDF3", "BDF4", "BDF5"]
-
-Array = NDArray[np.float64]
 
 
 class BDF(Method):

@@ -3,11 +3,10 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
+from minimd.integrators.method import Array
 
-Array = NDArray[np.float64]
 CENTRAL = EPS ** (1.0 / 3.0)  # step of central differences relative to a variable: truncation and rounding are then alike, some 1e-11
 FORWARD = EPS**0.5  # the same of forward differences: some 1e-8
 LEAST = 1e-3  # smallest size of a variable for its step, relative to the largest one

@@ -5,15 +5,13 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.integrators.method import Method, Problem, Step
+from minimd.integrators.method import Array, Method, Problem, Step
 from minimd.integrators.ode.solution import Solution, with_path
 from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 
 __all__ = ["run_steps", "run_until"]
 
-Array = NDArray[np.float64]
 LEFTOVER = 1e-12  # of a step: a shorter rest is rounding of the times, and belongs to the step before
 
 

@@ -11,9 +11,9 @@ from math import prod
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from minimd.integrators.method import Array
+
 Function = Callable[..., Any]
 
 

@@ -14,15 +14,14 @@ from typing import Any
 
 import numpy as np
 import scipy  # its parts are loaded when they are used
-from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
+from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import forward_differences
 from minimd.structure.errors import ConvergenceError, checked_count
 
 __all__ = ["FixedPoint", "Newton"]
 
-Array = NDArray[np.float64]
 Residual = Callable[[Array], Array]
 SLOW = 0.3  # the Jacobian is renewed if a correction is more than this part of the one before
 NEAR = 16.0 * EPS  # corrections, relative to the unknowns, that are taken for rounding once they shrink slowly

@@ -17,18 +17,16 @@ R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995); E. Hairer, C. Lubich, G. W
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.compiled.kernels import kernel
-from minimd.integrators.method import Step
+from minimd.integrators.method import Array, Step
 from minimd.integrators.ode.functions import Field, Function, check_finite
 from minimd.integrators.ode.newton import Newton, Solver, checked_solver
 from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps
 
 __all__ = ["Partitioned", "SecondOrder"]
-
-Array = NDArray[np.float64]
 
 
 class Partitioned:

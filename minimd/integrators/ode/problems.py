@@ -9,18 +9,15 @@ hidden, and a start must obey them too. E. Hairer, C. Lubich, M. Roche, The Nume
 by Runge-Kutta Methods (1989); E. Hairer, G. Wanner, Solving ODEs II (1996), VI and VII.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from minimd.integrators.method import Array, Problem
 from minimd.integrators.ode.differences import forward_differences
 from minimd.integrators.ode.functions import Function, check_finite, checked_values, of_time_and_state
 from minimd.integrators.ode.newton import FixedPoint, Newton, Solver, checked_solver
 
 __all__ = ["FirstOrder"]
-
-Array = NDArray[np.float64]
 
 
 class FirstOrder:
@@ -61,8 +58,11 @@ class FirstOrder:
         return slope - self.field(t, y)
 
 
-class DifferentialAlgebraic:
+class DifferentialAlgebraic(Problem):
     """F(t, y, y′) = 0: what the forms of differential-algebraic problems have in common.
+
+    begin refuses a start that violates a constraint, given or hidden, or that has no solution through it, with a ValueError. It solves for
+    the algebraic variables; field is zero for those.
 
     Attributes of each problem
     --------------------------
@@ -78,23 +78,6 @@ class DifferentialAlgebraic:
         if not isinstance(solver, Newton) or isinstance(solver, FixedPoint):
             raise TypeError(f"differential-algebraic equations need Newton's method, they are no fixed-point equations; got solver = {solver!r}")
         self.solver = solver
-
-    def begin(self, start: Any, t0: float = 0.0) -> Array:
-        """The start at time t0 as a state, its algebraic variables solved for.
-
-        Raises
-        ------
-        ValueError : for a start that violates a constraint, given or hidden, or for a problem that has no solution through it.
-        """
-        raise NotImplementedError
-
-    def residual(self, t: float, y: Array, slope: Array) -> Array:
-        """F(t, y, y′)."""
-        raise NotImplementedError
-
-    def field(self, t: float, y: Array) -> Array:
-        """y′ of a consistent state, zero for variables that have no equation for it."""
-        raise NotImplementedError
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """∂F/∂y, (n, n)."""

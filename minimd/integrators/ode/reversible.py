@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from math import copysign, isfinite, log
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from minimd.integrators.method import Method
+from minimd.integrators.method import Array, Method
 from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_method, check_problem
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.solution import Solution, with_path
@@ -23,7 +23,6 @@ from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_co
 
 __all__ = ["DensityControl", "run_reversible"]
 
-Array = NDArray[np.float64]
 Rate = Callable[[float, Array, Array], float]
 EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), so that steps are proportional to the free-fall time
 DIFFERENCE = 1e-5  # of the time in which q changes by its size: truncation and rounding of d ln |f|/dt are then alike, 1e-10

@@ -11,9 +11,8 @@ E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.integrators.method import ClassProperty, Method, Problem, Step
+from minimd.integrators.method import Array, ClassProperty, Method, Problem, Step
 from minimd.integrators.ode.problems import DifferentialAlgebraic
 from minimd.integrators.ode.stages import StageEquations
 from minimd.integrators.ode.tableau import TABLEAU_ROUNDING, Tableau, gauss, radau_iia
@@ -21,7 +20,6 @@ from minimd.structure.errors import ConvergenceError
 
 __all__ = ["GaussLegendre1", "GaussLegendre2", "GaussLegendre3", "GaussLegendre4", "ImplicitEuler", "RadauIIA2", "RadauIIA3", "RungeKutta"]
 
-Array = NDArray[np.float64]
 FARTHEST = 3.0  # times the last step: how far its slopes are extrapolated at most
 
 

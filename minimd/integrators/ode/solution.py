@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from minimd.integrators.method import Array
 from minimd.structure.errors import ConvergenceError, NonFiniteError
 
 __all__ = ["Solution"]
@@ -20,8 +18,8 @@ class Solution:
     success, message : whether the end was reached, and if not, why.
     """
 
-    t: NDArray[np.float64]
-    y: NDArray[np.float64]
+    t: Array
+    y: Array
     nfev: int
     shape: tuple[int, ...] | None = None
     success: bool = True
@@ -29,12 +27,12 @@ class Solution:
     n_rejected: int = 0
 
     @property
-    def q(self) -> NDArray[np.float64]:
+    def q(self) -> Array:
         """(n + 1, …) positions."""
         return self._half(0)
 
     @property
-    def v(self) -> NDArray[np.float64]:
+    def v(self) -> Array:
         """(n + 1, …) velocities."""
         return self._half(1)
 
@@ -43,7 +41,7 @@ class Solution:
         self.success, self.message = False, why
         return self
 
-    def _half(self, k: int) -> NDArray[np.float64]:
+    def _half(self, k: int) -> Array:
         if self.shape is None:
             raise AttributeError("this problem has no q and v; its states are in y")
         n = self.y.shape[1] // 2

@@ -8,14 +8,12 @@ In variables of index 2 and 3 rounding is amplified by 1/h and 1/h² (E. Hairer,
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.integrators.method import Problem
+from minimd.integrators.method import Array, Problem
 from minimd.integrators.ode.differences import forward_differences
 from minimd.integrators.ode.newton import FixedPoint
 from minimd.integrators.ode.problems import DifferentialAlgebraic, FirstOrder
 
-Array = NDArray[np.float64]
 AMPLIFIED = 3e1  # factor of rounding per level, for steps of some hundredth of the time in which the solution varies
 UNSEEN = 1e-22  # of the state: a millionth of its rounding, too small to change even a compensated sum
 VANISHING = 1e-30  # smallest size of a variable relative to the largest one, so that no size is zero

@@ -13,14 +13,15 @@ from collections.abc import Callable
 from math import isfinite
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from minimd.integrators.method import Array
 from minimd.integrators.ode.solution import Solution
 from minimd.structure.errors import checked_count
 
 __all__ = ["stormer_summed", "stormer_two_step"]
 
-Acceleration = Callable[[NDArray[np.float64]], ArrayLike]
+Acceleration = Callable[[Array], ArrayLike]
 
 
 def stormer_two_step(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> Solution:
@@ -57,7 +58,7 @@ def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: floa
     return _solution(q, increments, v0, timestep)
 
 
-def _start(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _start(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> tuple[Array, Array]:
     """Memory for q₀ … q_{n+1} with q₀ filled in, and the first increment."""
     q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)
     if not (isfinite(timestep) and timestep != 0.0):
@@ -71,7 +72,7 @@ def _start(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_ste
     return q, timestep * v0 + 0.5 * timestep**2 * a0
 
 
-def _solution(q: NDArray[np.float64], increments: NDArray[np.float64], v0: ArrayLike, timestep: float) -> Solution:
+def _solution(q: Array, increments: Array, v0: ArrayLike, timestep: float) -> Solution:
     """The path without the position after the end, which is needed for the last velocity only."""
     n_steps = len(q) - 2
     v = np.empty_like(q[:-1])

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.legendre import Legendre
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from minimd.integrators.method import Array
 
 __all__ = ["Tableau", "collocation", "gauss", "radau_iia"]
 
@@ -25,12 +27,12 @@ class Tableau:
     beta : (s, s).  weights, nodes : (s,).  All dimensionless; Σ_j β_ij = c_i.
     """
 
-    beta: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    nodes: NDArray[np.float64]
+    beta: Array
+    weights: Array
+    nodes: Array
 
     @property
-    def symplecticity_defect(self) -> NDArray[np.float64]:
+    def symplecticity_defect(self) -> Array:
         """M_ij = w_i β_ij + w_j β_ji − w_i w_j, zero for symplectic methods; they keep every quadratic invariant.
 
         J. M. Sanz-Serna, BIT 28, 877 (1988); F. M. Lasagni (1988); Y. B. Suris (1989).
@@ -72,7 +74,7 @@ class Tableau:
         return min(b, eta + zeta + 1, 2 * eta + 2)
 
 
-def _first_failure(defects: NDArray[np.float64], axis: int = 0) -> int:
+def _first_failure(defects: Array, axis: int = 0) -> int:
     """How many conditions hold before the first that fails; conditions along the last axis, or along the first if axis is 1."""
     worst = np.abs(np.atleast_2d(defects)).max(axis=axis)
     return int(np.argmax(worst > TABLEAU_ROUNDING)) if (worst > TABLEAU_ROUNDING).any() else worst.size
@@ -108,7 +110,7 @@ def radau_iia(n_stages: int) -> Tableau:
     return collocation(nodes)
 
 
-def _lagrange_integrals(nodes: NDArray[np.float64], end: float) -> NDArray[np.float64]:
+def _lagrange_integrals(nodes: Array, end: float) -> Array:
     """∫₀^end ℓ_j for all j, by a Gauss quadrature that is exact for them; ℓ_j is one on node j and zero on the others."""
     x, w = np.polynomial.legendre.leggauss(nodes.size)
     x, w = end * (1.0 + x) / 2.0, end * w / 2.0

@@ -10,8 +10,8 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
+from minimd.integrators.method import Array
 from minimd.integrators.splitting.substeps import Kick, Substeps, Thermalize
 
 __all__ = ["accurate_step", "energy_oscillation", "stability_limit"]
@@ -22,7 +22,7 @@ SCANNED = 101  # steps among which the first too long one is sought
 BISECTIONS = 50  # halvings of an interval, down to rounding
 
 
-def propagation(substeps: Substeps, h: float) -> NDArray[np.float64]:
+def propagation(substeps: Substeps, h: float) -> Array:
     """M(h) of one step, (2, 2), on (q, v/ω).  h : ωΔt.  Substeps Thermalize are left out."""
     matrix = np.eye(2)
     for substep in _mechanical(substeps):
@@ -43,7 +43,7 @@ def stability_limit(substeps: Substeps) -> float:
     edges = np.unique(roots[(abs(roots.imag) <= REAL * abs(roots)) & (roots.real > REAL)].real)
     start = 0.0
     for end in edges:
-        if _trace_excess(substeps, 0.5 * (start + end)) > ROUNDING:
+        if abs(np.trace(propagation(substeps, np.sqrt(0.5 * (start + end))))) - 2.0 > ROUNDING:
             return float(np.sqrt(start))
         start = end
     return float(np.sqrt(start))
@@ -91,7 +91,3 @@ def accurate_step(substeps: Substeps, oscillation: float) -> float:
 
 def _mechanical(substeps: Substeps) -> Substeps:
     return tuple(substep for substep in substeps if not isinstance(substep, Thermalize))
-
-
-def _trace_excess(substeps: Substeps, x: float) -> float:
-    return float(abs(np.trace(propagation(substeps, np.sqrt(x)))) - 2.0)

@@ -16,8 +16,8 @@ from math import factorial, prod
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from minimd.integrators.method import Array
 from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps
 
 __all__ = ["nystrom_order", "separable_order"]
@@ -83,7 +83,7 @@ class Branch(NamedTuple):
     """A branch of a Nyström tree: its power of Δt, its value at each kick and in the exact solution, κ Δt^power."""
 
     power: int
-    values: NDArray[np.float64]
+    values: Array
     kappa: float
 
 
@@ -104,7 +104,7 @@ def nystrom_residuals(substeps: Substeps, order: int) -> list[float]:
     return residuals if order > 1 else [*residuals, drifts_sum(substeps) - 1.0]
 
 
-def nystrom_tableau(substeps: Substeps) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def nystrom_tableau(substeps: Substeps) -> tuple[Array, Array, Array]:
     """Weights b (s,), abscissae c (s,) and matrix a (s, s) of a sequence with s kicks."""
     kicks = [k for k, substep in enumerate(substeps) if isinstance(substep, Kick)]
     b = np.array([substeps[k].coefficient for k in kicks])

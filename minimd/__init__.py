@@ -8,7 +8,7 @@ from minimd.diagnosis.shadow_energy import shadow_energy
 from minimd.diagnosis.timestep import StepAdvice, advise_timestep
 from minimd.engine.record import Record
 from minimd.forces.forces import Evaluation, Forces, evaluate
-from minimd.integrators import DistanceConstraints, LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
+from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
 from minimd.minimization.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
@@ -16,7 +16,7 @@ from minimd.replay import replay
 from minimd.simulation.simulation import Simulation
 from minimd.structure import units
 from minimd.structure.cell import Cell
-from minimd.structure.constraints import FixedAtoms
+from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.structure.errors import ConstraintError, ConvergenceError, NonFiniteError
 from minimd.structure.system import System
 

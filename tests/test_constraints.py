@@ -8,8 +8,7 @@ from rigid_scenes import SCENES, chain, cube, ring, rod, water
 from scipy.optimize import fsolve
 
 import minimd as md
-from minimd.constraints.solver import ConstraintSolver
-from minimd.integrators import DistanceConstraints
+from minimd.constraints import ConstraintSolver, DistanceConstraints
 
 EPS = np.finfo(float).eps
 
@@ -248,11 +247,11 @@ def test_scenes_are_sorted_by_shape():
     assert [
         type(group).__name__ for group in ConstraintSolver(DistanceConstraints(water(2)[1]), water(2)[0], np.tile([1.0, 0.5, 0.5], 2)).groups
     ] == ["Triangles"]
-    assert [type(group).__name__ for group in ConstraintSolver(DistanceConstraints(rod()[1]), rod()[0], np.ones(3)).groups] == ["Rods"]
+    assert [type(group).__name__ for group in ConstraintSolver(DistanceConstraints(rod()[1]), rod()[0], np.ones(3)).groups] == ["LinearTriatomics"]
     positions = np.concatenate([rod()[0], ring(6)[0] + 9.0, chain(2)[0] - 9.0])
     pairs = np.concatenate([rod()[1], ring(6)[1] + 3, chain(2)[1] + 9])
     bonds = ConstraintSolver(DistanceConstraints(pairs), positions, np.ones(len(positions)))
-    assert sorted(type(group).__name__ for group in bonds.groups) == ["Networks", "Pairs", "Rods"]
+    assert sorted(type(group).__name__ for group in bonds.groups) == ["LinearTriatomics", "Networks", "Pairs"]
     assert sorted(np.concatenate([group.order for group in bonds.groups])) == list(range(len(pairs)))
 
 

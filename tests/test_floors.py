@@ -42,7 +42,7 @@ BRIDGES = {  # modules that may import ase or MDAnalysis when they are imported
     "files/ase_writer.py",
     "files/structure_file.py",
     "files/mdanalysis_writer.py",
-    "mdanalysis/universe.py",
+    "mdanalysis/universes.py",
 }
 
 

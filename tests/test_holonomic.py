@@ -140,8 +140,12 @@ def test_multipliers_are_the_tension():
 
 
 def test_a_start_off_the_manifold_is_projected_and_told():
-    with pytest.warns(UserWarning, match=r"projected onto the constraints: q by .* v by"):
-        path = run_steps(pendulum(), md.VelocityVerlet(0.01), ([1.1, 0.0], [0.3, 0.2]), 1)
+    start = [1.1, 0.0], [0.3, 0.2]
+    with pytest.warns(UserWarning, match=r"projected onto the constraints: q by .* v by") as warned:
+        path = run_steps(pendulum(), md.VelocityVerlet(0.01), start, 1)
+    with pytest.warns(UserWarning, match=r"projected onto the constraints: q by .* v by") as warned_too:
+        pendulum().begin(start)
+    assert [warning.filename for warning in (*warned, *warned_too)] == 2 * [__file__]  # the caller's line, however deep in minimd
     assert path.q[0] == pytest.approx([1.0, 0.0], abs=1e-15)
     assert path.v[0] == pytest.approx([0.0, 0.2], abs=1e-15)
 

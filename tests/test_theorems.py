@@ -3,6 +3,7 @@
 METHODS is where a method is registered; what it answers there is measured here.
 """
 
+import pickle
 from itertools import pairwise
 
 import numpy as np
@@ -29,6 +30,7 @@ from small_problems import (
     symplecticity_defect,
 )
 
+import minimd.integrators
 from minimd.integrators import (
     METHODS,
     SE1,
@@ -220,6 +222,11 @@ def test_stages_are_the_evaluations_or_the_stage_equations_of_a_step(method):
     else:
         inside = [t for t in times if 0.5 + 1e-9 < t < 0.51 + 1e-9]
         assert len(np.unique(np.round(inside, 9))) == method.stages
+
+
+@pytest.mark.parametrize("method", METHODS.values())
+def test_methods_are_classes_of_minimd_that_can_be_pickled(method):
+    assert pickle.loads(pickle.dumps(method)) is method is getattr(minimd.integrators, method.__name__)
 
 
 def test_the_table_says_what_the_methods_answer():

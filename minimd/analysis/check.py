@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
 from minimd.files.h5md_reader import H5MDContents
-from minimd.integrators import DistanceConstraints
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
 from minimd.structure import observables
+from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.images import images_of_length, lengths_of
 from minimd.structure.system import System
 

@@ -1,4 +1,4 @@
-"""Lengths and atoms that are held fixed, each shape with the solver that suits it."""
+"""Distance constraints and fixed atoms, and the solvers that keep them."""
 
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.solver import ConstraintSolver

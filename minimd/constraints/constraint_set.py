@@ -1,4 +1,4 @@
-"""What a simulation holds fixed: lengths and atoms, and the degrees of freedom that are left."""
+"""The constraints of a simulation, lengths and fixed atoms, and the degrees of freedom that they leave."""
 
 import warnings
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from minimd.structure.images import images_of_length, nearest_images
 from minimd.structure.observables import degrees_of_freedom
 from minimd.structure.system import System
 
-TOLD = 1e-8  # violations of a start, relative, that are put right with a word; smaller ones without
+TOLD = 1e-8  # relative violations of a start above which its projection is told by a warning; files of single precision have more
 
 
 class ConstraintSet:
@@ -22,7 +22,7 @@ class ConstraintSet:
     Attributes
     ----------
     inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : ConstraintSolver, or None.  n_constraints, n_fixed : int.
-    kept : the same constraints with the lengths that are kept, at most one of each kind.
+    kept : the same constraints, with the lengths that are kept; at most one of each kind.
     """
 
     def __init__(self, system: System, constraints: Constraint | Sequence[Constraint], threads: int = 1) -> None:
@@ -33,11 +33,11 @@ class ConstraintSet:
         distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
         if len(distances) > 1:
             raise ValueError("all pairs must be given in one DistanceConstraints: those that share atoms are solved together")
-        self._threads, self._images_in = threads, system.cell
+        self._threads, self._cell = threads, system.cell  # the cell for which the images of bonds were found
         self.inverse_masses = self._masses(system, [constraint for constraint in given if isinstance(constraint, FixedAtoms)])
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self._distances = distances[0] if distances else None
-        self.bonds = self._rigid_bonds(system)
+        self.bonds = self._solver(system)
         self.n_constraints = self.bonds.n_constraints if self.bonds else 0
         self.kept = self._kept()
 
@@ -55,7 +55,7 @@ class ConstraintSet:
             inverse_masses[constraint.atoms] = 0.0
         return inverse_masses
 
-    def _rigid_bonds(self, system: System) -> ConstraintSolver | None:
+    def _solver(self, system: System) -> ConstraintSolver | None:
         if self._distances is None:
             return None
         if self._distances.pairs.max() >= len(system):
@@ -69,17 +69,17 @@ class ConstraintSet:
         return ConstraintSolver(self._distances, system.positions, self.inverse_masses, images, self._threads)
 
     def degrees_of_freedom(self, conserves_momentum: bool) -> int:
-        """Of the atoms that move; see observables. Raises ValueError if none is left."""
+        """Degrees of freedom of the atoms that move, see observables. Raises ValueError if none is left."""
         n_atoms = len(self.inverse_masses) - self.n_fixed
         return degrees_of_freedom(n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed)
 
     def fit(self, system: System) -> None:
-        """Take each bond at the image that has its length, should somebody have moved atoms by lattice vectors, or changed the cell."""
+        """Choose for each bond the image that has its length again, after atoms were moved by lattice vectors or the cell was changed."""
         if self.bonds is None or self._distances is None:
             return
         off = self.bonds.violation(system.positions) > self.bonds.tolerance
-        if not system.cell.same_as(self._images_in):
-            off[:], self._images_in = True, system.cell
+        if not system.cell.same_as(self._cell):
+            off[:], self._cell = True, system.cell
         if not off.any():
             return
         offsets = self.bonds.offsets.copy()
@@ -91,18 +91,18 @@ class ConstraintSet:
             self.bonds.iterations = iterations
 
     def with_equal_masses(self, system: System) -> "ConstraintSet":
-        """The same constraints, with their present lengths, on atoms of mass 1: projections are then the shortest ones, whoever is heavy."""
+        """The same constraints and lengths on atoms of mass 1: projections are then the shortest moves."""
         light = System(system.positions, masses=1.0, cell=system.cell, units=system.units)
         return ConstraintSet(light, self.kept, self._threads)
 
     def project(self, velocities: NDArray[np.float64], positions: NDArray[np.float64]) -> None:
-        """Velocities that constraints allow, (N, 3) both."""
+        """Velocities projected onto those that the constraints allow, in place. (N, 3) both."""
         velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is not None:
             self.bonds.project_velocities(velocities, positions)
 
     def begin(self, system: System) -> None:
-        """Put positions and velocities that violate a constraint right, with a warning that says how far they were off."""
+        """Project positions and velocities that violate a constraint, with a warning that tells by how much."""
         self.fit(system)
         system.velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is None:

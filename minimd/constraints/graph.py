@@ -1,8 +1,8 @@
 """The graph of distance constraints: connected components, and an order in which their equations form a narrow band.
 
 Constraints that share an atom are coupled:  A_kl = (r_k · s_l) c_kl  with  c_kk = 1/m_i + 1/m_j, c_kl = ±1/m of the shared atom.
-Ordered by reverse Cuthill-McKee the matrix of a chain is tridiagonal, that of a ring or a sheet a narrow band, that of a small
-cage full; elimination stays within the envelope, so one factorization serves them all.
+In the order of reverse Cuthill-McKee the matrix of a chain is tridiagonal, that of a ring or a sheet has a narrow band, that of a
+small cage is full. Elimination fills nothing outside the envelope, so that one factorization serves them all.
 A. George, J. W. Liu, Computer Solution of Large Sparse Positive Definite Systems (1981), 4.
 """
 
@@ -16,19 +16,15 @@ Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 
-class Graph(NamedTuple):
-    """Constraints sorted by component and, within one, for a narrow band.
+class Components(NamedTuple):
+    """The components of a graph, and the envelope of their matrices.
 
-    order : (K,) which constraint of the user stands k-th.  first, second : (K,) its atoms.
     starts : (C + 1,) where the constraints of each component begin.
     atoms, atom_starts : atoms of the components, one after the other, and where each component begins among them.
     begins : (K + 1,) where row k of the lower envelope begins in memory.  lowest : (K,) its first column.
     coupling : c_kl for l = lowest[k] … k, row after row; zero where two constraints share no atom.
     """
 
-    order: Ints
-    first: Ints
-    second: Ints
     starts: Ints
     atoms: Ints
     atom_starts: Ints
@@ -36,19 +32,26 @@ class Graph(NamedTuple):
     lowest: Ints
     coupling: Floats
 
-    @property
-    def n_constraints(self) -> int:
-        """K."""
-        return self.order.size
+
+class Graph(NamedTuple):
+    """Constraints sorted by component and, within one, for a narrow band.
+
+    order : (K,) number, in the order of the user, of the k-th constraint.  first, second : (K,) its atoms.
+    """
+
+    order: Ints
+    first: Ints
+    second: Ints
+    components: Components
 
 
 def graph_of(pairs: Ints, inverse_masses: Floats) -> Graph:
     """The graph of (K, 2) pairs of atoms, with (N,) 1/mass; zero for atoms that are held fixed."""
-    from scipy.sparse import coo_array  # not before somebody constrains something
+    from scipy.sparse import coo_array  # loaded only if there are constraints
     from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
     n = len(inverse_masses)
-    bodies = np.where(inverse_masses[pairs] > 0.0, pairs, n + np.arange(pairs.size).reshape(-1, 2))  # a fixed atom couples nothing
+    bodies = np.where(inverse_masses[pairs] > 0.0, pairs, n + np.arange(pairs.size).reshape(-1, 2))  # a fixed atom does not couple its constraints
     component = connected_components(coo_array((np.ones(len(pairs)), bodies.T), shape=(n + pairs.size,) * 2), directed=False)[1]
     k, sides = np.repeat(np.arange(len(pairs)), 2), bodies.reshape(-1)
     incidence = coo_array((np.tile([-1.0, 1.0], len(pairs)), (k, sides)), shape=(len(pairs), n + pairs.size)).tocsr()
@@ -64,7 +67,7 @@ def graph_of(pairs: Ints, inverse_masses: Floats) -> Graph:
 
 
 def _enveloped(pairs: Ints, inverse_masses: Floats, order: Ints, starts: Ints, matrix: Any) -> Graph:
-    """With the envelope of the lower triangle, and the atoms of each component."""
+    """The graph with the envelope of the lower triangle and the atoms of each component."""
     k = np.arange(order.size)
     row, column = matrix.coords
     lowest = k.copy()
@@ -78,4 +81,4 @@ def _enveloped(pairs: Ints, inverse_masses: Floats, order: Ints, starts: Ints, m
     atom_starts = np.concatenate([[0], np.cumsum([atoms.size for atoms in moving])])
     atoms = np.concatenate(moving) if moving else np.empty(0, dtype=np.int64)
     first, second = np.ascontiguousarray(sorted_pairs[:, 0]), np.ascontiguousarray(sorted_pairs[:, 1])
-    return Graph(order, first, second, starts, atoms, atom_starts, begins, lowest, coupling)
+    return Graph(order, first, second, Components(starts, atoms, atom_starts, begins, lowest, coupling))

@@ -1,38 +1,30 @@
 """SETTLE: the drift of rigid triangles with two equal sides and two equal masses, such as water, in closed form.
 
-The new triangle lies in three rotations (φ, ψ, θ) from a frame whose plane is that of the old one; the Lagrange conditions
-fix the angles. S. Miyamoto, P. A. Kollman, J. Comput. Chem. 13, 952 (1992), eq. A8-A17; a is the apex, b and c the others.
+Positions are relative to the center of mass: 0 before the drift, 1 after it, 3 where the triangle belongs. a is the apex, b and c are
+the others. r_a and r_b are the distances of the center of mass from a and from the middle of bc, r_c is half of |bc|. The axes are
+z ∥ b₀ × c₀ (with b₀, c₀ taken from a), x ∥ a₁ × z and y = z × x. The new triangle is an upright one in the plane of x and y, turned by
+ψ around y, φ around x and θ around z:
+
+    sin φ = z_a1/r_a                                      sin ψ = (z_b1 − z_c1)/(2 r_c cos φ)
+    a₂ = (0, r_a cos φ)      b₂ = (−r_c cos ψ, −r_b cos φ − r_c sin ψ sin φ)      c₂ = (r_c cos ψ, −r_b cos φ + r_c sin ψ sin φ)
+    α = x_b2 (x_b0 − x_c0) + y_b0 y_b2 + y_c0 y_c2        β = x_b2 (y_c0 − y_b0) + x_b0 y_b2 + x_c0 y_c2
+    γ = x_b0 y_b1 − x_b1 y_b0 + x_c0 y_c1 − x_c1 y_c0     sin θ = (α γ − β √(α² + β² − γ²))/(α² + β²)
+    r₃ = (x₂ cos θ − y₂ sin θ,  x₂ sin θ + y₂ cos θ,  z₁)  of a, b and c
+
+θ solves α sin θ + β cos θ = γ: the forces of the constraints act along the old bonds, so that m (r₃ − r₁) has no moment about the old a.
+S. Miyamoto, P. A. Kollman, J. Comput. Chem. 13, 952 (1992), eq. A8-A17.
 """
 
+from collections import namedtuple
 from math import sqrt
-from typing import NamedTuple
 
 from minimd.compiled.kernels import inlined, type_of
-from minimd.constraints.newton import NOTHING, dot, separation
+from minimd.constraints.vectors import NOTHING, combined, cross, dot, separation, unit
 
 
 @inlined
-def cross(u, v):
-    """U × v."""
-    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-
-
-@inlined
-def unit(u):
-    """U/|u|."""
-    scale = 1.0 / sqrt(dot(u, u))
-    return u[0] * scale, u[1] * scale, u[2] * scale
-
-
-@inlined
-def combined(x, u, y, v):
-    """X u + y v."""
-    return x * u[0] + y * v[0], x * u[1] + y * v[1], x * u[2] + y * v[2]
-
-
-@inlined
-def moved(s, positions, velocities, i, j, duration):
-    """S + Δt (v_j − v_i), a separation after the drift."""
+def moved(s, velocities, i, j, duration):
+    """s + Δt (v_j − v_i), a separation after the drift."""
     return (
         s[0] + duration * (velocities[j, 0] - velocities[i, 0]),
         s[1] + duration * (velocities[j, 1] - velocities[i, 1]),
@@ -41,25 +33,24 @@ def moved(s, positions, velocities, i, j, duration):
 
 
 @inlined
-def settled(b0, c0, a1, b1, c1, height, foot, half):
-    """Where a, b, c belong, relative to the center of mass.
+def settled(b0, c0, drifted, r_a, r_b, r_c):
+    """a₃, b₃, c₃, and whether they exist.
 
-    b0, c0 : old separations a to b, a to c.  a1, b1, c1 : drifted, relative to their center of mass.
-    height, foot : distances of the center of mass from a, and from the middle of bc.  half : of |bc|.  All [length].
-    Returns three vectors and whether they exist.
+    b0, c0 : separations a to b and a to c before the drift.  drifted : a₁, b₁, c₁.  r_a, r_b, r_c : see above. All [length].
     """
+    a1, b1, c1 = drifted
     z = unit(cross(b0, c0))
     x = unit(cross(a1, z))
     y = cross(z, x)
-    sin_phi = dot(a1, z) / height
+    sin_phi = dot(a1, z) / r_a
     cos_phi2 = 1.0 - sin_phi * sin_phi
-    sin_psi = (dot(b1, z) - dot(c1, z)) / (2.0 * half * sqrt(max(cos_phi2, 0.0))) if cos_phi2 > 0.0 else 2.0
+    sin_psi = (dot(b1, z) - dot(c1, z)) / (2.0 * r_c * sqrt(max(cos_phi2, 0.0))) if cos_phi2 > 0.0 else 2.0
     cos_psi2 = 1.0 - sin_psi * sin_psi
     if not cos_psi2 > 0.0:
         return a1, b1, c1, False
     cos_phi, cos_psi = sqrt(cos_phi2), sqrt(cos_psi2)
-    ya, xb = height * cos_phi, -half * cos_psi
-    yb, yc = -foot * cos_phi - half * sin_psi * sin_phi, -foot * cos_phi + half * sin_psi * sin_phi
+    ya, xb = r_a * cos_phi, -r_c * cos_psi
+    yb, yc = -r_b * cos_phi - r_c * sin_psi * sin_phi, -r_b * cos_phi + r_c * sin_psi * sin_phi
     xb0, yb0, xc0, yc0 = dot(b0, x), dot(b0, y), dot(c0, x), dot(c0, y)
     xb1, yb1, xc1, yc1 = dot(b1, x), dot(b1, y), dot(c1, x), dot(c1, y)
     alpha = xb * (xb0 - xc0) + yb0 * yb + yc0 * yc
@@ -79,24 +70,24 @@ def settled(b0, c0, a1, b1, c1, height, foot, half):
 
 
 @inlined
-def drift_triangles(first, last, positions, velocities, inverse_masses, triangles, offsets, shapes, duration):
-    """Drift of rigid triangles.
+def drift_triangles(first, last, atoms, triangles, duration):
+    """Drift of triangles first to last − 1.
 
-    (N, 3), (N, 3), (N,); (T, 3) atoms a, b, c; (T, 2, 3) offsets of b and c from a; (T, 2) |ab|, |bc| [length]; [time].
-    Returns 1, or −1 − the triangle that cannot be kept.
+    Atoms; Molecules with shapes (T, 2): |ab|, |bc| [length]; [time]. Returns 1, or −1 − the triangle that cannot be kept.
     """
+    positions, velocities, inverse_masses = atoms
     for t in range(first, last):
-        a, b, c = triangles[t]
-        side, half = shapes[t, 0], 0.5 * shapes[t, 1]
+        a, b, c = triangles.atoms[t]
+        side, half = triangles.shapes[t, 0], 0.5 * triangles.shapes[t, 1]
         total = 1.0 / inverse_masses[a] + 2.0 / inverse_masses[b]
-        share = 1.0 / (inverse_masses[b] * total)  # of b, and of c, in the mass
-        whole = sqrt(side * side - half * half)
-        height = 2.0 * share * whole
-        b0, c0 = separation(positions, a, b, offsets[t, 0]), separation(positions, a, c, offsets[t, 1])
-        p, q = moved(b0, positions, velocities, a, b, duration), moved(c0, positions, velocities, a, c, duration)
-        a1 = combined(-share, p, -share, q)
+        fraction = 1.0 / (inverse_masses[b] * total)  # of b, and of c, in the mass
+        height = sqrt(side * side - half * half)
+        r_a = 2.0 * fraction * height
+        b0, c0 = separation(positions, a, b, triangles.offsets[t, 0]), separation(positions, a, c, triangles.offsets[t, 1])
+        p, q = moved(b0, velocities, a, b, duration), moved(c0, velocities, a, c, duration)
+        a1 = combined(-fraction, p, -fraction, q)
         b1, c1 = combined(1.0, a1, 1.0, p), combined(1.0, a1, 1.0, q)
-        a3, b3, c3, exists = settled(b0, c0, a1, b1, c1, height, whole - height, half)
+        a3, b3, c3, exists = settled(b0, c0, (a1, b1, c1), r_a, height - r_a, half)
         if not exists:
             return NOTHING - t
         for d in range(3):
@@ -107,6 +98,4 @@ def drift_triangles(first, last, positions, velocities, inverse_masses, triangle
     return 1
 
 
-@type_of(drift_triangles)
-class DriftTriangles(NamedTuple):
-    """Marker of drift_triangles."""
+DriftTriangles = type_of(drift_triangles)(namedtuple("DriftTriangles", ()))

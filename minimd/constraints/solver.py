@@ -1,39 +1,37 @@
 """Distance constraints on any bond graph: sorted by shape, each shape with the solver that suits it.
 
-bonds of their own        closed form                   constraint_solvers.drift_pairs
-three atoms in a line     closed form                   rods
-triangles such as water   closed form                   settle
-everything else           Newton within an envelope     constraint_solvers.drift_components
-solver="shake"            sweeps, for all               shake
+bonds that share no atom   closed form                      pairs
+three atoms in a line      closed form                      linear_triatomic
+triangles such as water    closed form                      settle
+everything else            Newton within an envelope        newton
+solver="shake"             sweeps, for all but the lines    shake
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
+from minimd.constraints.graph import Floats, Ints
 from minimd.constraints.groups import groups_of
 from minimd.constraints.newton import drift_some
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.errors import ConstraintError
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-ROUNDINGS = 20.0  # of the coordinates: no length can be kept better
+ROUNDINGS = 20.0  # rounding errors of the largest coordinate: no length can be kept more accurately
 
 
 class ConstraintSolver:
-    """Distance constraints of one system, ready to be kept.
+    """Solves the distance constraints of one system.
 
     Parameters
     ----------
     constraints : DistanceConstraints.  positions : (N, 3) [length].  inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
     offsets : (K, 3) [length], added to r_j − r_i: lattice translations of bonds across a periodic boundary.
-    threads : how many at most; the result has the same bits for any number.
+    threads : at most so many; results have the same bits for any number.
 
     Attributes
     ----------
-    n_constraints : degrees of freedom they take.  lengths : (K,) [length], in the order of the user.
-    accuracy : how far sweeps leave lengths off [length]; 0 of the other solvers, which go to rounding.
+    n_constraints : the degrees of freedom that they remove.  lengths : (K,) [length], in the order of the user.
+    accuracy : error of lengths after sweeps [length]; 0 for the other solvers, whose error is rounding.
 
     Raises
     ------
@@ -41,7 +39,7 @@ class ConstraintSolver:
     """
 
     def __init__(
-        self, constraints: DistanceConstraints, positions: Array, inverse_masses: Array, offsets: Array | None = None, threads: int = 1
+        self, constraints: DistanceConstraints, positions: Floats, inverse_masses: Floats, offsets: Floats | None = None, threads: int = 1
     ) -> None:
         offsets = np.zeros((len(constraints.pairs), 3)) if offsets is None else offsets
         lengths = _checked_lengths(constraints, positions, inverse_masses, offsets)
@@ -54,19 +52,19 @@ class ConstraintSolver:
         constrained[self.pairs] = True
         self.free_atoms = np.flatnonzero(~constrained)
         self.n_constraints = sum(group.n_constraints for group in self.groups)
-        self.iterations = 0  # most of any drift so far
+        self.iterations = 0  # largest number of any drift so far
 
     @property
     def summary(self) -> str:
         """The constraints, for a report."""
         return ", ".join(f"{len(group.order)} in {group.shape}" for group in self.groups)
 
-    def drift(self, positions: Array, velocities: Array, duration: float) -> None:
+    def drift(self, positions: Floats, velocities: Floats, duration: float) -> None:
         """positions += duration · velocities, projected along the old gradients; velocities changed accordingly. (N, 3) both.
 
         Raises
         ------
-        ConstraintError : if a length cannot be kept; positions and velocities are then spoilt.
+        ConstraintError : if a length cannot be kept; positions and velocities are then undefined.
         """
         if self.free_atoms.size:
             drift_some(positions, velocities, self.free_atoms, duration)
@@ -76,57 +74,57 @@ class ConstraintSolver:
                 self._fail(group.order[-1 - answer], positions, velocities, duration)
             self.iterations = max(self.iterations, answer)
 
-    def project_velocities(self, velocities: Array, positions: Array) -> None:
-        """Velocities made to keep all lengths: r_ij · v_ij = 0. (N, 3) both."""
+    def project_velocities(self, velocities: Floats, positions: Floats) -> None:
+        """Velocities projected so that r_ij · v_ij = 0 for all constraints. (N, 3) both."""
         for group in self.groups:
             answer = group.project(positions, velocities, np.zeros(len(group.order)))
             if answer < 0:
                 self._fail(group.order[-1 - answer], positions, velocities, 0.0)
 
-    def project_positions(self, positions: Array) -> None:
-        """Positions moved, mass-weighted, along the bonds as they are, until all lengths are right. (N, 3)."""
-        nowhere = np.zeros_like(positions)
+    def project_positions(self, positions: Floats) -> None:
+        """Positions moved along their present bonds, with mass weights, until all lengths are kept. (N, 3)."""
+        at_rest = np.zeros_like(positions)
         for _ in range(10):
-            self.drift(positions, nowhere, 1.0)
-            nowhere[:] = 0.0
+            self.drift(positions, at_rest, 1.0)
+            at_rest[:] = 0.0
             if self.violation(positions).max(initial=0.0) <= self.tolerance:
                 return
-        self._fail(int(np.argmax(self.violation(positions))), positions, nowhere, 1.0)
+        self._fail(int(np.argmax(self.violation(positions))), positions, at_rest, 1.0)
 
-    def multipliers(self, positions: Array, velocities: Array, accelerations: Array) -> list[tuple[Ints, Array]]:
+    def multipliers(self, positions: Floats, velocities: Floats, accelerations: Floats) -> list[tuple[Ints, Floats]]:
         """For each group its constraints and their λ [energy/length²]: the constraint force on j is λ r_ij; accelerations are projected."""
-        answer = []
+        found = []
         for group in self.groups:
             turning = velocities[self.pairs[group.order, 1]] - velocities[self.pairs[group.order, 0]]
             group.project(positions, accelerations, -np.einsum("ij,ij->i", turning, turning))
-            answer.append((group.order, group.multipliers.copy()))
-        return answer
+            found.append((group.order, group.multipliers.copy()))
+        return found
 
-    def virial(self, positions: Array, velocities: Array, forces: Array) -> Array:
-        """W = Σ λ r_ij ⊗ r_ij of the constraint forces, (3, 3) [energy]. forces : (N, 3), of everything else."""
+    def virial(self, positions: Floats, velocities: Floats, forces: Floats) -> Floats:
+        """W = Σ λ r_ij ⊗ r_ij of the constraint forces, (3, 3) [energy]. forces : (N, 3), all others."""
         virial = np.zeros((3, 3))
         for order, multipliers in self.multipliers(positions, velocities, forces * self.inverse_masses[:, None]):
             bonds = self.bonds(positions)[order]
             virial += np.einsum("k,ki,kj->ij", multipliers, bonds, bonds)
         return virial
 
-    def bonds(self, positions: Array) -> Array:
+    def bonds(self, positions: Floats) -> Floats:
         """r_ij, (K, 3) [length]."""
         return positions[self.pairs[:, 1]] - positions[self.pairs[:, 0]] + self.offsets
 
-    def violation(self, positions: Array) -> Array:
+    def violation(self, positions: Floats) -> Floats:
         """|r² − d²|/d², (K,)."""
         bonds = self.bonds(positions)
         return np.abs(np.einsum("ij,ij->i", bonds, bonds) - self.lengths**2) / self.lengths**2
 
-    def velocity_violation(self, positions: Array, velocities: Array) -> Array:
+    def velocity_violation(self, positions: Floats, velocities: Floats) -> Floats:
         """|r · (v_j − v_i)|/(d v), (K,), v the speed of the faster end; zero where nothing moves."""
         turning = velocities[self.pairs[:, 1]] - velocities[self.pairs[:, 0]]
         speeds = np.linalg.norm(velocities, axis=1)[self.pairs].max(axis=1)
         return np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning)) / (self.lengths * np.where(speeds > 0.0, speeds, 1.0))
 
-    def _fail(self, constraint: int, positions: Array, velocities: Array, duration: float) -> None:
-        """Closed forms fail before they move an atom, iterations after: whichever is farther off is told."""
+    def _fail(self, constraint: int, positions: Floats, velocities: Floats, duration: float) -> None:
+        """ConstraintError with the larger violation: closed forms fail before they move atoms, iterations afterwards."""
         i, j = self.pairs[constraint]
         off = max(self.violation(positions)[constraint], self.violation(positions + duration * velocities)[constraint])
         what = "drift" if duration else "velocity projection"
@@ -137,8 +135,8 @@ class ConstraintSolver:
         raise error
 
 
-def _checked_lengths(constraints: DistanceConstraints, positions: Array, inverse_masses: Array, offsets: Array) -> Array:
-    """(K,) [length], as given or as they are; ValueError as ConstraintSolver."""
+def _checked_lengths(constraints: DistanceConstraints, positions: Floats, inverse_masses: Floats, offsets: Floats) -> Floats:
+    """(K,) [length], as given or as in the positions. Raises ValueError as ConstraintSolver."""
     pairs = constraints.pairs
     if pairs.max(initial=-1) >= len(positions):
         raise ValueError(f"constraints must name atoms 0 to {len(positions) - 1}; they name atom {pairs.max()}")

@@ -22,7 +22,7 @@ LENGTHS_KEPT = 1e-8  # of d², violation of a rigid length that no one will see
 
 @dataclass(frozen=True)
 class Line:
-    """One thing that was looked at.  name : at most 14 letters.  summary : with figures.  verdict : plain.  is_good : whether it is as it should be."""
+    """One thing that was looked at.  name : at most 14 letters.  summary : with figures.  verdict : plain.  is_good : as it should be."""
 
     name: str
     summary: str

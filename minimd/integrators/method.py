@@ -1,26 +1,42 @@
-"""What all one-step methods have in common: a name, properties that tests measure, and a time step."""
+"""What all one-step methods have in common, and the problems and steps that they know: y(t) → y(t+h)."""
 
 from collections.abc import Callable
 from math import isfinite
 from numbers import Real
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from minimd.integrators.ode.problems import Problem
+__all__ = ["Method"]
 
-Value = TypeVar("Value")
+Array = NDArray[np.float64]
 
 
-class Answer(Generic[Value]):
-    """An attribute of a method that is computed from its coefficients whenever it is asked for."""
+class Problem(Protocol):
+    """y′ = f(t, y) or F(t, y, y′) = 0, given a start. States are one-dimensional arrays.
 
-    def __init__(self, question: Callable[[type[Any]], Value]) -> None:
-        self.question = question
+    solver : Newton() or FixedPoint(), for implicit steps.
+    """
 
-    def __get__(self, _instance: object, method: type[Any]) -> Value:
-        return self.question(method)
+    solver: Any
+
+    @property
+    def shape(self) -> tuple[int, ...] | None:
+        """Shape of q and of v, None for problems without them."""
+        ...
+
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
+        """The start at time t0 as a state; shapes are checked and remembered."""
+        ...
+
+    def field(self, t: float, y: Array) -> Array:
+        """y′."""
+        ...
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """F(t, y, y′), zero on a solution; y′ − f(t, y) if the problem is explicit."""
+        ...
 
 
 class Step(Protocol):
@@ -34,9 +50,19 @@ class Step(Protocol):
         """Evaluations of the right-hand side so far."""
         ...
 
-    def __call__(self, t: float, y: NDArray, h: float) -> NDArray:
+    def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h) from y(t); h may be negative."""
         ...
+
+
+class ClassProperty:
+    """An attribute of a class that is computed, here from the coefficients of a method, whenever it is read."""
+
+    def __init__(self, compute: Callable[[Any], Any]) -> None:
+        self._compute = compute
+
+    def __get__(self, _instance: object, owner: type) -> Any:
+        return self._compute(owner)
 
 
 class Method:
@@ -76,7 +102,7 @@ class Method:
         return f"{type(self).__name__}(timestep={self.timestep:g})"
 
     @classmethod
-    def on(cls, problem: "Problem") -> Step:
+    def on(cls, problem: Problem) -> Step:
         """The step of this method on a problem that has been given its start.
 
         Raises
@@ -86,6 +112,6 @@ class Method:
         raise NotImplementedError
 
     @classmethod
-    def order_on(cls, problem: "Problem") -> int:
+    def order_on(cls, problem: Problem) -> int:
         """Order on this problem, which can be lower than that on the problems the method was made for."""
         return cls.order

@@ -1,68 +1,13 @@
-"""The tables of methods, by name."""
+"""The tables of methods, by name: every class with a name in the modules below is in them."""
+
+from types import ModuleType
+from typing import Any
 
 from minimd.integrators.method import Method
-from minimd.integrators.ode.bdf import BDF1, BDF2, BDF3, BDF4, BDF5
-from minimd.integrators.ode.runge_kutta import (
-    GaussLegendre1,
-    GaussLegendre2,
-    GaussLegendre3,
-    GaussLegendre4,
-    ImplicitEuler,
-    RadauIIA2,
-    RadauIIA3,
-)
-from minimd.integrators.splitting.compositions import (
-    PEFRL,
-    BlanesMoan4,
-    CandyRozmus4,
-    KahanLi6,
-    KahanLi8,
-    McLachlanAtela4,
-    Ruth3,
-    Suzuki4,
-    Yoshida6,
-)
-from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.thermostats import THERMOSTATS
-from minimd.integrators.splitting.verlet import SE1, SE2, Leapfrog, PositionVerlet, VelocityVerlet
+from minimd.integrators.ode import bdf, runge_kutta
+from minimd.integrators.splitting import compositions, thermostats, verlet
 
-SPLITTINGS: dict[str, type[Splitting]] = {
-    method.name: method
-    for method in (
-        VelocityVerlet,
-        PositionVerlet,
-        Leapfrog,
-        SE1,
-        SE2,
-        Ruth3,
-        CandyRozmus4,
-        Suzuki4,
-        McLachlanAtela4,
-        PEFRL,
-        BlanesMoan4,
-        Yoshida6,
-        KahanLi6,
-        KahanLi8,
-    )
-}
-
-IMPLICIT: dict[str, type[Method]] = {
-    method.name: method
-    for method in (
-        GaussLegendre1,
-        GaussLegendre2,
-        GaussLegendre3,
-        GaussLegendre4,
-        ImplicitEuler,
-        RadauIIA2,
-        RadauIIA3,
-        BDF1,
-        BDF2,
-        BDF3,
-        BDF4,
-        BDF5,
-    )
-}
+__all__ = ["METHODS", "SPLITTINGS", "THERMOSTATS"]
 
 
 class MethodTable(dict[str, type[Method]]):
@@ -80,4 +25,13 @@ def _entries(method: type[Method]) -> tuple[str, ...]:
     return (method.name, str(method.order), str(method.stages), *("yes" if answer else "no" for answer in answers), method.source)
 
 
+def _methods_of(*modules: ModuleType) -> dict[str, Any]:
+    """The methods that these modules define, in the order in which they stand there."""
+    classes = [value for module in modules for name, value in vars(module).items() if name in module.__all__]
+    return {method.name: method for method in classes if hasattr(method, "name")}
+
+
+SPLITTINGS = _methods_of(verlet, compositions)
+THERMOSTATS = _methods_of(thermostats)
+IMPLICIT = _methods_of(runge_kutta, bdf)
 METHODS = MethodTable({**SPLITTINGS, **THERMOSTATS, **IMPLICIT})

@@ -1,4 +1,4 @@
-"""Starts that obey all constraints, given and hidden: time derivatives without formulas, and the nearest root.
+"""Consistent starts, which obey all constraints, given and hidden: numerical time derivatives, and the nearest root.
 
     c(ε) = g(t + ε, y + ε y′ + ε²/2 y″)        dᵏg/dtᵏ along the solution is dᵏc/dεᵏ at ε = 0
     x ← x − C⁺ c(x)                            Gauss-Newton, C⁺ the pseudo-inverse of C = ∂c/∂x: the root nearest to the guess
@@ -9,29 +9,30 @@ C. C. Pantelides, SIAM J. Sci. Stat. Comput. 9, 213 (1988); B. Leimkuhler, L. R.
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
+from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import CENTRAL, central_differences
 
-Array = NDArray[np.float64]
-SPACINGS = 0.1 / 3.0 ** np.arange(12)  # of the points of a difference formula, in units of the time in which the path changes by its size
-WEIGHTS = {  # of the values at −3 … 3 spacings, for the derivative of the same number: formulas of order 6 and 4
+SPACINGS = 0.1 / 3.0 ** np.arange(12)  # of points of the formulas below, in units of the time in which the path changes by its size
+WEIGHTS = {  # of the values at −3 … 3 spacings, for the first and second derivative: formulas of order 6 and 4
     1: (np.array([-1, 9, -45, 0, 45, -9, 1]) / 60.0, np.array([0, 1, -8, 0, 8, -1, 0]) / 12.0),
     2: (np.array([2, -27, 270, -490, 270, -27, 2]) / 180.0, np.array([0, -1, 16, -30, 16, -1, 0]) / 12.0),
 }
-NOISE = 10.0 * EPS  # of a function, of its change over the widest spacing
+NOISE = 10.0 * EPS  # rounding of a function, relative to its change over the widest spacing
 DEPENDENT = 1e-8  # ratio of singular values below which constraints count as dependent on each other
 MAX_ITERATIONS = 50
-RESTING = 1e-13  # rates below are rounding: nothing moves, but perhaps what depends on time [1/time]
-WIDE = 1e-3  # step of a difference of functions that are time derivatives
-SMALL = 1e-6  # corrections that may be rounding once they no longer shrink
-KEPT = 1e-11  # moves, relative to the size of the variables, below which a start is left as it is
-REFUSED = 1e-8  # and above which it counts as inconsistent; those between are made in silence
+RESTING = 1e-13  # lower rates are rounding, and the path is at rest [1/time]
+WIDE = 1e-3  # relative step for differences of functions that are numerical derivatives themselves
+SMALL = 1e-6  # relative corrections below which they are taken for rounding once they no longer shrink
+KEPT = 1e-11  # relative moves below which a start is left as it is: the accuracy of the derivatives
+REFUSED = 1e-8  # and above which it is refused as inconsistent; moves between the two are made without a warning
 
 
 def time_derivative(path: Callable[[float], Array], order: int, unit: float) -> Array:
-    """The first or second derivative at 0 of a path, to some 1e-12 or 1e-10: from the spacing at which two formulas agree best, beside rounding.
+    """The first or second derivative of a path at 0, to some 1e-12 or 1e-10, from the spacing with the least estimated error.
+
+    The estimate is the difference of the formulas of order 6 and 4, plus rounding.
 
     unit : time in which the path changes by its size [time].
     """
@@ -55,10 +56,10 @@ def unit_of_time(y: Array, *derivatives: Array) -> float:
 
 
 def nearest_root(function: Callable[[Array], Array], x: Array, step: float = CENTRAL, dependent: float = DEPENDENT, size: float = 0.0) -> Array:
-    """The x nearest to the guess with function(x) = 0, as near as Gauss-Newton comes; of dependent equations, the least correction.
+    """A root of the function near the guess, by Gauss-Newton: each correction is the smallest that solves the linearized equations.
 
-    step : of central differences, in proportion to x; wide for functions that are derivatives already.
-    dependent : ratio of singular values below which equations count as dependent.  size : of the largest variable, where x can be smaller by chance.
+    step : of central differences, relative to x; wide for functions that are numerical derivatives themselves.
+    dependent : ratio of singular values below which equations count as dependent.  size : of the largest variable, where x may be smaller by chance.
     """
     best, least, size = x, np.inf, max(size, np.abs(x).max())
     for _ in range(MAX_ITERATIONS):

@@ -5,31 +5,34 @@
     index 3     y′ = f(t, y, z),  z′ = k(t, y, z, u)        0 = g(t, y)       0 = dg/dt is hidden, 0 = d²g/dt² gives u
     mechanics   q′ = v,  M(q) v′ = f(t, q, v) − G(q)ᵀ λ     0 = g(t, q)       0 = G v + g_t is hidden, 0 = d²g/dt² gives λ
 
-The state holds the parts one after the other. A start that violates one of these constraints is refused, with the reason.
+The state holds its parts one after the other. A start that violates one of these constraints is refused, with the reason.
 E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
 """
 
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.integrators.dae.consistent_start import KEPT, REFUSED, WIDE, are_independent, nearest_root, time_derivative, unit_of_time
-from minimd.integrators.dae.problem import DifferentialAlgebraic, Function, taking
+from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import CENTRAL
+from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
+from minimd.integrators.ode.problems import DifferentialAlgebraic
 
-Array = NDArray[np.float64]
+__all__ = ["Hessenberg1", "Hessenberg2", "Hessenberg3"]
+
 Parts = tuple[Array, ...]
 
 
 class Hessenberg(DifferentialAlgebraic):
-    """What the forms have in common: parts of the state, and a chain of constraints, one for each of the last parts."""
+    """What the forms have in common: parts of the state, and a chain of constraints, each of which determines one of the last parts."""
 
     names: ClassVar[tuple[str, ...]]  # of the parts
-    functions: ClassVar[tuple[str, ...]]  # that belong to them
-    chain: ClassVar[tuple[str, ...]]  # what is zero, from g on; the last one gives the algebraic variables
-    regular: ClassVar[str]  # the matrix that must have full rank for that
+    functions: ClassVar[tuple[str, ...]]  # of the user, one for each part
+    chain: ClassVar[tuple[str, ...]]  # what is zero, from g on; the last one determines the algebraic variables
+    regular: ClassVar[str]  # the matrix that must have full rank for this
     _slices: tuple[slice, ...] = ()
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
@@ -37,7 +40,7 @@ class Hessenberg(DifferentialAlgebraic):
 
         Parameters
         ----------
-        start : the parts one after the other, such as (q, v); algebraic variables may be left out, or are taken for a first guess.
+        start : the parts one after the other, such as (q, v); algebraic variables may be left out; if given they are a first guess.
 
         Raises
         ------
@@ -46,7 +49,7 @@ class Hessenberg(DifferentialAlgebraic):
         return self._consistent(start, t0, self._refused)
 
     def corrected(self, start: Any, t0: float = 0.0) -> Array:
-        """The consistent state next to a start, part after part."""
+        """The consistent state nearest to a start, found part by part."""
         return self._consistent(start, t0, lambda k, t, parts, root: root)
 
     def parts(self, y: ArrayLike) -> Parts:
@@ -55,17 +58,17 @@ class Hessenberg(DifferentialAlgebraic):
         return tuple(y[..., part] for part in self._slices)
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
-        """y′ − f, then z′ − k where there is one, and g."""
+        """(y′ − f, g), or (y′ − f, z′ − k, g)."""
         *rates, g = self._answers(t, *self.parts(y))
         return np.concatenate([*(own - rate for own, rate in zip(self.parts(slope), rates, strict=False)), g])
 
     def field(self, t: float, y: Array) -> Array:
-        """f, then k where there is one, and zero for the algebraic variables."""
+        """(f, 0), or (f, k, 0): zero for the algebraic variables."""
         *rates, g = self._answers(t, *self.parts(y))
         return np.concatenate([*rates, np.zeros(g.size)])
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
-        """The k-th of the chain, zero on solutions: dᵏg/dtᵏ, from central differences along the solution."""
+        """dᵏg/dtᵏ along the solution, from central differences: zero on solutions."""
         raise NotImplementedError
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
@@ -91,7 +94,7 @@ class Hessenberg(DifferentialAlgebraic):
         return np.concatenate(parts)
 
     def _refused(self, k: int, t: float, parts: list[Array], root: Array) -> Array:
-        """The part of the chain's k-th constraint, unless it is far from the root."""
+        """The part that the k-th constraint determines: its root, or the part itself where the two agree to rounding."""
         i = len(parts) - len(self.chain) + k
         name, part = self.names[i], parts[i]
         move, size = np.abs(root - part).max(), max(_size(part, parts), np.abs(root).max())
@@ -104,7 +107,7 @@ class Hessenberg(DifferentialAlgebraic):
         return root if move > KEPT * size else part
 
     def _size_of_algebraic(self, t: float, parts: list[Array]) -> float:
-        """The algebraic variables that would change the highest derivative of the path by its size."""
+        """Size of algebraic variables that would change the highest derivative of the path by its own size."""
         *others, algebraic = parts
         here = self._highest_derivative(t, *parts)
         response = np.abs(self._highest_derivative(t, *others, algebraic + 1.0) - here).max()
@@ -112,11 +115,11 @@ class Hessenberg(DifferentialAlgebraic):
         return float(wanted / response) if wanted > 0.0 < response else 1.0
 
     def _highest_derivative(self, t: float, *parts: Array) -> Array:
-        """The derivative of y through which the algebraic variables act on the last constraint of the chain."""
+        """The derivative of y that occurs in the last constraint of the chain and depends on the algebraic variables."""
         return parts[-1]
 
     def _begun(self, start: Any, t: float) -> list[Array]:
-        """The parts of a start, zeros for algebraic variables that are not given; sizes are remembered."""
+        """The parts of a start, with zeros for algebraic variables that are not given; sizes are remembered."""
         if not isinstance(start, tuple) or len(start) not in (len(self.names) - 1, len(self.names)):
             raise ValueError(f"the start must be a tuple of {', '.join(self.names)}, of which {self.names[-1]} may be left out; got {start!r}")
         parts = [np.array(part, dtype=float).reshape(-1) for part in start]
@@ -134,11 +137,11 @@ class Hessenberg(DifferentialAlgebraic):
         return parts
 
     def _answers(self, t: float, *parts: Array) -> Parts:
-        """What each function answers with, in the order of the parts."""
+        """The values of the functions, in the order of the parts."""
         raise NotImplementedError
 
     def _n_multipliers(self, t: float, *parts: Array) -> int:
-        """How many algebraic variables there are."""
+        """Number of algebraic variables."""
         return self.constraint(0, t, *parts).size
 
 
@@ -159,7 +162,7 @@ class Hessenberg1(Hessenberg):
         self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y", "z"), "g")
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
-        """G itself."""
+        """g."""
         return self.g(t, *parts)
 
     def _answers(self, t: float, *parts: Array) -> Parts:
@@ -187,7 +190,7 @@ class Hessenberg2(Hessenberg):
         self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y"), "g")
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
-        """G, and its time derivative."""
+        """g or dg/dt."""
         y = parts[0]
         if k == 0:
             return self.g(t, y)
@@ -219,7 +222,7 @@ class Hessenberg3(Hessenberg):
         self.f, self.k, self.g = taking(f, ("t", "y", "z"), "f"), taking(k, ("t", "y", "z", "u"), "k"), taking(g, ("t", "y"), "g")
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
-        """G, and its time derivatives."""
+        """g, dg/dt or d²g/dt²."""
         y, z = parts[:2]
         if k == 0:
             return self.g(t, y)
@@ -244,6 +247,6 @@ class Hessenberg3(Hessenberg):
 
 
 def _size(part: Array, parts: list[Array]) -> float:
-    """Size of a part, or that of the others where it is nothing but rounding."""
+    """Size of a part, or the largest size of all parts where it is only rounding."""
     own, all_parts = float(np.abs(part).max()), max(float(np.abs(other).max()) for other in parts)
     return own if own > KEPT * all_parts else all_parts

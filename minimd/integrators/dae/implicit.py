@@ -2,7 +2,7 @@
 
     0 = F,  0 = dF/dt,  0 = d²F/dt²         along y + ε y′ + ε²/2 y″ + ε³/6 y‴: the derivative array
 
-A start is consistent if this array, of as many derivatives as the index less one, can be solved for y′, y″ … and for the variables
+A start is consistent if this array, with derivatives up to the index minus one, can be solved for y′, y″ … and for the variables
 whose derivative does not occur in F. The index is that of the pencil λ F_y′ + F_y at the start.
 S. L. Campbell, SIAM J. Sci. Stat. Comput. 6, 334 (1985); E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, VII.2.
 """
@@ -10,19 +10,21 @@ S. L. Campbell, SIAM J. Sci. Stat. Comput. 6, 334 (1985); E. Hairer, G. Wanner, 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.integrators.dae.consistent_start import WIDE, nearest_root, time_derivative, unit_of_time
 from minimd.integrators.dae.pencil import pencil_index
-from minimd.integrators.dae.problem import DifferentialAlgebraic, Function, taking
+from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import CENTRAL, central_differences
+from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
+from minimd.integrators.ode.problems import DifferentialAlgebraic
 
-Array = NDArray[np.float64]
-ABSENT = 1e-12  # of the largest derivative of F: those below count as none
-RANK, NOISY_RANK = 1e-7, 1e-4  # singular values of matrices found by differences, and by differences of differences, that count as zero
-RELUCTANT = 0.1  # mobility of variables with a derivative, beside that of all others
-SOLVED, NEGLIGIBLE = 1e-7, 1e-12  # of the terms of an equation, and of the largest variable in it: what may be left of it
+__all__ = ["Implicit"]
+
+ABSENT = 1e-12  # relative to the largest ∂F/∂y′: smaller ones count as zero
+RANK, NOISY_RANK = 1e-7, 1e-4  # relative singular values that count as zero, of matrices from differences and from differences of differences
+RELUCTANT = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others
+SOLVED, NEGLIGIBLE = 1e-7, 1e-12  # what may be left of an equation, relative to its terms and to its largest variable
 HIGHEST_INDEX = 3
 ORDINALS = ("", "the first time derivative of ", "the second time derivative of ")
 
@@ -47,7 +49,7 @@ class Implicit(DifferentialAlgebraic):
         self._slope = np.zeros(0)
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
-        """The start as a state, variables without a derivative in F solved for; field(t0, y) then answers with the y′ that belongs to it.
+        """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is then its y′.
 
         Raises
         ------
@@ -85,7 +87,7 @@ class Implicit(DifferentialAlgebraic):
         return super().slope_jacobian(t, y, slope) if self._F_slope is None else self._F_slope(t, y, slope).reshape(y.size, y.size)
 
     def _begun(self, start: Any, t: float) -> tuple[Array, Array]:
-        """Y and y′ of the start, zero if there is none."""
+        """y and y′ of the start; y′ is zero if it is not given."""
         y, slope = start if isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1 else (start, np.zeros(np.shape(start)))
         y, slope = np.array(y, dtype=float), np.array(slope, dtype=float)
         if y.ndim != 1 or y.size == 0 or y.shape != slope.shape or not (np.isfinite(y).all() and np.isfinite(slope).all()):
@@ -97,7 +99,7 @@ class Implicit(DifferentialAlgebraic):
         return y, slope
 
     def _consistent(self, t: float, y: Array, slope: Array, mobility: Array) -> Array:
-        """Y, after solving F = 0 and as many derivatives of it as the index asks for."""
+        """y, after solving F = 0 and its derivatives up to the index minus one."""
         size = float(np.abs(y).max())
         y, slope = self._solved(t, y, [slope], mobility, 1.0, size)
         of_slope, of_state = self._pencil(t, y, slope)
@@ -117,13 +119,13 @@ class Implicit(DifferentialAlgebraic):
         return central_differences(lambda x: self.residual(t, y, x), slope), central_differences(lambda x: self.residual(t, x, slope), y)
 
     def _levels_around(self, t: float, y: Array, slope: Array) -> Array:
-        """Powers of 1/h by which errors appear in each variable, at the start and somewhere near it, where nothing vanishes by chance."""
+        """The larger levels of those at the start and at a random point near it, where no derivative vanishes by chance."""
         aside = 0.01 * (np.abs(y).max() or 1.0) * np.random.default_rng(0).uniform(0.5, 1.0, y.size)
         there, near = _levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope))
         return np.maximum(there, near)
 
     def _solved(self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float) -> tuple[Array, Array]:
-        """Y and y′ with F = 0 and one derivative of it less than there are in the jet y′, y″ …
+        """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).
 
         mobility : (n,) how easily variables move, 0 for fixed ones.  unit : of time.  size : of the largest variable.
         """
@@ -157,7 +159,7 @@ class Implicit(DifferentialAlgebraic):
             )
 
     def _derivative_array(self, t: float, y: Array, jet: Array, unit: float) -> Array:
-        """F and its time derivatives along y + ε y′ + ε²/2 y″ + …, in units of time in which y changes by its size."""
+        """F and its time derivatives along y + ε y′ + ε²/2 y″ + …, with time in this unit."""
 
         def path(e: float) -> Array:
             states = [y, *jet]
@@ -175,7 +177,7 @@ def _taylor(coefficients: list[Array], e: float) -> Array:
 
 
 def _levels(of_slope: Array, of_state: Array) -> Array:
-    """(n,) powers of 1/h by which errors of equations appear in each variable: 0, 1 or 2, from (F_y′/h + F_y)⁻¹ at two small h."""
+    """(n,) powers of 1/h by which errors of equations are amplified in each variable: 0, 1 or 2, from (F_y′/h + F_y)⁻¹ at two small h."""
     m, a = of_slope / (np.abs(of_slope).max() or 1.0), of_state / (np.abs(of_state).max() or 1.0)
     long, short = (np.abs(np.linalg.inv(m / h + a)).max(axis=1) for h in (1e-3, 1e-4))
     return np.clip(np.round(np.log10(short / long)), 0, HIGHEST_INDEX - 1).astype(int)

@@ -2,20 +2,22 @@
 
     q′ = v        M(q) v′ = f(t, q, v) − G(t, q)ᵀ λ        0 = g(t, q)        G = ∂g/∂q
 
-Hidden are 0 = G v + g_t and, for λ, 0 = G v′ + (G v + g_t)_q v + …. Any mass matrix, any force, constraints that move with time;
-for particles and forces without velocity, RATTLE on a Holonomic problem is the cheaper way, and symplectic.
+The hidden constraints are 0 = G v + g_t and 0 = G v′ + (G v + g_t)_q v + …, which determines λ. The mass matrix and the force are
+arbitrary, and constraints may depend on time. For particles and forces that do not depend on v, RATTLE on a Holonomic problem is
+cheaper, and symplectic.
 E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, eq. 1.46.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.integrators.dae.hessenberg import Hessenberg3
-from minimd.integrators.dae.problem import Function, taking
+from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import central_differences, forward_differences
+from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
 
-Array = NDArray[np.float64]
+__all__ = ["Mechanical"]
 
 
 class Mechanical(Hessenberg3):
@@ -52,7 +54,7 @@ class Mechanical(Hessenberg3):
         return np.concatenate([v, self._acceleration(t, q, v, multipliers), np.zeros(multipliers.size)])
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y: −1 for v in q′ − v, G and Gᵀ as they are, the rest by finite differences."""
+        """∂F/∂y: −1 for v in q′ − v, the given G and Gᵀ, the rest by finite differences."""
         q, v, multipliers = self.parts(y)
         v_slope = self.parts(slope)[1]
         of_q, of_v, of_multipliers = self._slices
@@ -68,7 +70,7 @@ class Mechanical(Hessenberg3):
         return matrix
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """1, M and 0."""
+        """∂F/∂y′ = diag(1, M, 0)."""
         matrix = super().slope_jacobian(t, y, slope)
         of_q, of_v, _ = self._slices
         matrix[of_v, of_v] = self.mass(y[of_q])

@@ -3,7 +3,7 @@
     P M Q = diag(1, N),  P A Q = diag(C, 1)          Weierstrass' form of a regular pencil; the index is that of N: Nᵛ = 0 ≠ Nᵛ⁻¹
 
 Shuffle algorithm: orthogonal row operations bring M to (M₁; 0) with M₁ of full rank and A to (A₁; A₂); the equations 0 = A₂ y are
-differentiated, 0 = A₂ y′, and become rows of M. It ends with a regular M, after as many rounds as the index tells.
+differentiated, 0 = A₂ y′, and become rows of M. It ends when M is regular; the number of rounds is the index.
 F. R. Gantmacher, The Theory of Matrices, vol. 2 (1959), XII; D. G. Luenberger, Automatica 14, 473 (1978);
 ranks by singular values: P. Van Dooren, Linear Algebra Appl. 27, 103 (1979).
 """
@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-TOLERANCE = 1e-10
+__all__ = ["pencil_index"]
+
+TOLERANCE = 1e-10  # singular values of scaled matrices below this are rounding
 
 
 def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = TOLERANCE) -> int:  # noqa: N803
@@ -21,7 +23,7 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = TOLERANCE) -> in
 
     Parameters
     ----------
-    M, A : (n, n).  tolerance : singular values below this part of the largest one count as zero; rows and time are scaled before.
+    M, A : (n, n).  tolerance : singular values below this part of the largest one count as zero; rows and time are scaled first.
 
     Raises
     ------
@@ -33,7 +35,7 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = TOLERANCE) -> in
     if not (np.isfinite(m).all() and np.isfinite(a).all()):
         raise ValueError("M and A must be finite")
     n = len(m)
-    m, a = m / (np.abs(m).max() or 1.0), a / (np.abs(a).max() or 1.0)  # a unit of time, which the index does not know
+    m, a = m / (np.abs(m).max() or 1.0), a / (np.abs(a).max() or 1.0)  # in a unit of time of its own, on which the index does not depend
     for index in range(n + 1):
         left, sizes, _ = np.linalg.svd(m)
         rank = int((sizes > tolerance * max(sizes[0], np.abs(a).max())).sum())

@@ -1,12 +1,12 @@
-"""Constrained mechanics in the small: q″ = f(t, q) − M⁻¹ G(q)ᵀ λ with 0 = g(q), the differential-algebraic equation of index 3.
+"""Constrained mechanics of small systems: q″ = f(t, q) − M⁻¹ G(q)ᵀ λ with 0 = g(q), the differential-algebraic equation of index 3.
 
     drift     q₁ = q₀ + h v − M⁻¹ G(q₀)ᵀ λ  with  g(q₁) = 0,      v ← (q₁ − q₀)/h
     end       v ← v − M⁻¹ G(q₁)ᵀ μ          with  G(q₁) v = 0
 
-Kicks are as ever. With the row of velocity Verlet this is RATTLE: order 2, symmetric, symplectic on the manifold.
+Kicks are unchanged. With the substeps of velocity Verlet this is RATTLE: order 2, symmetric, symplectic on the manifold.
 H. C. Andersen, J. Comput. Phys. 52, 24 (1983); B. Leimkuhler, R. D. Skeel, J. Comput. Phys. 112, 117 (1994).
-Every symmetric row stays symmetric. Rows made of steps of velocity Verlet, such as Yoshida's, keep their order; all others have
-order 2 at most, for a constrained drift is no exact flow and two of them are not one.
+Symmetric sequences stay symmetric. Compositions of velocity Verlet, such as Yoshida's, keep their order. All others have order 2
+at most, because a constrained drift is not an exact flow: two of them in a row differ from a single one.
 """
 
 import warnings
@@ -15,20 +15,22 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from minimd.integrators.method import Step
+from minimd.integrators.method import Array, Step
 from minimd.integrators.ode.differences import central_differences
+from minimd.integrators.ode.functions import Function
 from minimd.integrators.ode.newton import Newton, Solver
-from minimd.integrators.ode.partitioned import push
-from minimd.integrators.ode.problems import Function, SecondOrder
+from minimd.integrators.ode.partitioned import SecondOrder, push
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substeps
+from minimd.structure.console import outside_minimd
 from minimd.structure.errors import ConvergenceError
 
-Array = NDArray[np.float64]
-KEPT = 1e-12  # violations of a start, relative to its size, that are put right without a word
-DEPENDENT = 1e-10  # ratio of singular values of G M^(−1/2) below which constraints say the same thing twice
+__all__ = ["Holonomic"]
+
+KEPT = 1e-12  # relative corrections of a start that are made without a warning
+DEPENDENT = 1e-10  # ratio of singular values of G M^(−1/2) below which constraints count as dependent
 
 
 class Holonomic(SecondOrder):
@@ -68,7 +70,7 @@ class Holonomic(SecondOrder):
         masses = np.broadcast_to(self._masses, self.shape).reshape(-1)
         return self.gradient(q).T / masses[:, None]
 
-    def begin(self, start: tuple[ArrayLike, ArrayLike]) -> Array:
+    def begin(self, start: tuple[ArrayLike, ArrayLike], t0: float = 0.0) -> Array:
         """(q, v) as one state, projected onto the manifold."""
         y = super().begin(start)
         n = y.size // 2
@@ -79,16 +81,17 @@ class Holonomic(SecondOrder):
         v1 = tangent(self, q1, v)
         moved, turned = np.abs(q1 - q).max(), np.abs(v1 - v).max()
         if moved > KEPT * np.abs(q).max() or turned > KEPT * max(np.abs(v).max(), np.finfo(float).tiny):
-            warnings.warn(f"the start was projected onto the constraints: q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}", stacklevel=4)
+            moves = f"q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}"
+            warnings.warn(f"the start was projected onto the constraints: {moves}", stacklevel=outside_minimd())
         return np.concatenate([q1, v1])
 
-    def sequence_step(self, row: Substeps) -> Step:
-        """The row with constrained drifts."""
-        return RattleStep(self, row)
+    def sequence_step(self, substeps: Substeps) -> Step:
+        """The substeps, with constrained drifts."""
+        return RattleStep(self, substeps)
 
-    def sequence_order(self, row: Substeps) -> int:
-        """Rows made of steps of velocity Verlet keep their order, for each such step is a RATTLE step; all others have order 2 at most."""
-        return nystrom_order(row) if is_made_of_verlet(row) else min(nystrom_order(row), 2)
+    def sequence_order(self, substeps: Substeps) -> int:
+        """Compositions of velocity Verlet keep their order, because each of their steps is a RATTLE step; all others have order 2 at most."""
+        return nystrom_order(substeps) if is_made_of_verlet(substeps) else min(nystrom_order(substeps), 2)
 
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
@@ -110,11 +113,11 @@ class Holonomic(SecondOrder):
 
 
 class RattleStep:
-    """One step of a row on a Holonomic problem."""
+    """One step of a splitting on a Holonomic problem."""
 
-    def __init__(self, problem: Holonomic, row: Substeps) -> None:
+    def __init__(self, problem: Holonomic, substeps: Substeps) -> None:
         self.nfev = 0
-        self._problem, self._row = problem, [(isinstance(substep, Kick), substep.coefficient) for substep in row]
+        self._problem, self._substeps = problem, [(isinstance(substep, Kick), substep.coefficient) for substep in substeps]
         self._iteration = problem.solver.iteration()
         self._known: tuple[Array | None, Array | None] = None, None
 
@@ -124,7 +127,7 @@ class RattleStep:
         known, force = self._known
         force = force if known is y else None
         q, v = y[:n].copy(), y[n:].copy()
-        for is_kick, coefficient in self._row:
+        for is_kick, coefficient in self._substeps:
             duration = coefficient * h
             if is_kick:
                 if force is None:
@@ -140,15 +143,12 @@ class RattleStep:
         return y
 
 
-def is_made_of_verlet(row: Substeps) -> bool:
-    """Whether each kick lasts half as long as its neighboring drifts together: kick w₁/2, drift w₁, kick (w₁ + w₂)/2, drift w₂, …"""
-    kicks, drifts = row[::2], (0.0, *(substep.coefficient for substep in row[1::2]), 0.0)
-    halves = [(one + other) / 2.0 for one, other in pairwise(drifts)]
-    return (
-        isinstance(row[0], Kick)
-        and len(kicks) == len(halves)
-        and all(abs(k.coefficient - w) < COEFFICIENT_ROUNDING for k, w in zip(kicks, halves, strict=True))
-    )
+def is_made_of_verlet(substeps: Substeps) -> bool:
+    """Whether these are steps of velocity Verlet: kick w₁/2, drift w₁, kick (w₁ + w₂)/2, drift w₂, … with neighboring kicks merged."""
+    kicks, drifts = substeps[::2], (0.0, *(substep.coefficient for substep in substeps[1::2]), 0.0)
+    if not isinstance(substeps[0], Kick) or len(kicks) != len(drifts) - 1:
+        return False
+    return all(abs(kick.coefficient - (one + other) / 2.0) < COEFFICIENT_ROUNDING for kick, (one, other) in zip(kicks, pairwise(drifts), strict=True))
 
 
 def projected(problem: Holonomic, q0: Array, q: Array, iteration: Any = None) -> Array:
@@ -171,7 +171,7 @@ def projected(problem: Holonomic, q0: Array, q: Array, iteration: Any = None) ->
 
 
 def tangent(problem: Holonomic, q: Array, v: Array) -> Array:
-    """The velocity v + M⁻¹ G(q)ᵀ μ with G v = 0; twice, for the rounding of the first time."""
+    """The velocity v + M⁻¹ G(q)ᵀ μ with G v = 0; projected twice, to remove the rounding of the first projection."""
     gradient, directions = problem.gradient(q), problem.inverse_mass_gradient(q)
     matrix = gradient @ directions
     try:

@@ -1,10 +1,10 @@
-"""Invariants, quantities g(y) that the exact flow keeps: what they are, the manifold they define, and its stabilization.
+"""Invariants g(y), which the exact flow keeps, the manifold that they define, and its stabilization.
 
     y′ = f(t, y) − γ F(y) (g(y) − g₀)         F = D (G D)⁻¹,  D = Gᵀ,  G = ∂g/∂y
 
 On the manifold g = g₀ nothing is changed; away from it g − g₀ decays like e^(−γt), whatever f does along the manifold.
 U. M. Ascher, H. Chin, S. Reich, Numer. Math. 67, 131 (1994); U. M. Ascher, L. R. Petzold, Computer Methods for Ordinary
-Differential Equations and Differential-Algebraic Equations (1998), 9.2. Projections stand in projection.py.
+Differential Equations and Differential-Algebraic Equations (1998), 9.2. Projections are in projection.py.
 """
 
 from collections.abc import Callable
@@ -13,27 +13,30 @@ from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from minimd.integrators.ode.arguments import argument_names
+from minimd.integrators.method import Array, Problem
 from minimd.integrators.ode.differences import central_differences
-from minimd.integrators.ode.problems import Field, FirstOrder, Function, Partitioned, Problem
+from minimd.integrators.ode.functions import Field, Function, argument_names
+from minimd.integrators.ode.partitioned import Partitioned
+from minimd.integrators.ode.problems import FirstOrder
 from minimd.structure.errors import ConvergenceError
 
-Array = NDArray[np.float64]
+__all__ = ["Invariants", "stabilized"]
+
 Shape = tuple[int, ...] | None
 PARALLEL = 1e-8  # sine of the angle between a gradient and the span of the others below which they count as dependent
 
 
 class Invariants:
-    """m quantities that are constant along the solutions, one or several at once.
+    """m quantities that are constant along solutions.
 
     Parameters
     ----------
     g : function of y, or of q and v (or of one of them), in the shape of the start; a number or an array of m numbers.
     jacobian : G = ∂g/∂y as a function of the same, m × (size of y) numbers in any shape; q and v are concatenated to y.
         By central differences if not given.
-    value : (m,) numbers to be kept; those of the start if not given.
+    value : (m,) numbers to be kept; g of the start if not given.
 
     Raises
     ------
@@ -54,7 +57,7 @@ class Invariants:
 
         Raises
         ------
-        ValueError : if numbers of values, derivatives and unknowns do not fit, or are not finite.
+        ValueError : if the numbers of values, derivatives and unknowns do not fit, or values are not finite.
         """
         manifold = Manifold(self, shape, self.g(y, shape) if self.value is None else self.value)
         manifold.check(y)
@@ -79,7 +82,7 @@ class Manifold:
         return self._invariants.jacobian(y, self._shape).reshape(self.value.size, y.size)
 
     def frame(self, y: Array) -> tuple[Array, Array]:
-        """Gᵀ = Q R: (n, m) orthonormal directions away from the manifold, and (m, m) how g changes along them, upper triangular.
+        """Gᵀ = Q R: (n, m) orthonormal directions Q that span the gradients, and upper triangular (m, m) R.
 
         Raises
         ------
@@ -120,11 +123,11 @@ class Correction(Protocol):
     """A term that is added to y′."""
 
     def begin(self, y: Array, shape: Shape) -> None:
-        """Take notice of the start."""
+        """Prepare for a run from this start."""
         ...
 
     def __call__(self, y: Array) -> Array:
-        """(n,) what is added to y′."""
+        """(n,) the term."""
         ...
 
 
@@ -155,7 +158,7 @@ class CorrectedPartitioned(Partitioned):
         super().__init__(g, f, solver=problem.solver)
         self._problem, self._correction, self.shape = problem, correction, problem.shape
 
-    def begin(self, start: Any) -> Array:
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state of length 2n."""
         y = self._problem.begin(start)
         self.shape = self._problem.shape
@@ -163,7 +166,7 @@ class CorrectedPartitioned(Partitioned):
         return y
 
     def field(self, t: float, y: Array) -> Array:
-        """(g, f) of the problem and the correction."""
+        """(g, f) of the problem, plus the correction."""
         return self._problem.field(t, y) + self._correction(y)
 
 
@@ -174,7 +177,7 @@ class CorrectedFirstOrder(FirstOrder):
         super().__init__(lambda t, y: problem.field(t, y) + correction(y), solver=problem.solver)
         self._problem, self._correction = problem, correction
 
-    def begin(self, start: ArrayLike) -> Array:
+    def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:
         """The start as a state of length n."""
         y = self._problem.begin(start)
         self._correction.begin(y, None)
@@ -182,16 +185,16 @@ class CorrectedFirstOrder(FirstOrder):
 
 
 def stabilized(problem: Problem, invariants: Invariants, gamma: float) -> CorrectedPartitioned | CorrectedFirstOrder:
-    """The problem y′ = f − γ Gᵀ (G Gᵀ)⁻¹ (g − g₀), for any method: its solutions are drawn to the manifold g = g₀.
+    """The problem y′ = f − γ Gᵀ (G Gᵀ)⁻¹ (g − g₀), for any method: its solutions approach the manifold g = g₀.
 
-    For one invariant, such as the energy, it reads y′ = f − γ (H − H₀) ∇H / |∇H|². Lengths are those of y as it is: choose units
-    in which its components are alike. A problem with q and v becomes Partitioned, and its steps implicit. Far from the manifold give the
-    Jacobian of the invariants in closed form: the noise of differences, 1e-10, is then in y′, and can keep implicit steps from being solved.
+    For one invariant, such as the energy, it reads y′ = f − γ (H − H₀) ∇H / |∇H|². Distances are those of y: choose units in which its
+    components have similar sizes. A problem with q and v becomes Partitioned, and its steps implicit. Far from the manifold give the
+    Jacobian of the invariants in closed form: y′ contains the noise of differences, 1e-10, with which implicit steps may not be solved.
 
     Parameters
     ----------
     problem : SecondOrder, Partitioned or FirstOrder.
-    gamma : rate γ at which g − g₀ decays [1/time], positive; with γ times the time step of order one and less.
+    gamma : rate γ at which g − g₀ decays [1/time], positive; γΔt should be at most about one.
 
     Raises
     ------
@@ -211,7 +214,7 @@ class Stabilization:
         self._invariants, self._gamma = invariants, gamma
 
     def begin(self, y: Array, shape: Shape) -> None:
-        """g₀ is that of the start, unless given."""
+        """g₀ is g of the start, unless given."""
         self._manifold = self._invariants.through(y, shape)
 
     def __call__(self, y: Array) -> Array:
@@ -228,7 +231,7 @@ def _joined(q: Array, v: Array) -> Array:
 
 
 def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
-    """The function as one of the state and the shape of q and v, with a fresh flat answer."""
+    """The function as one of the state and the shape of q and v, with fresh flat answers."""
     if argument_names(function, name, "a function of y, or of q and v") in (["y"], None):
         return lambda y, shape: np.array(function(y), dtype=float).reshape(-1)
     field = Field(function, "qv", name)

@@ -5,8 +5,8 @@
     y′ = f(t, y) − G(y)ᵀ z          z constant over the step          with_multipliers: the index-2 form, for any method
     the same, 0 = g(y) − g₀         z as the method has it            index_two: the problem, for differential-algebraic methods
 
-with μ, or z, such that g(y₁) = g₀. As the exact flow keeps g, all leave the order of the method as it is, and μ, z → 0 with h.
-They act on the whole state at once: of a symplectic method they leave an energy that is constant and a step that is no longer symplectic.
+with μ, or z, such that g(y₁) = g₀. The exact flow keeps g, so that the method keeps its order, and μ, z → 0 with h.
+A symplectic method is no longer symplectic afterwards, even where its energy is then constant.
 E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IV.4 and V.4.1;
 U. M. Ascher, L. R. Petzold, SIAM J. Numer. Anal. 28, 1097 (1991), for the index-2 form.
 """
@@ -15,19 +15,20 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
 from minimd.integrators.dae.hessenberg import Hessenberg2
 from minimd.integrators.manifold.invariants import Invariants, Manifold, Shape, check_invariants, corrected
-from minimd.integrators.method import Method, Step
-from minimd.integrators.ode.problems import FirstOrder, Partitioned, Problem
+from minimd.integrators.method import Array, Method, Problem, Step
+from minimd.integrators.ode.partitioned import Partitioned
+from minimd.integrators.ode.problems import FirstOrder
 from minimd.structure.errors import ConvergenceError
 
-Array = NDArray[np.float64]
+__all__ = ["index_two", "projected", "symmetrically_projected", "with_multipliers"]
+
 Arrival = Callable[[Array], Array]
 MAX_CORRECTIONS = 50
-SMALL = 1e-10  # relative errors of invariants that may be taken for rounding once they no longer shrink
+SMALL = 1e-10  # relative errors of invariants below which they are taken for rounding once they no longer shrink
 
 
 def projected(method: type[Method], invariants: Invariants) -> type[Method]:
@@ -46,7 +47,7 @@ def projected(method: type[Method], invariants: Invariants) -> type[Method]:
 
 
 def symmetrically_projected(method: type[Method], invariants: Invariants) -> type[Method]:
-    """The method, leaving the manifold before each step by as much as it returns to it afterwards: symmetric, if the method is.
+    """The method, with moves of the same size off the manifold before each step and back to it afterwards: symmetric, if the method is.
 
     Parameters, Raises : as for projected.
     """
@@ -54,7 +55,7 @@ def symmetrically_projected(method: type[Method], invariants: Invariants) -> typ
 
 
 def with_multipliers(method: type[Method], invariants: Invariants) -> type[Method]:
-    """The method on y′ = f − Gᵀ z, z in each step such that it ends on the manifold: the index-2 form. Symmetric, if the method is.
+    """The method on y′ = f − Gᵀ z, with a z for each step such that it ends on the manifold: the index-2 form. Symmetric, if the method is.
 
     Problems with q and v become Partitioned, and steps implicit.
 
@@ -89,7 +90,7 @@ def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type
 
 
 class ManifoldStep:
-    """A step that begins and ends on the manifold through the first state it is given."""
+    """A step that begins and ends on the manifold through the first state of the run."""
 
     def __init__(self, problem: Problem, method: type[Method], invariants: Invariants) -> None:
         self._shape: Shape = problem.shape
@@ -140,7 +141,7 @@ class SymmetricProjection(ManifoldStep):
 
 
 class MultiplierStep(ManifoldStep):
-    """The step on y′ = f − Gᵀ z, made again until z is such that it ends on the manifold."""
+    """The step on y′ = f − Gᵀ z, repeated with other z until it ends on the manifold."""
 
     def _inner(self, problem: Problem, method: type[Method]) -> Step:
         self._pull = _Pull()
@@ -161,7 +162,7 @@ class _Pull:
     _z: Array = np.zeros(0)
 
     def begin(self, y: Array, shape: Shape) -> None:
-        """Nothing: the step knows the manifold."""
+        """Nothing to prepare: MultiplierStep sets the manifold."""
 
     def set(self, manifold: Manifold, z: Array) -> None:
         """Give z another value."""
@@ -186,7 +187,7 @@ class IndexTwo(Hessenberg2):
 
         Raises
         ------
-        ValueError : if it is not on the manifold of the values that were given, or the gradients of the invariants are not independent.
+        ValueError : if it is not on the manifold of given values, or if the gradients of the invariants are not independent.
         """
         y = self._problem.begin(start)
         self._manifold = self._invariants.through(y, self._problem.shape)
@@ -196,11 +197,11 @@ class IndexTwo(Hessenberg2):
 def index_two(problem: Problem, invariants: Invariants) -> IndexTwo:
     """The differential-algebraic problem y′ = f − Gᵀ z, 0 = g − g₀ of index 2, for methods such as RadauIIA3.
 
-    It is given the start of the problem; index_two(…).parts(solution.y) are y, with q and v in a row, and z.
+    Its start is that of the problem. index_two(…).parts(solution.y) are y, that is (q, v) as one array, and z.
 
     Parameters
     ----------
-    problem : SecondOrder, Partitioned or FirstOrder, with Newton's method for its solver.
+    problem : SecondOrder, Partitioned or FirstOrder, with Newton() as its solver.
 
     Raises
     ------
@@ -213,11 +214,11 @@ def index_two(problem: Problem, invariants: Invariants) -> IndexTwo:
 
 
 def arrival(manifold: Manifold, arrive: Arrival, slope: Callable[[], Array]) -> Array:
-    """arrive(z) with g(arrive(z)) = g₀, to rounding: Newton's method from z = 0, the matrix kept up to date by Broyden's formula.
+    """arrive(z) with g(arrive(z)) = g₀, to rounding: Newton's method from z = 0, the matrix updated by Broyden's formula.
 
     Parameters
     ----------
-    arrive : (n,) state as a function of (m,) numbers z.  slope : answers with a guess of ∂g(arrive(z))/∂z, (m, m).
+    arrive : (n,) state as a function of (m,) numbers z.  slope : a function that returns a guess of ∂g(arrive(z))/∂z, (m, m).
 
     Raises
     ------
@@ -237,7 +238,7 @@ def arrival(manifold: Manifold, arrive: Arrival, slope: Callable[[], Array]) -> 
         y = arrive(z)
         defect = manifold.defect(y)
         error = _relative(defect, scale)
-        if error < least or error > SMALL:  # and not rounding, from which no slope can be learnt
+        if error < least or error > SMALL:  # else it is rounding, from which no slope follows
             matrix = matrix + np.outer(defect, dz) / (dz @ dz)
         n_stalls += least <= error <= SMALL
         best, least = (y, error) if error < least else (best, least)
@@ -254,7 +255,7 @@ def _gram(manifold: Manifold, y: Array) -> Array:
 
 
 def _rounding_scale(manifold: Manifold, y: Array) -> Array:
-    """(m,) sizes of the invariants of which rounding changes a part EPS: |g₀|, and Σ |G y| of the terms that may cancel in it."""
+    """(m,) sizes of the invariants, whose rounding errors are EPS times as large: |g₀|, or Σ |G y|, whose terms may cancel in g."""
     return np.maximum(np.abs(manifold.value), np.abs(manifold.jacobian(y)) @ np.abs(y)) + np.finfo(float).tiny
 
 
@@ -263,7 +264,7 @@ def _relative(defect: Array, scale: Array) -> float:
 
 
 def _fixed_point(image: Arrival, y: Array) -> Array:
-    """y = image(y) for an image that hardly depends on y."""
+    """y with y = image(y), by iteration, for an image that depends weakly on y."""
     for _ in range(MAX_CORRECTIONS):
         y, before = image(y), y
         if np.abs(y - before).max() <= EPS * np.abs(y).max():

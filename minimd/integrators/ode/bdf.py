@@ -1,10 +1,10 @@
-"""Backward differentiation formulas: the slope of the polynomial through the last k states and the new one obeys the equation.
+"""Backward differentiation formulas: the polynomial through the last k states and the new one satisfies the equation at the new time.
 
     F(t₁, y₁, K) = 0,      K = (1/h) Σ_{j=0}^{k} α_j y_{1−j},      α_j = ℓ_j′(t₁) h
     α = (1, −1)    (3/2, −2, 1/2)    (11/6, −3, 3/2, −1/3)    …                            for equal steps
 
 The α follow from the times of the last states, so that a shortened last step has the order of the others. The first k − 1 steps are
-made by Radau IIA with k stages, whose order is at least k in every variable that the formula looks back at.
+made by Radau IIA with k stages, whose order is at least k in every variable that enters the formula.
 C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. Circuit Theory 18, 89 (1971).
 Order k for problems of index 1 and 2, and of index 3 with equal steps after the first k + 1 (K. E. Brenan, S. L. Campbell,
 L. R. Petzold, Numerical Solution of Initial-Value Problems in Differential-Algebraic Equations (1989), 3.2).
@@ -14,29 +14,26 @@ from collections import deque
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.integrators.method import Answer, Method, Step
-from minimd.integrators.ode.problems import Problem
+from minimd.integrators.method import Array, ClassProperty, Method, Problem, Step
 from minimd.integrators.ode.runge_kutta import StageStep
 from minimd.integrators.ode.stages import StageEquations
 from minimd.integrators.ode.tableau import radau_iia
 
-Array = NDArray[np.float64]
-SOURCE = "C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. Circuit Theory 18, 89 (1971)"
+__all__ = ["BDF1", "BDF2", "BDF3", "BDF4", "BDF5"]
 
 
 class BDF(Method):
-    """A backward differentiation formula. From k = 2 on it is no one-step method: run_steps and run_until can use it, run_adaptive cannot.
+    """A backward differentiation formula. With k ≥ 2 it is not a one-step method: run_steps and run_until can use it, run_adaptive cannot.
 
     Attributes of each method
     -------------------------
-    n_past : number k of last states that are looked back at, and order; up to 5, as one more leaves too little stability.
+    n_past : number k of past states, and order; at most 5, because BDF6 is A(α)-stable only up to α = 18°.
     """
 
     n_past: ClassVar[int]
-    source = SOURCE
-    order = Answer(lambda method: method.n_past)
+    source = "C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. Circuit Theory 18, 89 (1971)"
+    order = ClassProperty(lambda method: method.n_past)
     stages = 1
     is_symmetric = is_symplectic = is_explicit = False
 
@@ -44,36 +41,6 @@ class BDF(Method):
     def on(cls, problem: Problem) -> Step:
         """The step on any problem."""
         return BDFStep(problem, cls.n_past)
-
-
-class BDF1(BDF):
-    """BDF with one step, implicit Euler: order 1."""
-
-    name, n_past = "bdf-1", 1
-
-
-class BDF2(BDF):
-    """BDF with two steps: order 2."""
-
-    name, n_past = "bdf-2", 2
-
-
-class BDF3(BDF):
-    """BDF with three steps: order 3."""
-
-    name, n_past = "bdf-3", 3
-
-
-class BDF4(BDF):
-    """BDF with four steps: order 4."""
-
-    name, n_past = "bdf-4", 4
-
-
-class BDF5(BDF):
-    """BDF with five steps: order 5."""
-
-    name, n_past = "bdf-5", 5
 
 
 class BDFStep:
@@ -128,3 +95,14 @@ def slope_weights(nodes: Array) -> Array:
     alpha = np.prod(away[0]) / away[0] / np.prod(away, axis=1)
     alpha[0] = -alpha[1:].sum()
     return np.asarray(alpha)
+
+
+def _bdf(k: int, steps: str) -> type[BDF]:
+    return type(f"BDF{k}", (BDF,), {"__doc__": f"BDF with {steps}: order {k}.", "name": f"bdf-{k}", "n_past": k})
+
+
+BDF1 = _bdf(1, "one step, implicit Euler")
+BDF2 = _bdf(2, "two steps")
+BDF3 = _bdf(3, "three steps")
+BDF4 = _bdf(4, "four steps")
+BDF5 = _bdf(5, "five steps")

@@ -1,22 +1,21 @@
-"""Derivatives of functions that come without one."""
+"""Derivatives by finite differences."""
 
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
+from minimd.integrators.method import Array
 
-Array = NDArray[np.float64]
-CENTRAL = EPS ** (1.0 / 3.0)  # of a variable: truncation and rounding are then alike, some 1e-11
-FORWARD = EPS**0.5  # the same for one-sided ones, some 1e-8
-LEAST = 1e-3  # of the largest variable, for the steps of small ones
+CENTRAL = EPS ** (1.0 / 3.0)  # step of central differences relative to a variable: truncation and rounding are then alike, some 1e-11
+FORWARD = EPS**0.5  # the same of forward differences: some 1e-8
+LEAST = 1e-3  # smallest size of a variable for its step, relative to the largest one
 
 
 def central_differences(function: Callable[[Array], Array], x: Array, step: float = CENTRAL, size: float = 0.0) -> Array:
-    """∂function/∂x, one column per variable, with steps in proportion to the variables whatever their unit; wide ones for noisy functions.
+    """∂function/∂x, one column per variable.
 
-    size : of the largest variable, where x can be smaller by chance.
+    step : relative to each variable; wide for noisy functions.  size : of the largest variable, where x may be smaller by chance.
     """
     steps = step * np.maximum(np.abs(x), LEAST * (max(np.abs(x).max(), size) or 1.0))
     columns = []
@@ -29,7 +28,7 @@ def central_differences(function: Callable[[Array], Array], x: Array, step: floa
 
 
 def forward_differences(function: Callable[[Array], Array], x: Array, at_x: Array) -> Array:
-    """∂function/∂x, one column per variable, at half the cost and half the digits; at_x : function(x), known already."""
+    """∂function/∂x, one column per variable: half the evaluations of central differences, and half the digits.  at_x : function(x)."""
     jacobian = np.empty((at_x.size, x.size))
     steps = FORWARD * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0))
     for k in range(x.size):

@@ -1,20 +1,18 @@
-"""Drivers with a fixed time step: a method on a small problem, over a number of steps or up to a time."""
+"""Runs of small problems with a fixed time step, over a number of steps or up to a time."""
 
 from collections.abc import Iterator
 from math import isfinite
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.integrators.dae.problem import begun
-from minimd.integrators.method import Method, Step
-from minimd.integrators.ode.problems import Problem
+from minimd.integrators.method import Array, Method, Problem, Step
 from minimd.integrators.ode.solution import Solution, with_path
 from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 
-Array = NDArray[np.float64]
-LEFTOVER = 1e-12  # of a step: a last one shorter than this is nothing but rounding, and made with the one before
+__all__ = ["run_steps", "run_until"]
+
+LEFTOVER = 1e-12  # of a step: a shorter rest is rounding of the times, and belongs to the step before
 
 
 def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: float = 0.0, every: int = 1) -> Solution:
@@ -65,7 +63,7 @@ def check_ahead(t0: float, t_end: float) -> None:
 def _fixed(problem: Problem, method: Method, start: Any, t0: float, steps: Iterator[float], every: int, t_end: float | None = None) -> Solution:
     check_problem(problem)
     checked_count("every", every)
-    y = begun(problem, start, t0)
+    y = problem.begin(start, t0)
     step = type(method).on(problem)
     t, n, times, states = t0, 0, [t0], [y]
     try:

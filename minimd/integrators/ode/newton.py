@@ -3,9 +3,9 @@
     x ← x − J⁻¹ r(x),   J ≈ ∂r/∂x        simplified Newton: J is kept from solution to solution, and renewed when progress is slow
     x ← x − r(x)                          fixed point: the same with J = 1, for r(x) = x − φ(x)
 
-An iteration has converged when the correction is at rounding, or is small and no longer shrinks though J is new: a looser
-tolerance would make symmetric and symplectic methods drift. Where the unknowns have sizes of their own, J is scaled by them, and
-its rows to one: the equations of a differential-algebraic step differ by powers of h.
+An iteration has converged when the correction is at rounding, or is small and no longer shrinks although J is new: with a looser
+tolerance symmetric and symplectic methods would drift. Where each unknown has its own size, the columns of J are scaled by these
+sizes and its rows to one, because the equations of a differential-algebraic step differ by powers of h.
 E. Hairer, R. I. McLachlan, A. Razakarivony, BIT Numer. Math. 48, 231 (2008), 4; E. Hairer, G. Wanner, Solving ODEs II (1996), IV.8, VII.4.
 """
 
@@ -14,18 +14,19 @@ from typing import Any
 
 import numpy as np
 import scipy  # its parts are loaded when they are used
-from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS
+from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import forward_differences
 from minimd.structure.errors import ConvergenceError, checked_count
 
-Array = NDArray[np.float64]
+__all__ = ["FixedPoint", "Newton"]
+
 Residual = Callable[[Array], Array]
-SLOW = 0.3  # a correction shrinks at least by this factor per iteration, or the Jacobian is renewed
+SLOW = 0.3  # the Jacobian is renewed if a correction is more than this part of the one before
 NEAR = 16.0 * EPS  # corrections, relative to the unknowns, that are taken for rounding once they shrink slowly
-STALLED = 0.5  # a new Jacobian that does not even bring this factor does not help
-SMALL = 1e-8  # the same, once they no longer shrink with a new Jacobian either
+STALLED = 0.5  # corrections that shrink by less than this factor with a new Jacobian no longer shrink
+SMALL = 1e-8  # corrections, relative to the unknowns, that are taken for rounding once they no longer shrink: about the square root of EPS
 
 
 class Newton:
@@ -34,11 +35,11 @@ class Newton:
     Parameters
     ----------
     max_iterations : int, after which the equations count as unsolved.
-    small : relative size of corrections that may be taken for rounding once they no longer shrink.
+    small : relative size below which corrections are taken for rounding once they no longer shrink.
 
     Raises
     ------
-    ValueError : if max_iterations is below 1.
+    ValueError : if max_iterations is not a whole number, at least 1.
     """
 
     slow = SLOW
@@ -50,11 +51,11 @@ class Newton:
         return f"{type(self).__name__}(max_iterations={self.max_iterations})"
 
     def iteration(self) -> "Iteration":
-        """An iteration with a memory of its own for the Jacobian."""
+        """An iteration that keeps its own Jacobian."""
         return Iteration(self)
 
     def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None, sizes: Array | float) -> Any:
-        """LU factors of ∂r/∂x at x, of unknowns in units of their sizes and with rows scaled to one where sizes are given."""
+        """LU factors of ∂r/∂x at x; where sizes are given, columns are scaled by them and rows to one."""
         matrix = forward_differences(residual, x, r) if jacobian is None else jacobian(x)
         if not np.isfinite(matrix).all():
             raise ConvergenceError("the equations of the step have no finite Jacobian")
@@ -76,7 +77,7 @@ class Newton:
 
 
 class FixedPoint(Newton):
-    """Fixed-point iteration x ← φ(x): no Jacobian, and convergence only for steps that are short enough.
+    """Fixed-point iteration x ← φ(x), without a Jacobian; it converges for short steps only.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ class FixedPoint(Newton):
         super().__init__(max_iterations, small)
 
     def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None, sizes: Array | float) -> Any:
-        """Nothing: the Jacobian is taken for 1."""
+        """None: the Jacobian is taken for 1."""
 
     def correction(self, factors: Any, r: Array) -> Array:
         """r itself."""
@@ -99,8 +100,15 @@ class FixedPoint(Newton):
 Solver = Newton
 
 
+def checked_solver(solver: Solver) -> Solver:
+    """TypeError for anything but a solver."""
+    if not isinstance(solver, Newton):
+        raise TypeError(f"solver must be Newton() or FixedPoint(); got {solver!r}")
+    return solver
+
+
 class Iteration:
-    """Solves r(x) = 0 again and again, for equations that change little from one time to the next."""
+    """Solves r(x) = 0 repeatedly, for equations that change little between solutions."""
 
     def __init__(self, solver: Solver) -> None:
         self.solver = solver
@@ -122,10 +130,10 @@ class Iteration:
         Parameters
         ----------
         residual : function of x.  x : first guess.  jacobian : ∂residual/∂x, a function of x.
-        key : the kept Jacobian is renewed when this changes, such as the time step.
-        scale : sizes of the unknowns below which errors do not matter, as an array (by which the equations are scaled too) or a number.
-        floor : the same for corrections that no longer shrink, if larger ones may then be rounding.
-        nothing : corrections of this size end the iteration whatever the unknowns.
+        key : what J depends on beside x, such as the time step; J is renewed when it changes.
+        scale : least sizes of the unknowns for relative errors, one number or an array; the equations are scaled by an array too.
+        floor : the same for corrections that no longer shrink; scale if not given.
+        nothing : corrections up to this size end the iteration, whatever the unknowns.
 
         Raises
         ------
@@ -158,6 +166,6 @@ class Iteration:
 
 
 def _relative_size(dx: Array, x: Array, scale: Array | float) -> float:
-    """Largest |Δx| over the size of x; without a scale, unknowns much smaller than the largest one count as that one's rounding."""
+    """Largest |Δx| relative to |x|, or to scale where that is larger; without a scale, relative to the largest |x|."""
     floor = np.maximum(np.abs(x), scale if np.any(scale) else np.abs(x).max())
     return float(np.max(np.abs(dx) / np.maximum(floor, np.finfo(float).tiny)))

@@ -1,188 +1,23 @@
-"""Differential equations as the methods for small systems see them.
+"""Problems whose state is one array: y′ = f(t, y), and the differential-algebraic F(t, y, y′) = 0.
 
-    SecondOrder   q″ = f(t, q, v)                               planets, pendulums, particles
-    Partitioned   q′ = g(t, q, v),  v′ = f(t, q, v)             any Hamiltonian, with v for the momenta
-    FirstOrder    y′ = f(t, y)
+    index 1   y′ = f(t, y, z)       0 = g(t, y, z)                     g_z regular
+    index 2   y′ = f(t, y, z)       0 = g(t, y)                        g_y f_z regular
+    index 3   y′ = f(t, y, z)       z′ = k(t, y, z, u)    0 = g(t, y)  g_y f_z k_u regular
 
-A function is written with the arguments it needs, called t, q and v: what it does not take it cannot depend on, and that
-is how a method knows that a step is explicit. A function that takes all three is never trusted to ignore one: the step is
-then solved as an implicit one, and is done at once where it turns out to be explicit after all.
+The index is how often equations must be differentiated until they determine y′. Constraints that appear on the way are
+hidden, and a start must obey them too. E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic Systems
+by Runge-Kutta Methods (1989); E. Hairer, G. Wanner, Solving ODEs II (1996), VI and VII.
 """
 
-from collections.abc import Callable
-from math import prod
-from typing import Any, Protocol
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from minimd.integrators.method import Step
-from minimd.integrators.ode.arguments import argument_names
-from minimd.integrators.ode.newton import Newton, Solver
-from minimd.integrators.ode.partitioned import EulerStep, SequenceStep
-from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
-from minimd.integrators.splitting.substeps import Substeps
+from minimd.integrators.method import Array, Problem
+from minimd.integrators.ode.differences import forward_differences
+from minimd.integrators.ode.functions import Function, check_finite, checked_values, of_time_and_state
+from minimd.integrators.ode.newton import FixedPoint, Newton, Solver, checked_solver
 
-Array = NDArray[np.float64]
-Function = Callable[..., Any]
-
-
-class Problem(Protocol):
-    """y′ = f(t, y) or F(t, y, y′) = 0, given a start. States are one-dimensional arrays."""
-
-    solver: Solver
-
-    @property
-    def shape(self) -> tuple[int, ...] | None:
-        """Shape of q and of v, None for problems without them."""
-        ...
-
-    def begin(self, start: Any) -> Array:
-        """The start as a state; shapes are checked and remembered."""
-        ...
-
-    def field(self, t: float, y: Array) -> Array:
-        """y′."""
-        ...
-
-    def residual(self, t: float, y: Array, slope: Array) -> Array:
-        """F(t, y, y′), zero on a solution; y′ − f(t, y) if the problem is explicit."""
-        ...
-
-
-class Field:
-    """A function of the user, called with t, q, v whatever it takes, and answering with a fresh flat array."""
-
-    def __init__(self, function: Function, usual: str, name: str) -> None:
-        self.takes = _arguments(function, usual, name)
-        self.name = name
-        self.shape: tuple[int, ...] | None = None  # of its answers, known once there is a start
-        self._call = _CALLS[self.takes](function)
-
-    def __call__(self, t: float, q: Array, v: Array) -> Array:
-        """(n,) values of the function."""
-        return _values(self._call(t, q, v), self.shape, self.name)
-
-
-def _values(answer: Any, shape: tuple[int, ...] | None, name: str) -> Array:
-    """A fresh flat array of what a function of the user answered, if that has the right shape; one number may come without its brackets."""
-    values = np.array(answer)
-    if values.dtype.kind not in "fiub":
-        raise TypeError(f"{name} must answer with real numbers; got {answer!r}")
-    if shape is not None and values.shape != shape and not values.size == prod(shape) == 1:
-        raise ValueError(f"{name} must answer with an array of shape {shape}; got shape {values.shape}")
-    return values.reshape(-1).astype(float, copy=False)
-
-
-_CALLS: dict[str, Callable[[Function], Function]] = {
-    "": lambda f: lambda t, q, v: f(),
-    "t": lambda f: lambda t, q, v: f(t),
-    "q": lambda f: lambda t, q, v: f(q),
-    "v": lambda f: lambda t, q, v: f(v),
-    "tq": lambda f: lambda t, q, v: f(t, q),
-    "tv": lambda f: lambda t, q, v: f(t, v),
-    "qv": lambda f: lambda t, q, v: f(q, v),
-    "tqv": lambda f: f,
-}
-
-
-def _arguments(function: Function, usual: str, name: str) -> str:
-    """Which of t, q, v a function takes: by their names, else by their number if it is the usual one or three."""
-    names = argument_names(function, name)
-    if names is None:
-        return usual
-    if set(names) <= set("tqv") and "".join(names) in _CALLS:
-        return "".join(names)
-    substeps = "tqv" if len(names) == 3 else usual
-    if len(names) == len(substeps) and all(given == substep or given not in ("t", "q", "v") for given, substep in zip(names, substeps, strict=True)):
-        return substeps
-    raise TypeError(f"{name} must take some of t, q, v, in this order and under these names; it takes ({', '.join(names)})")
-
-
-class Partitioned:
-    """q′ = g(t, q, v), v′ = f(t, q, v).
-
-    Parameters
-    ----------
-    g, f : functions of t, q, v, or of those of them they depend on: g(v), f(q), f(t, q), …; q and v have the shape of the start,
-        and so have the answers. q and v are not to be changed.
-    g_q, f_v : (n, n) Jacobians ∂g/∂q and ∂f/∂v, functions of t, q, v; found by finite differences if not given.
-    solver : Newton() or FixedPoint(), for steps that turn out implicit.
-
-    Raises
-    ------
-    TypeError : for anything but functions, or functions whose arguments are called otherwise.
-    """
-
-    def __init__(self, g: Function, f: Function, g_q: Function | None = None, f_v: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
-        self.g, self.f = Field(g, "v", "g"), Field(f, "q", "f")
-        self.g_q = g_q if g_q is None else Field(g_q, "tqv", "g_q")
-        self.f_v = f_v if f_v is None else Field(f_v, "tqv", "f_v")
-        self.solver = _checked(solver)
-        self.shape: tuple[int, ...] = ()  # of q and of v, known once there is a start
-        self.g_is_v = False
-
-    @property
-    def is_separable(self) -> bool:
-        """Whether g takes v alone and f does not take v, so that each half can be solved exactly."""
-        return self.g.takes in ("", "v") and "v" not in self.f.takes
-
-    def begin(self, start: tuple[ArrayLike, ArrayLike]) -> Array:
-        """(q, v) as one state of length 2n.
-
-        Raises
-        ------
-        ValueError : if q and v do not have the same shape, or a value is not finite; g and f answer with that shape, or raise it.
-        """
-        if not isinstance(start, (tuple, list, np.ndarray)) or len(start) != 2:
-            raise ValueError(f"the start must be a pair, (q, v); got {start!r}")
-        q, v = (np.array(part, dtype=float) for part in start)
-        if q.shape != v.shape or q.size == 0:
-            raise ValueError(f"q and v of the start must have the same shape, and at least one element; got {q.shape} and {v.shape}")
-        self.shape = self.g.shape = self.f.shape = q.shape
-        y = np.concatenate([q.reshape(-1), v.reshape(-1)])
-        _check_finite(y)
-        return y
-
-    def sequence_step(self, row: Substeps) -> Step:
-        """The step of a splitting: kicks and drifts if the problem is separable, else the implicit form of the method."""
-        return SequenceStep(self, row) if self.is_separable else EulerStep(self, row)
-
-    def sequence_order(self, row: Substeps) -> int:
-        """Order of a splitting on this problem; rows made for q″ = f(q) alone can have a higher one there than elsewhere."""
-        return separable_order(row)
-
-    def halves(self, y: Array) -> tuple[Array, Array]:
-        """Views of q and v, in their shape."""
-        n = y.size // 2
-        q, v = y[:n], y[n:]
-        return (q, v) if len(self.shape) == 1 else (q.reshape(self.shape), v.reshape(self.shape))
-
-    def field(self, t: float, y: Array) -> Array:
-        """(g, f) as one array of length 2n."""
-        q, v = self.halves(y)
-        return np.concatenate([self.g(t, q, v), self.f(t, q, v)])
-
-    def residual(self, t: float, y: Array, slope: Array) -> Array:
-        """y′ − (g, f)."""
-        return slope - self.field(t, y)
-
-
-class SecondOrder(Partitioned):
-    """q″ = f(t, q, v): Newton's equation, f being force over mass.
-
-    Parameters
-    ----------
-    f : a function of q, of t and q, or of t, q and v.  f_v, solver : as for Partitioned.
-    """
-
-    def __init__(self, f: Function, f_v: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
-        super().__init__(lambda v: v, f, f_v=f_v, solver=solver)
-        self.g_is_v = True
-
-    def sequence_order(self, row: Substeps) -> int:
-        """See Partitioned."""
-        return nystrom_order(row) if self.is_separable else separable_order(row)
+__all__ = ["FirstOrder"]
 
 
 class FirstOrder:
@@ -197,48 +32,66 @@ class FirstOrder:
     shape = None
 
     def __init__(self, f: Function, jacobian: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
-        self._f = _of_time_and_state(f, "f")
-        self.jacobian = jacobian if jacobian is None else _of_time_and_state(jacobian, "jacobian")
-        self.solver = _checked(solver)
+        self._f = of_time_and_state(f, "f")
+        self.jacobian = jacobian if jacobian is None else of_time_and_state(jacobian, "jacobian")
+        self.solver = checked_solver(solver)
 
-    def begin(self, start: ArrayLike) -> Array:
+    def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:
         """The start as a state of length n.
 
         Raises
         ------
-        ValueError : if it is no array of one dimension, or a value is not finite; f answers with its shape, or raises it.
+        ValueError : if it is not an array of one dimension, or a value is not finite; from f, if its answers have another shape.
         """
         y = np.array(start, dtype=float)
         if y.ndim != 1 or y.size == 0:
             raise ValueError(f"the start must be a one-dimensional array with at least one element; got shape {y.shape}")
-        _check_finite(y)
+        check_finite(y)
         return y
 
     def field(self, t: float, y: Array) -> Array:
         """f(t, y)."""
-        return _values(self._f(t, y), y.shape, "f")
+        return checked_values(self._f(t, y), y.shape, "f")
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """y′ − f(t, y)."""
         return slope - self.field(t, y)
 
 
-def _of_time_and_state(function: Function, name: str) -> Function:
-    names = argument_names(function, name) or ["y"]
-    if names == ["t"]:
-        return lambda t, y: function(t)
-    if len(names) > 2 or (len(names) == 2 and (names[0] == "y" or names[1] == "t")):
-        raise TypeError(f"{name} must take y, or t and y, in this order; it takes ({', '.join(names)})")
-    return function if len(names) == 2 else lambda t, y: function(y)
+class DifferentialAlgebraic(Problem):
+    """F(t, y, y′) = 0: what the forms of differential-algebraic problems have in common.
 
+    begin refuses a start that violates a constraint, given or hidden, or that has no solution through it, with a ValueError. It solves for
+    the algebraic variables; field is zero for those.
 
-def _checked(solver: Solver) -> Solver:
-    if not isinstance(solver, Newton):
-        raise TypeError(f"solver must be Newton() or FixedPoint(); got {solver!r}")
-    return solver
+    Attributes of each problem
+    --------------------------
+    index : how often equations must be differentiated until they determine y′; known once there is a start.
+    levels : (n,) how many powers of 1/h amplify errors of each variable: 0, or 1 and 2 for those of index 2 and 3.
+    """
 
+    shape = None
+    index: int
+    levels: Array
 
-def _check_finite(y: Array) -> None:
-    if not np.isfinite(y).all():
-        k = int(np.argmin(np.isfinite(y)))
-        raise ValueError(f"the start must be finite; element {k} is {y[k]}")
+    def __init__(self, solver: Solver) -> None:
+        if not isinstance(solver, Newton) or isinstance(solver, FixedPoint):
+            raise TypeError(f"differential-algebraic equations need Newton's method, they are no fixed-point equations; got solver = {solver!r}")
+        self.solver = solver
+
+    def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
+        """∂F/∂y, (n, n)."""
+        return forward_differences(lambda x: self.residual(t, x, slope), y, self.residual(t, y, slope))
+
+    def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
+        """∂F/∂y′, (n, n)."""
+        return forward_differences(lambda x: self.residual(t, y, x), slope, self.residual(t, y, slope))
+
+    def error_weights(self, h: float) -> Array:
+        """(n,) min(1, |h|)^level: the factors of the errors of variables in an error norm.
+
+        An error ε of the equations appears as ε/h in variables of index 2 and as ε/h² in those of index 3. These act on the
+        solution with the inverse factors. The unit of time should be one in which the solution varies.
+        E. Hairer, G. Wanner, Solving ODEs II (1996), VII.4 and the code RADAU5.
+        """
+        return min(1.0, abs(h)) ** self.levels

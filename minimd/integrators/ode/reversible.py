@@ -2,9 +2,9 @@
 
     ρ_{n+1/2} = ρ_{n−1/2} + ε G(y_n),      y_{n+1} = Φ_{ε/ρ_{n+1/2}}(y_n),      G = d ln ρ/dt along the solution
 
-Steps are dense (ρ large) where the solution changes fast. As density and state leapfrog each other, the whole is symmetric, and
-reversible if G changes sign with the velocities; the energy of Hamiltonian problems then oscillates, and does not drift as it
-does when each step is chosen by an estimate of its error.
+Steps are dense (ρ large) where the solution changes fast. Density and state are advanced in turn, so that the scheme is symmetric. It
+is reversible if G changes sign with the velocities. The energy of Hamiltonian problems then oscillates; it drifts if each step is
+chosen by an estimate of its error.
 E. Hairer, G. Söderlind, SIAM J. Sci. Comput. 26, 1838 (2005), eq. 3.2-3.4.
 """
 
@@ -13,40 +13,40 @@ from dataclasses import dataclass, field
 from math import copysign, isfinite, log
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from minimd.integrators.dae.problem import begun
-from minimd.integrators.method import Method
+from minimd.integrators.method import Array, Method
 from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_method, check_problem
-from minimd.integrators.ode.problems import Partitioned
-from minimd.integrators.ode.solution import Solution, ended, with_path
+from minimd.integrators.ode.partitioned import Partitioned
+from minimd.integrators.ode.solution import Solution, with_path
 from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 
-Array = NDArray[np.float64]
+__all__ = ["DensityControl", "run_reversible"]
+
 Rate = Callable[[float, Array, Array], float]
-EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), steps in proportion to the time of free fall
-DIFFERENCE = 1e-5  # of the time in which q changes by its size, for the slope of ln |f|: truncation and rounding are then alike, 1e-10
+EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), so that steps are proportional to the free-fall time
+DIFFERENCE = 1e-5  # of the time in which q changes by its size: truncation and rounding of d ln |f|/dt are then alike, 1e-10
 
 
 @dataclass
 class ReversibleSolution(Solution):
-    """A Solution with density : (n + 1,) values of ρ at its times, dimensionless, to go on from or back."""
+    """A Solution with density : (n + 1,) values of ρ at its times, dimensionless, for a run that continues or goes back."""
 
     density: Array = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True)
 class DensityControl:
-    """How dense steps are.
+    """The density of steps, ρ.
 
     Parameters
     ----------
     rate : G(t, q, v) = d ln ρ/dt [1/time], odd in v. If not given, ρ follows |f|^¾, at two more evaluations of f per step.
-    density : ρ at the start, dimensionless.  max_steps : int, the most that are made.
+    density : ρ at the start, dimensionless.  max_steps : int, limit of the number of steps.
 
     Raises
     ------
-    ValueError : if the density is not positive and finite, or there may be no step.
+    ValueError : if the density is not positive and finite, or max_steps is not a whole number, at least 1.
     """
 
     rate: Rate | None = None
@@ -74,14 +74,14 @@ def run_reversible(
     ----------
     problem : SecondOrder or Partitioned.
     method : a symmetric method; its time step is ε, the length of steps where ρ = 1.
-    control : DensityControl, where steps are dense and how many may be made.
+    control : DensityControl: the density of steps, and how many may be made.
     every : steps between the states that are kept; the last one is kept too.
 
     Raises
     ------
     ValueError : if the method is not symmetric, or t_end does not lie ahead.
     ConvergenceError, NonFiniteError : if a step cannot be made, or ρ is no longer positive; error.solution holds the path before.
-    A run that needs too many steps ends there: solution.success is False.
+    A run that needs too many steps ends early: solution.success is False.
     """
     check_problem(problem)
     check_method(method)
@@ -93,18 +93,18 @@ def run_reversible(
         raise ValueError(f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not")
     if (t_end - t0) * method.timestep < 0.0:
         raise ValueError(f"t_end must lie ahead; t0 = {t0!r}, t_end = {t_end!r}, {method!r}")
-    return _Path(problem, method, begun(problem, start, t0), t0, control).to(t_end, every)
+    return _Path(problem, method, problem.begin(start, t0), t0, control).to(t_end, every)
 
 
 class _Path:
-    """State, time and density, and what has been kept of them."""
+    """State, time and density, and those that are kept for the solution."""
 
     def __init__(self, problem: Partitioned, method: Method, y: Array, t0: float, control: DensityControl) -> None:
         self.problem, self.epsilon = problem, method.timestep
         self.y, self.t = y, t0
         self.step = type(method).on(problem)
         self.rate = control.rate or _Fall(problem, abs(method.timestep))
-        self.rho = control.density  # at the last state, half a change after the last step's and half a change before the next one's
+        self.rho = control.density  # at the last state: between the density of the last step and that of the next one
         self.max_steps = control.max_steps
         self.kept: list[tuple[float, Array, float]] = [(t0, y, self.rho)]
 
@@ -123,11 +123,11 @@ class _Path:
         if n % every != 0:
             self.kept.append((self.t, self.y, self.rho))
         if self.t != t_end:
-            return ended(self.solution(), f"stopped at t = {self.t:g} after {n} steps, where ρ = {self.rho:.1e}; raise max_steps or the timestep")
+            return self.solution().ended(f"stopped at t = {self.t:g} after {n} steps, where ρ = {self.rho:.1e}; raise max_steps or the timestep")
         return self.solution()
 
     def _advance(self, t_end: float, change: float) -> float:
-        """One step; the change of ρ that half belongs to it and half to the next one is returned."""
+        """One step. change : ε G at its start; returns ε G at its end. Half of each is added to ρ, before and after the step."""
         rho = self.rho + 0.5 * change
         if not rho > 0.0 or self.t + self.epsilon / rho == self.t:
             raise ConvergenceError(f"the density of steps fell to {rho:.1e}" if rho <= 0.0 else f"the density of steps grew to {rho:.1e}")
@@ -152,7 +152,7 @@ class _Path:
 
 
 class _Fall:
-    """G = ¾ d ln |f(t, q)|/dt along v, by a central difference over a time, exactly odd in v, the same in all units."""
+    """G = ¾ d ln |f(t, q)|/dt along v, by a central difference: exactly odd in v, and independent of units."""
 
     def __init__(self, problem: Partitioned, timestep: float) -> None:
         self.problem, self.timestep, self.nfev = problem, timestep, 0

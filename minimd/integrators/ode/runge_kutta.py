@@ -4,24 +4,23 @@
     y₁ = y + h Σ_i w_i K_i                                       or the last stage, where the two are the same
 
 The equations are solved to rounding and the increments are added with a compensated sum (W. Kahan, Commun. ACM 8, 40 (1965)),
-so that what a method keeps, invariants of symplectic ones above all, it keeps over millions of steps.
+so that symplectic methods keep quadratic invariants over millions of steps.
 E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic Systems by Runge-Kutta Methods (1989).
 """
 
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.integrators.dae.problem import DifferentialAlgebraic
-from minimd.integrators.method import Answer, Method, Step
-from minimd.integrators.ode.problems import Problem
+from minimd.integrators.method import Array, ClassProperty, Method, Problem, Step
+from minimd.integrators.ode.problems import DifferentialAlgebraic
 from minimd.integrators.ode.stages import StageEquations
 from minimd.integrators.ode.tableau import TABLEAU_ROUNDING, Tableau, gauss, radau_iia
 from minimd.structure.errors import ConvergenceError
 
-Array = NDArray[np.float64]
-FARTHEST = 3.0  # lengths of the last step to which its slopes are continued
+__all__ = ["GaussLegendre1", "GaussLegendre2", "GaussLegendre3", "GaussLegendre4", "ImplicitEuler", "RadauIIA2", "RadauIIA3", "RungeKutta"]
+
+FARTHEST = 3.0  # times the last step: how far its slopes are extrapolated at most
 
 
 class RungeKutta(Method):
@@ -34,18 +33,18 @@ class RungeKutta(Method):
 
     tableau: ClassVar[Tableau]
     is_explicit = False
-    order = Answer(lambda method: method.tableau.order)
-    stages = Answer(lambda method: method.tableau.nodes.size)
-    is_symmetric = Answer(lambda method: method.tableau.is_symmetric)
-    is_symplectic: ClassVar[Any] = Answer(lambda method: method.tableau.is_symplectic)
+    order = ClassProperty(lambda method: method.tableau.order)
+    stages = ClassProperty(lambda method: method.tableau.nodes.size)
+    is_symmetric = ClassProperty(lambda method: method.tableau.is_symmetric)
+    is_symplectic: ClassVar[Any] = ClassProperty(lambda method: method.tableau.is_symplectic)
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """The step on any problem; one of index 3 needs a method whose last stage is the next state.
+        """The step on any problem; those of index 3 need a method whose last stage is the next state.
 
         Raises
         ------
-        TypeError : for Gauss-Legendre methods on problems of index 3, whose multipliers they leave off by order 1 at any time step.
+        TypeError : for Gauss-Legendre methods on problems of index 3, where errors of the multipliers do not shrink with the time step.
         """
         if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
             raise TypeError(f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers stay wrong however short "
@@ -54,7 +53,7 @@ class RungeKutta(Method):
 
     @classmethod
     def order_on(cls, problem: Problem) -> int:
-        """Order of the error estimate: where algebraic variables are less accurate it is theirs, those of index 2 and 3 weighted by h and h²."""
+        """Order of the error estimate: that of algebraic variables, weighted by h for index 2 and h² for index 3, where it is lower."""
         if not isinstance(problem, DifferentialAlgebraic) or (problem.index <= 1 and cls.tableau.is_stiffly_accurate):
             return cls.order
         return _stage_order(cls.tableau)
@@ -69,13 +68,13 @@ def _stage_order(tableau: Tableau) -> int:
 
 
 class StageStep:
-    """One step with a tableau. The slopes of a step, continued as a polynomial, are the first guess for the next."""
+    """One step with a tableau. The slopes of a step, extrapolated as a polynomial, are the first guess for the next."""
 
     def __init__(self, problem: Problem, tableau: Tableau) -> None:
         self._problem, self._tableau = problem, tableau
         self._equations = StageEquations(problem)
         self._coefficients = np.linalg.inv(np.vander(tableau.nodes))  # of the polynomial through values at the nodes
-        self._known: tuple[Array | None, Array | float] = None, 0.0  # last state, and what rounding took from it
+        self._known: tuple[Array | None, Array | float] = None, 0.0  # last state, and its rounding error
         self._last: tuple[float, float, Array] | None = None  # time, length and slopes of the last step
 
     @property
@@ -93,10 +92,10 @@ class StageStep:
         return y_new
 
     def _slopes(self, t: float, y: Array, h: float) -> Array:
-        """(s, n) slopes of all stages; begun anew from the field if what was known misleads."""
+        """(s, n) slopes of all stages; from the guess y′ for all of them if there is no other, or if the other one fails."""
         tableau = self._tableau
         times, weights = t + tableau.nodes * h, h * tableau.beta
-        guess = self._continued(t, h)
+        guess = self._extrapolated(t, h)
         if guess is not None:
             try:
                 return self._equations.slopes(times, y, weights, guess, h)
@@ -104,8 +103,8 @@ class StageStep:
                 pass
         return self._equations.slopes(times, y, weights, np.tile(self._problem.field(t, y), (times.size, 1)), h)
 
-    def _continued(self, t: float, h: float) -> Array | None:
-        """The slopes of the last step as a polynomial, at the stages of this one; none if that is far."""
+    def _extrapolated(self, t: float, h: float) -> Array | None:
+        """The slopes of the last step as a polynomial, at the stages of this one; None if these are far."""
         if self._last is None:
             return None
         t_last, h_last, slopes = self._last
@@ -115,50 +114,26 @@ class StageStep:
         return np.vander(nodes, len(slopes)) @ (self._coefficients @ slopes)
 
 
-class GaussLegendre1(RungeKutta):
-    """Gauss-Legendre with one stage, the implicit midpoint rule: order 2, symplectic, symmetric."""
-
-    name, tableau = "gauss-legendre-1", gauss(1)
-    source = "J. C. Butcher, Math. Comput. 18, 50 (1964)"
+def _method(title: str, doc: str, name: str, tableau: Tableau, source: str) -> type[RungeKutta]:
+    return type(title, (RungeKutta,), {"__doc__": doc, "name": name, "tableau": tableau, "source": source})
 
 
-class GaussLegendre2(RungeKutta):
-    """Gauss-Legendre with two stages: order 4, symplectic, symmetric."""
-
-    name, tableau = "gauss-legendre-2", gauss(2)
-    source = "J. C. Butcher, Math. Comput. 18, 50 (1964)"
+def _gauss_legendre(s: int, stages: str) -> type[RungeKutta]:
+    doc = f"Gauss-Legendre with {stages}: order {2 * s}, symplectic, symmetric."
+    return _method(f"GaussLegendre{s}", doc, f"gauss-legendre-{s}", gauss(s), "J. C. Butcher, Math. Comput. 18, 50 (1964)")
 
 
-class GaussLegendre3(RungeKutta):
-    """Gauss-Legendre with three stages: order 6, symplectic, symmetric."""
-
-    name, tableau = "gauss-legendre-3", gauss(3)
-    source = "J. C. Butcher, Math. Comput. 18, 50 (1964)"
+def _radau(s: int, stages: str) -> type[RungeKutta]:
+    doc = f"Radau IIA with {stages}: order {2 * s - 1}, stiffly accurate."
+    return _method(f"RadauIIA{s}", doc, f"radau-iia-{s}", radau_iia(s), "B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5")
 
 
-class GaussLegendre4(RungeKutta):
-    """Gauss-Legendre with four stages: order 8, symplectic, symmetric."""
+EULER = "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."
 
-    name, tableau = "gauss-legendre-4", gauss(4)
-    source = "J. C. Butcher, Math. Comput. 18, 50 (1964)"
-
-
-class ImplicitEuler(RungeKutta):
-    """Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."""
-
-    name, tableau = "implicit-euler", radau_iia(1)
-    source = "E. Hairer, G. Wanner, Solving ODEs II (1996), IV.3"
-
-
-class RadauIIA2(RungeKutta):
-    """Radau IIA with two stages: order 3, stiffly accurate."""
-
-    name, tableau = "radau-iia-2", radau_iia(2)
-    source = "B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5"
-
-
-class RadauIIA3(RungeKutta):
-    """Radau IIA with three stages: order 5, stiffly accurate."""
-
-    name, tableau = "radau-iia-3", radau_iia(3)
-    source = "B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5"
+GaussLegendre1 = _gauss_legendre(1, "one stage, the implicit midpoint rule")
+GaussLegendre2 = _gauss_legendre(2, "two stages")
+GaussLegendre3 = _gauss_legendre(3, "three stages")
+GaussLegendre4 = _gauss_legendre(4, "four stages")
+ImplicitEuler = _method("ImplicitEuler", EULER, "implicit-euler", radau_iia(1), "E. Hairer, G. Wanner, Solving ODEs II (1996), IV.3")
+RadauIIA2 = _radau(2, "two stages")
+RadauIIA3 = _radau(3, "three stages")

@@ -1,14 +1,12 @@
-"""What the methods for small systems return, in the manner of SciPy."""
+"""The results of the drivers for small systems, in the manner of SciPy."""
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from minimd.integrators.method import Array
 from minimd.structure.errors import ConvergenceError, NonFiniteError
 
-Path = TypeVar("Path", bound="Solution")
+__all__ = ["Solution"]
 
 
 @dataclass
@@ -20,8 +18,8 @@ class Solution:
     success, message : whether the end was reached, and if not, why.
     """
 
-    t: NDArray[np.float64]
-    y: NDArray[np.float64]
+    t: Array
+    y: Array
     nfev: int
     shape: tuple[int, ...] | None = None
     success: bool = True
@@ -29,29 +27,28 @@ class Solution:
     n_rejected: int = 0
 
     @property
-    def q(self) -> NDArray[np.float64]:
+    def q(self) -> Array:
         """(n + 1, …) positions."""
         return self._half(0)
 
     @property
-    def v(self) -> NDArray[np.float64]:
+    def v(self) -> Array:
         """(n + 1, …) velocities."""
         return self._half(1)
 
-    def _half(self, k: int) -> NDArray[np.float64]:
+    def ended(self, why: str) -> Self:
+        """The same solution, which did not reach its end."""
+        self.success, self.message = False, why
+        return self
+
+    def _half(self, k: int) -> Array:
         if self.shape is None:
             raise AttributeError("this problem has no q and v; its states are in y")
         n = self.y.shape[1] // 2
         return self.y[:, k * n : (k + 1) * n].reshape(-1, *self.shape)
 
 
-def ended(path: Path, why: str) -> Path:
-    """A solution that did not reach its end."""
-    path.success, path.message = False, why
-    return path
-
-
 def with_path(error: ConvergenceError | NonFiniteError, path: Solution) -> ConvergenceError | NonFiniteError:
     """The error of a run with the path before it, error.solution."""
-    error.solution = ended(path, str(error))
+    error.solution = path.ended(str(error))
     return error

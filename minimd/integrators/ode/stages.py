@@ -3,26 +3,24 @@
     F(t_i, b_i + h Σ_j β_ij K_j, K_i) = 0,  i = 1 … s             unknown are the slopes K
     ∂/∂K_j = δ_ij F_y′ + h β_ij F_y                              of stage i
 
-F is the residual of the problem. Slopes are sought to the rounding of what they add to the state, h K, in every variable by
-itself; in those of index 2 and 3 rounding is amplified by 1/h and 1/h² (E. Hairer, G. Wanner, Solving ODEs II (1996), VII.4).
+F is the residual of the problem. Slopes are found to the rounding of h K, which they add to the state, in each variable separately.
+In variables of index 2 and 3 rounding is amplified by 1/h and 1/h² (E. Hairer, G. Wanner, Solving ODEs II (1996), VII.4).
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.integrators.dae.problem import DifferentialAlgebraic
+from minimd.integrators.method import Array, Problem
 from minimd.integrators.ode.differences import forward_differences
 from minimd.integrators.ode.newton import FixedPoint
-from minimd.integrators.ode.problems import FirstOrder, Problem
+from minimd.integrators.ode.problems import DifferentialAlgebraic, FirstOrder
 
-Array = NDArray[np.float64]
-AMPLIFIED = 3e1  # rounding, by steps of some hundredth of the time in which the solution varies; once for each level
-UNSEEN = 1e-22  # of the state: a millionth of its rounding, which even a compensated sum does not see
-VANISHING = 1e-30  # of the largest variable: sizes below are no sizes
+AMPLIFIED = 3e1  # factor of rounding per level, for steps of some hundredth of the time in which the solution varies
+UNSEEN = 1e-22  # of the state: a millionth of its rounding, too small to change even a compensated sum
+VANISHING = 1e-30  # smallest size of a variable relative to the largest one, so that no size is zero
 
 
 class StageEquations:
-    """Solves for slopes, step after step; counts evaluations of the right-hand side in nfev."""
+    """Solves for the slopes of each step; nfev counts evaluations of the right-hand side."""
 
     def __init__(self, problem: Problem) -> None:
         self.nfev = 0
@@ -77,10 +75,11 @@ class StageEquations:
         return forward_differences(lambda x: self._residual(t, x, slope), y, at_y), np.eye(y.size)
 
     def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float | None]:
-        """Sizes of the unknowns, each in itself; and what else is rounding, once corrections no longer shrink.
+        """scale and floor of Iteration.solve.
 
-        Explicit problems have one size for all, and slopes that are rounding once what they add to the state is: at rest slopes
-        vanish, and the state does not. In algebraic variables all that no longer shrinks is rounding, once the others are solved for.
+        Explicit problems: the slopes are compared with the state over h once they no longer shrink, because at rest slopes vanish
+        and the state does not. Differential-algebraic ones: each variable has its own size; corrections of algebraic variables
+        that no longer shrink are rounding if the others are solved for.
         """
         problem = self._problem
         if not isinstance(problem, DifferentialAlgebraic):

@@ -4,8 +4,8 @@
     summed     d_n = d_{n−1} + Δt² f(q_n),   q_{n+1} = q_n + d_n
 
 Both are velocity Verlet with the velocities eliminated, v_n = (q_{n+1} − q_{n−1})/2Δt. In exact arithmetic they give the
-same path. In floating point they do not: the recursion adds Δt² f to numbers of order one, rounds it away, and the errors
-grow as n² ε; the summed form adds it to the small increments first, and they grow as n ε (P. Henrici, Discrete Variable Methods
+same path. In floating point the recursion adds Δt² f to numbers of order one, and its rounding errors grow as n² ε. The summed
+form adds Δt² f to the small increments first, and its errors grow as n ε (P. Henrici, Discrete Variable Methods
 in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), III.10).
 """
 
@@ -13,16 +13,19 @@ from collections.abc import Callable
 from math import isfinite
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from minimd.integrators.method import Array
 from minimd.integrators.ode.solution import Solution
 from minimd.structure.errors import checked_count
 
-Acceleration = Callable[[NDArray[np.float64]], ArrayLike]
+__all__ = ["stormer_summed", "stormer_two_step"]
+
+Acceleration = Callable[[Array], ArrayLike]
 
 
 def stormer_two_step(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> Solution:
-    """The two-step recursion as it stands, started with q₁ = q₀ + Δt v₀ + ½Δt² f(q₀).
+    """The two-step recursion, started with q₁ = q₀ + Δt v₀ + ½Δt² f(q₀).
 
     Parameters
     ----------
@@ -31,7 +34,7 @@ def stormer_two_step(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: fl
 
     Raises
     ------
-    ValueError : if the time step is zero or not finite, n_steps below 1, or the shapes of q0, v0 and f(q0) differ.
+    ValueError : if the time step is zero or not finite, n_steps not a whole number, at least 1, or the shapes of q0, v0 and f(q0) differ.
     """
     q, d = _start(f, q0, v0, timestep, n_steps)
     q[1] = q[0] + d
@@ -55,7 +58,7 @@ def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: floa
     return _solution(q, increments, v0, timestep)
 
 
-def _start(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _start(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> tuple[Array, Array]:
     """Memory for q₀ … q_{n+1} with q₀ filled in, and the first increment."""
     q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)
     if not (isfinite(timestep) and timestep != 0.0):
@@ -69,8 +72,8 @@ def _start(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_ste
     return q, timestep * v0 + 0.5 * timestep**2 * a0
 
 
-def _solution(q: NDArray[np.float64], increments: NDArray[np.float64], v0: ArrayLike, timestep: float) -> Solution:
-    """Without the position beyond the end, which only the last velocity needs."""
+def _solution(q: Array, increments: Array, v0: ArrayLike, timestep: float) -> Solution:
+    """The path without the position after the end, which is needed for the last velocity only."""
     n_steps = len(q) - 2
     v = np.empty_like(q[:-1])
     v[0] = v0

@@ -1,4 +1,4 @@
-"""Butcher tableaus: Runge-Kutta methods as data, and what can be read from them.
+"""Butcher tableaus: Runge-Kutta methods as data, and the properties that follow from them.
 
     Y_i = y + h Σ_j β_ij f(t + c_i h, Y_j)        y₁ = y + h Σ_i w_i f(t + c_i h, Y_i)
 
@@ -10,10 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.legendre import Legendre
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-TABLEAU_ROUNDING = 1e-13  # sums of a few products of coefficients of order one
-HIGHEST_ORDER = 10
+from minimd.integrators.method import Array
+
+__all__ = ["Tableau", "collocation", "gauss", "radau_iia"]
+
+TABLEAU_ROUNDING = 1e-13  # of sums of a few products of coefficients of order one
+HIGHEST_ORDER = 10  # conditions are evaluated up to this order
 
 
 @dataclass(frozen=True)
@@ -23,12 +27,12 @@ class Tableau:
     beta : (s, s).  weights, nodes : (s,).  All dimensionless; Σ_j β_ij = c_i.
     """
 
-    beta: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    nodes: NDArray[np.float64]
+    beta: Array
+    weights: Array
+    nodes: Array
 
     @property
-    def symplecticity_defect(self) -> NDArray[np.float64]:
+    def symplecticity_defect(self) -> Array:
         """M_ij = w_i β_ij + w_j β_ji − w_i w_j, zero for symplectic methods; they keep every quadratic invariant.
 
         J. M. Sanz-Serna, BIT 28, 877 (1988); F. M. Lasagni (1988); Y. B. Suris (1989).
@@ -58,7 +62,7 @@ class Tableau:
 
     @property
     def order(self) -> int:
-        """Largest p whose simplifying assumptions B(p), C(η), D(ζ) with p ≤ η + ζ + 1 and p ≤ 2η + 2 hold (Butcher 1964): sure, if perhaps too low.
+        """Largest p whose simplifying assumptions B(p), C(η), D(ζ) with p ≤ η + ζ + 1 and p ≤ 2η + 2 hold (Butcher 1964): a lower bound of the order.
 
         B(p): Σ w_i c_iᵏ⁻¹ = 1/k;  C(η): Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k;  D(ζ): Σ_i w_i c_iᵏ⁻¹ β_ij = w_j (1 − c_jᵏ)/k.
         """
@@ -70,8 +74,8 @@ class Tableau:
         return min(b, eta + zeta + 1, 2 * eta + 2)
 
 
-def _first_failure(defects: NDArray[np.float64], axis: int = 0) -> int:
-    """How many conditions hold before the first that does not; conditions along the last axis, or along the first if axis is 1."""
+def _first_failure(defects: Array, axis: int = 0) -> int:
+    """How many conditions hold before the first that fails; conditions along the last axis, or along the first if axis is 1."""
     worst = np.abs(np.atleast_2d(defects)).max(axis=axis)
     return int(np.argmax(worst > TABLEAU_ROUNDING)) if (worst > TABLEAU_ROUNDING).any() else worst.size
 
@@ -91,7 +95,7 @@ def gauss(n_stages: int) -> Tableau:
         r = np.sqrt(3.0) / 6.0
         return Tableau(np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]]), np.array([0.5, 0.5]), np.array([0.5 - r, 0.5 + r]))
     rounded = collocation((1.0 + np.polynomial.legendre.leggauss(n_stages)[0]) / 2.0)
-    beta = rounded.beta - rounded.symplecticity_defect / (2.0 * rounded.weights[:, None])  # what rounding leaves of M would make invariants drift
+    beta = rounded.beta - rounded.symplecticity_defect / (2.0 * rounded.weights[:, None])  # else invariants drift with the rounding of M
     return Tableau(beta, rounded.weights, rounded.nodes)
 
 
@@ -106,7 +110,7 @@ def radau_iia(n_stages: int) -> Tableau:
     return collocation(nodes)
 
 
-def _lagrange_integrals(nodes: NDArray[np.float64], end: float) -> NDArray[np.float64]:
+def _lagrange_integrals(nodes: Array, end: float) -> Array:
     """∫₀^end ℓ_j for all j, by a Gauss quadrature that is exact for them; ℓ_j is one on node j and zero on the others."""
     x, w = np.polynomial.legendre.leggauss(nodes.size)
     x, w = end * (1.0 + x) / 2.0, end * w / 2.0

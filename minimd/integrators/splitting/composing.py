@@ -1,10 +1,12 @@
-"""Methods made of methods: composition and the adjoint."""
+"""Methods made from other methods: compositions and adjoints."""
 
 from collections.abc import Sequence
 from itertools import chain
 
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, merged, mirrored, scaled
+
+__all__ = ["adjoint", "compose"]
 
 Part = Substep | type[Splitting]
 
@@ -18,27 +20,28 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
     Parameters
     ----------
     parts : methods, or flows Kick(c) and Drift(c).
-    weights : share of the time step of each part. If not given, methods get equal shares and flows last as long as they say.
+    weights : fraction of the time step for each part. If not given, methods get equal fractions, and flows last cΔt.
 
     Raises
     ------
-    TypeError : for parts of another kind or with a bath, or methods mixed with flows without weights.  ValueError : if numbers differ.
+    TypeError : for parts of another kind or with a bath, or methods mixed with flows without weights.
+    ValueError : if there are no parts, or not as many weights as parts.
     """
     for part in parts:
         if not isinstance(part, (Kick, Drift)) and not (isinstance(part, type) and issubclass(part, Splitting)):
             raise TypeError(f"parts must be methods, such as VelocityVerlet, or flows, such as Kick(0.5); got {part!r}")
         _refuse_bath(part)
     if weights is None:
-        weights = _shares(parts)
+        weights = _equal_weights(parts)
     if len(weights) != len(parts) or not parts:
         raise ValueError(f"there must be at least one part, and as many weights; got {len(parts)} parts, {len(weights)} weights")
-    rows = [scaled(_row(part), weight) for part, weight in zip(parts, weights, strict=True)]
+    sequences = [scaled(part.sequence() if isinstance(part, type) else (part,), weight) for part, weight in zip(parts, weights, strict=True)]
     title = " ∘ ".join(part.name if isinstance(part, type) else repr(part) for part in parts)
-    return _method(f"compose({title})", merged(chain.from_iterable(reversed(rows))), f"composition of its parts, {title}")
+    return _method(f"compose({title})", merged(chain.from_iterable(reversed(sequences))), f"composition of its parts, {title}")
 
 
 def adjoint(method: type[Splitting]) -> type[Splitting]:
-    """The adjoint Φ*_Δt = (Φ_{−Δt})⁻¹: the row read backwards. It undoes a step when time runs backwards.
+    """The adjoint Φ*_Δt = (Φ_{−Δt})⁻¹: the substeps in reverse. With the opposite time step it undoes a step of the method.
 
     Raises
     ------
@@ -50,18 +53,14 @@ def adjoint(method: type[Splitting]) -> type[Splitting]:
 
 def _refuse_bath(part: Part) -> None:
     if isinstance(part, type) and part.is_thermostat:
-        raise TypeError(f"{part.name} has a bath: its steps have no inverse and no parts that last for a share of them")
+        raise TypeError(f"{part.name} has a bath: its steps have no inverse and no parts that last for a fraction of them")
 
 
-def _shares(parts: Sequence[Part]) -> list[float]:
+def _equal_weights(parts: Sequence[Part]) -> list[float]:
     n_methods = sum(isinstance(part, type) for part in parts)
     if 0 < n_methods < len(parts):
-        raise TypeError("methods and flows are composed with weights only: the share of the time step of each part")
+        raise TypeError("methods and flows are composed with weights only: the fraction of the time step for each part")
     return [1.0 / n_methods if n_methods else 1.0] * len(parts)
-
-
-def _row(part: Part) -> Substeps:
-    return part.sequence() if isinstance(part, type) else (part,)
 
 
 def _method(name: str, substeps: Substeps, source: str) -> type[Splitting]:

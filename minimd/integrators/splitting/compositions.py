@@ -1,7 +1,7 @@
-"""Splittings of higher order: one row of coefficients each, quoted from the paper or computed from its closed form.
+"""Splittings of higher order: one sequence of substeps each, quoted from the paper or computed from its closed form.
 
-Steps forward only cannot have an order above 2, so every row here has a negative coefficient (Q. Sheng, IMA J. Numer. Anal.
-9, 199 (1989); M. Suzuki, J. Math. Phys. 32, 400 (1991)). All of them take timestep : Δt [time], and raise ValueError if it
+No sequence of positive coefficients has an order above 2, so each one here has a negative coefficient (Q. Sheng, IMA J. Numer.
+Anal. 9, 199 (1989); M. Suzuki, J. Math. Phys. 32, 400 (1991)). All of them take timestep : Δt [time], and raise ValueError if it
 is zero or not finite. Surveys: R. I. McLachlan, G. R. W. Quispel, Acta Numerica 11, 341 (2002); E. Hairer, C. Lubich,
 G. Wanner, Geometric Numerical Integration (2006), V.3.
 """
@@ -9,6 +9,8 @@ G. Wanner, Geometric Numerical Integration (2006), V.3.
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.substeps import Drift, Kick, alternating, palindrome, repeated
 from minimd.integrators.splitting.verlet import VelocityVerlet
+
+__all__ = ["PEFRL", "BlanesMoan4", "CandyRozmus4", "KahanLi6", "KahanLi8", "McLachlanAtela4", "Ruth3", "Suzuki4", "Yoshida6"]
 
 CBRT2 = 2.0 ** (1.0 / 3.0)
 CBRT4 = 4.0 ** (1.0 / 3.0)

@@ -1,6 +1,6 @@
-"""The order of a row of kicks and drifts, answered by evaluating its order conditions.
+"""The order of a sequence of kicks and drifts, found by evaluating its order conditions.
 
-A row has order p if its step and the exact flow agree through Δtᵖ. Two questions are told apart:
+A sequence has order p if its step and the exact flow agree through Δtᵖ. There are two orders:
 
     separable order   for every H = T(p) + V(q); for every q′ = g(v), v′ = f(q)
     Nyström order     for T = p²/2m, that is q″ = f(q): fewer conditions, never a lower order
@@ -16,44 +16,46 @@ from math import factorial, prod
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from minimd.integrators.method import Array
 from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps
 
-HIGHEST_ORDER = 10  # conditions are looked at up to here
-TOLERANCE = 1e-12  # rows of 14 digits pass; a condition that fails leaves 1e-6 and more
+__all__ = ["nystrom_order", "separable_order"]
+
+HIGHEST_ORDER = 10  # conditions are evaluated up to this order
+TOLERANCE = 1e-12  # coefficients of 14 digits pass; a condition that fails leaves 1e-6 and more
 
 Word = tuple[type[Substep], ...]
 
 
 @cache
-def separable_order(row: Substeps) -> int:
-    """Order for every H = T(p) + V(q), at most HIGHEST_ORDER; 0 if the row is not consistent."""
-    return _first_failure(row, separable_residuals)
+def separable_order(substeps: Substeps) -> int:
+    """Order for every H = T(p) + V(q), at most HIGHEST_ORDER; 0 if the sequence is not consistent."""
+    return _first_failure(substeps, separable_residuals)
 
 
 @cache
-def nystrom_order(row: Substeps) -> int:
-    """Order for H = p²/2m + V(q), at most HIGHEST_ORDER; 0 if the row is not consistent."""
-    return _first_failure(row, nystrom_residuals)
+def nystrom_order(substeps: Substeps) -> int:
+    """Order for H = p²/2m + V(q), at most HIGHEST_ORDER; 0 if the sequence is not consistent."""
+    return _first_failure(substeps, nystrom_residuals)
 
 
-def _first_failure(row: Substeps, residuals: Callable[[Substeps, int], list[float]]) -> int:
+def _first_failure(substeps: Substeps, residuals: Callable[[Substeps, int], list[float]]) -> int:
     for order in range(1, HIGHEST_ORDER + 1):
-        if max(map(abs, residuals(row, order))) > TOLERANCE:
+        if max(map(abs, residuals(substeps, order))) > TOLERANCE:
             return order - 1
     return HIGHEST_ORDER
 
 
-def separable_residuals(row: Substeps, order: int) -> list[float]:
-    """What the conditions of exactly this order leave: coefficient of each Lyndon word − 1/order!.
+def separable_residuals(substeps: Substeps, order: int) -> list[float]:
+    """Residuals of the conditions of exactly this order: coefficient of each Lyndon word − 1/order!.
 
-    The step is exp(c₁X₁) exp(c₂X₂) … with X one of the two substeps T and V, the exact flow exp(T + V), in which every word
-    of n substeps has the coefficient 1/n!. Both are group-like; such series agree if they agree on the Lyndon words, the
-    words that come before all their rotations: 2, 1, 2, 3, 6, 9, 18, 30 of them for n = 1, …, 8 (C. Reutenauer, Free Lie
-    Algebras (1993), chapter 6), as many as independent conditions.
+    The step is exp(c₁X₁) exp(c₂X₂) …, where each X is T or V. The exact flow is exp(T + V), in which every word of n letters T, V
+    has the coefficient 1/n!. Both series are group-like, and such series agree if they agree on the Lyndon words, the words that
+    come before all their rotations: 2, 1, 2, 3, 6, 9, 18, 30 of them for n = 1, …, 8, as many as independent conditions
+    (C. Reutenauer, Free Lie Algebras (1993), chapter 6).
     """
-    return [word_coefficient(row, word) - 1.0 / factorial(order) for word in lyndon_words(order)]
+    return [word_coefficient(substeps, word) - 1.0 / factorial(order) for word in lyndon_words(order)]
 
 
 @cache
@@ -61,13 +63,13 @@ def lyndon_words(length: int) -> tuple[Word, ...]:
     """Words in Drift < Kick that come strictly before each of their rotations."""
     words = product((0, 1), repeat=length)
     lyndon = (word for word in words if all(word < word[k:] + word[:k] for k in range(1, length)))
-    return tuple(tuple((Drift, Kick)[substep] for substep in word) for word in lyndon)
+    return tuple(tuple((Drift, Kick)[letter] for letter in word) for word in lyndon)
 
 
-def word_coefficient(row: Substeps, word: Word) -> float:
-    """Coefficient of a word in exp(c₁X₁) exp(c₂X₂) …; a flow appends k of its substep with weight cᵏ/k!."""
-    prefix = [1.0] + [0.0] * len(word)  # coefficient of the first j substeps in the product so far
-    for substep in row:
+def word_coefficient(substeps: Substeps, word: Word) -> float:
+    """Coefficient of a word in exp(c₁X₁) exp(c₂X₂) …; the factor exp(cX) appends k letters X with the weight cᵏ/k!."""
+    prefix = [1.0] + [0.0] * len(word)  # coefficient of the first j letters of the word in the product so far
+    for substep in substeps:
         for j in range(len(word), 0, -1):
             weight, k = 1.0, 1
             while k <= j and word[j - k] is type(substep):
@@ -81,38 +83,38 @@ class Branch(NamedTuple):
     """A branch of a Nyström tree: its power of Δt, its value at each kick and in the exact solution, κ Δt^power."""
 
     power: int
-    values: NDArray[np.float64]
+    values: Array
     kappa: float
 
 
-def nystrom_residuals(row: Substeps, order: int) -> list[float]:
-    """What the conditions of exactly this order leave for q″ = f(q): Σ bᵢ Φᵢ(τ) − κ(τ)/order for each Nyström tree τ.
+def nystrom_residuals(substeps: Substeps, order: int) -> list[float]:
+    """Residuals of the conditions of exactly this order for q″ = f(q): Σ bᵢ Φᵢ(τ) − κ(τ)/order for each Nyström tree τ.
 
-    As a Runge-Kutta-Nyström method the row has, for kick i, the weight bᵢ, the abscissa cᵢ = Σ drifts before it and
+    As a Runge-Kutta-Nyström method the sequence has, for kick i, the weight bᵢ, the abscissa cᵢ = Σ drifts before it and
     aᵢⱼ = bⱼ (cᵢ − cⱼ), j before i. A tree is a force f with branches: velocities, Φᵢ = cᵢ, and forces integrated twice,
-    Φᵢ = Σⱼ aᵢⱼ Φⱼ. Written for velocities; with Σ drifts = 1 the conditions for positions follow, for the weights there
-    are bᵢ (1 − cᵢ). The trees: E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.14.
+    Φᵢ = Σⱼ aᵢⱼ Φⱼ. These are the conditions for velocities. Those for positions, with weights bᵢ (1 − cᵢ), follow from them
+    if Σ drifts = 1. The trees: E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.14.
     """
-    b, c, a = nystrom_tableau(row)
+    b, c, a = nystrom_tableau(substeps)
     one, branches = np.ones_like(c), [Branch(1, c, 1.0)]
     for power in range(1, order + 1):
         trees = [(np.prod([one, *(t.values for t in tree)], axis=0), prod(t.kappa for t in tree)) for tree in bunches(branches, power - 1)]
         branches += [Branch(power + 1, a @ values, kappa / (power * (power + 1))) for values, kappa in trees]
     residuals = [float(b @ values - kappa / order) for values, kappa in trees]
-    return residuals if order > 1 else [*residuals, drifts_sum(row) - 1.0]
+    return residuals if order > 1 else [*residuals, drifts_sum(substeps) - 1.0]
 
 
-def nystrom_tableau(row: Substeps) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Weights b (s,), abscissae c (s,) and matrix a (s, s) of the row with s kicks."""
-    kicks = [k for k, substep in enumerate(row) if isinstance(substep, Kick)]
-    b = np.array([row[k].coefficient for k in kicks])
-    c = np.array([drifts_sum(row[:k]) for k in kicks])
+def nystrom_tableau(substeps: Substeps) -> tuple[Array, Array, Array]:
+    """Weights b (s,), abscissae c (s,) and matrix a (s, s) of a sequence with s kicks."""
+    kicks = [k for k, substep in enumerate(substeps) if isinstance(substep, Kick)]
+    b = np.array([substeps[k].coefficient for k in kicks])
+    c = np.array([drifts_sum(substeps[:k]) for k in kicks])
     return b, c, np.tril(b * (c[:, None] - c), -1)
 
 
-def drifts_sum(row: Substeps) -> float:
+def drifts_sum(substeps: Substeps) -> float:
     """Σ of the coefficients of all drifts."""
-    return sum(substep.coefficient for substep in row if isinstance(substep, Drift))
+    return sum(substep.coefficient for substep in substeps if isinstance(substep, Drift))
 
 
 def bunches(branches: list[Branch], power: int, first: int = 0) -> Iterator[tuple[Branch, ...]]:

@@ -1,22 +1,23 @@
-"""Splitting methods: the flows of the two halves of H = T(p) + V(q), composed from a row of coefficients.
+"""Splitting methods: the flows of the two halves of H = T(p) + V(q), composed as a sequence of substeps.
 
     drift  φ[1]:  r(t+cΔt) = r(t) + cΔt v            velocities stand still
     kick   φ[2]:  v(t+cΔt) = v(t) + cΔt F(r)/m       positions stand still
 
-Each half is solved exactly, so every composition is symplectic and conserves total momentum; it is reversible if the row
-reads the same from both ends. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
+Each half is solved exactly, so every composition is symplectic and conserves total momentum. It is reversible if the sequence
+equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
 """
 
 from collections.abc import Callable
 from inspect import signature
-from typing import ClassVar
+from typing import ClassVar, Protocol, runtime_checkable
 
 from minimd.compiled.kernels import kernel
-from minimd.integrators.method import Answer, Method, Step
-from minimd.integrators.ode.problems import Partitioned, Problem
+from minimd.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.state import State, Surroundings
 from minimd.integrators.splitting.substeps import Kick, Substeps, Thermalize, is_palindrome, merged
+
+__all__ = ["Splitting"]
 
 ComputeForces = Callable[[State, bool], None]  # fills state.forces; with True, evaluates the energy too
 
@@ -41,18 +42,31 @@ def drift(positions, velocities, duration):
 
 
 def stages(method: "type[Splitting]") -> int:
-    """Force evaluations per step of a long run: the kicks of a step, those with no drift between them being one, the last and the first too."""
+    """Force evaluations per step of a long run: groups of kicks with no drift between them, the last and the first kick being one group."""
     kicks = [isinstance(substep, Kick) for substep in merged(substep for substep in method.substeps if not isinstance(substep, Thermalize))]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
 
 
-class Splitting(Method):
-    """A splitting method, given by its row of substeps.
+@runtime_checkable
+class SplitProblem(Protocol):
+    """A problem with q and v, which can be kicked and drifted."""
 
-    A row that begins and ends with the same substep is run with the two merged between steps: where nobody looks, velocity
+    def sequence_step(self, substeps: Substeps) -> Step:
+        """The step that applies these substeps."""
+        ...
+
+    def sequence_order(self, substeps: Substeps) -> int:
+        """Order of that step on this problem."""
+        ...
+
+
+class Splitting(Method):
+    """A splitting method, given by its sequence of substeps.
+
+    If the first and the last substep are of one kind, the two are merged between steps: within a block of steps velocity
     Verlet makes one kick and one drift per step, as leapfrog does. Forces are computed when a kick needs them and
-    positions have moved since. With constraints every drift is projected, and the velocities where somebody looks: a drift does
-    not see what a projection would take from them.
+    positions have moved since. With constraints every drift is projected. Velocities are projected at the end of a block only,
+    because a constrained drift does not depend on the component that a projection removes.
 
     Parameters
     ----------
@@ -62,12 +76,12 @@ class Splitting(Method):
     -------------------------
     name, substeps, source : key in METHODS; kicks and drifts of one step; literature.
     conserves_momentum : true unless a bath acts on atoms one by one.  is_thermostat : whether a bath acts at all.
-    opening, closing : substeps before the first and after the last of a run of steps, for velocities at half steps.
+    opening, closing : substeps before the first and after the last step of a block, for velocities at half steps.
 
-    Answers computed from them
-    --------------------------
-    order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).  stages : forces computed per step in a long run.
-    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1, then also reversible.  is_symplectic, is_explicit : always true of splittings.
+    Attributes computed from them
+    -----------------------------
+    order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).  stages : force evaluations per step of a long run.
+    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1, then also reversible.  is_symplectic : true without a bath.
 
     Raises
     ------
@@ -81,9 +95,9 @@ class Splitting(Method):
     is_explicit: ClassVar[bool] = True
     conserves_momentum: ClassVar[bool] = True
     is_thermostat: ClassVar[bool] = False
-    order = Answer(lambda method: nystrom_order(method.sequence()))
-    is_symmetric = Answer(lambda method: is_palindrome(method.sequence()))
-    stages = Answer(stages)
+    order = ClassProperty(lambda method: nystrom_order(method.sequence()))
+    is_symmetric = ClassProperty(lambda method: is_palindrome(method.sequence()))
+    stages = ClassProperty(stages)
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -92,7 +106,7 @@ class Splitting(Method):
 
     @classmethod
     def sequence(cls) -> Substeps:
-        """One step from opening to closing, equal neighbors merged."""
+        """One step from opening to closing, neighbors of one kind merged."""
         return merged((*cls.opening, *cls.substeps, *cls.closing))
 
     @classmethod
@@ -103,14 +117,14 @@ class Splitting(Method):
         ------
         TypeError : for a problem without q and v.
         """
-        if not isinstance(problem, Partitioned):
+        if not isinstance(problem, SplitProblem):
             raise TypeError(f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}")
         return problem.sequence_step(cls.sequence())
 
     @classmethod
     def order_on(cls, problem: Problem) -> int:
         """See Method."""
-        return problem.sequence_order(cls.sequence()) if isinstance(problem, Partitioned) else cls.order
+        return problem.sequence_order(cls.sequence()) if isinstance(problem, SplitProblem) else cls.order
 
     def advance(
         self, state: State, compute_forces: ComputeForces, n_steps: int, with_energy: bool = True, surroundings: Surroundings | None = None

@@ -7,6 +7,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = ["Bath", "State", "Surroundings"]
+
 Array = NDArray[np.float64]
 
 

@@ -1,9 +1,11 @@
-"""Rows of substeps: kicks and drifts, and contacts with a bath, in the order in which a step applies them, and what one can do with such a row."""
+"""Substeps (kicks, drifts and contacts with a bath), and sequences of them in the order in which a step applies them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from math import isclose
+
+__all__ = ["Drift", "Kick"]
 
 COEFFICIENT_ROUNDING = 1e-14  # coefficients of order one, sums of a few of them
 
@@ -34,28 +36,28 @@ Substeps = tuple[Substep, ...]
 
 
 def merged(substeps: Iterable[Substep]) -> Substeps:
-    """The same flow with equal neighbors made one, φ_a ∘ φ_b = φ_{a+b}, and substeps of no duration left out."""
-    row: list[Substep] = []
+    """The same flow with neighbors of one kind merged, φ_a ∘ φ_b = φ_{a+b}, and substeps of no duration left out."""
+    sequence: list[Substep] = []
     for substep in substeps:
-        if row and type(row[-1]) is type(substep):
-            substep = type(substep)(row.pop().coefficient + substep.coefficient)
+        if sequence and type(sequence[-1]) is type(substep):
+            substep = type(substep)(sequence.pop().coefficient + substep.coefficient)
         if substep.coefficient != 0.0:
-            row.append(substep)
-    return tuple(row)
+            sequence.append(substep)
+    return tuple(sequence)
 
 
 def scaled(substeps: Iterable[Substep], weight: float) -> Substeps:
-    """The row over weight · Δt instead of Δt."""
+    """The same substeps over weight · Δt instead of Δt."""
     return tuple(type(substep)(weight * substep.coefficient) for substep in substeps)
 
 
 def repeated(substeps: Substeps, weights: Sequence[float]) -> Substeps:
-    """Φ_{w₁Δt}, then Φ_{w₂Δt}, …, as one row: how a method of low order is composed to one of high order."""
+    """Φ_{w₁Δt}, then Φ_{w₂Δt}, … as one sequence: a composition of a method with itself."""
     return merged(chain.from_iterable(scaled(substeps, weight) for weight in weights))
 
 
 def mirrored(substeps: Substeps) -> Substeps:
-    """The row read from its other end: the adjoint Φ*_Δt = (Φ_{−Δt})⁻¹, for each flow is its own adjoint."""
+    """The sequence in reverse: the adjoint Φ*_Δt = (Φ_{−Δt})⁻¹, because each flow is its own adjoint."""
     return substeps[::-1]
 
 
@@ -66,12 +68,12 @@ def alternating(kind: type[Substep], coefficients: Iterable[float]) -> Substeps:
 
 
 def palindrome(half: Sequence[float]) -> tuple[float, ...]:
-    """The coefficients up to the middle one, then back again."""
+    """The coefficients up to the middle one, then the same in reverse."""
     return (*half, *half[-2::-1])
 
 
 def is_palindrome(substeps: Substeps) -> bool:
-    """Whether a row is its own mirror image, to rounding: then Φ*= Φ, the method is symmetric."""
+    """Whether a sequence equals its reverse, to rounding: then Φ* = Φ, and the method is symmetric."""
     return all(
         type(one) is type(other) and isclose(one.coefficient, other.coefficient, rel_tol=COEFFICIENT_ROUNDING, abs_tol=COEFFICIENT_ROUNDING)
         for one, other in zip(substeps, mirrored(substeps), strict=True)

@@ -1,8 +1,8 @@
 """Methods in contact with a bath: the substeps of a splitting, and one more that changes velocities at random.
 
-The noise of a step depends on the seed, the number of the step and the place in its row, on nothing else: a run that is stopped and
-resumed, replayed after a failure, or made on other threads, meets the same noise. What the bath puts in is counted as heat, so that
-total energy minus heat changes by the errors of kicks and drifts only: it wanders a little, and drifts where Δt is large.
+The noise depends on the seed, on the number of the step and on the place of the contact in the step, on nothing else: a run that is
+stopped and resumed, replayed after a failure, or made on other threads has the same noise. The energy that the bath puts in is
+counted, so that total energy minus this sum changes by the errors of kicks and drifts only. It drifts where Δt is large.
 G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007); D. A. Sivak, J. D. Chodera, G. E. Crooks, Phys. Rev. X 3, 011007 (2013).
 """
 
@@ -13,16 +13,17 @@ from typing import Self
 import numpy as np
 
 from minimd.compiled.kernels import kernel
-from minimd.integrators.method import Step
-from minimd.integrators.ode.problems import Problem
+from minimd.integrators.method import Problem, Step
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath, State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Thermalize
 from minimd.structure.observables import kinetic_energy, momentum
 
+__all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
+
 SEEDS = 2**128  # keys of numpy's Philox
-AT_REST = 1e-12  # of the kinetic energy: what is less, beside the motion of the whole, is rounding
-STEPS = 2**64  # counters of noise; steps before the start, of an equilibration, count from the other end
+AT_REST = 1e-12  # of the total kinetic energy: a smaller one relative to the center of mass is the rounding of their difference
+STEPS = 2**64  # numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
 
 
 class Thermostat(Splitting):
@@ -34,7 +35,7 @@ class Thermostat(Splitting):
 
     Raises
     ------
-    ValueError : for a time step that is not positive, a temperature or a rate below zero, or a seed that is none.
+    ValueError : for a time step that is not positive, a temperature or a rate below zero, or a seed out of range.
     """
 
     temperature: float
@@ -63,7 +64,7 @@ class Thermostat(Splitting):
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """Not for small problems: a bath needs masses.
+        """Refused: a bath needs masses and a unit of temperature, which small problems do not have.
 
         Raises
         ------
@@ -85,7 +86,7 @@ class Thermostat(Splitting):
 
 
 class LangevinBAOAB(Thermostat):
-    """Langevin dynamics, each atom with a friction and a noise of its own: kick, drift, bath, drift, kick.
+    """Langevin dynamics, with friction and independent noise on each atom: kick, drift, bath, drift, kick.
 
         v(t+Δt/2) = v(t) + Δt/2 F(t)/m                         B
         r(t+Δt/2) = r(t) + Δt/2 v                              A
@@ -93,10 +94,10 @@ class LangevinBAOAB(Thermostat):
         r(t+Δt)   = r(t+Δt/2) + Δt/2 v                         A
         v(t+Δt)   = v + Δt/2 F(t+Δt)/m                         B
 
-    Of order 2 in averages; those of positions are exact for harmonic forces at any stable Δt, where those of v² are low by
-    (ωΔt)²/4: a kinetic temperature below that of the bath, by O(Δt²), tells of the time step and not of the bath. Rigid molecules
-    share this: one on which nothing acts has the temperature of the bath. Momentum is not conserved, so that all 3N degrees of
-    freedom are thermal. Without friction it is velocity Verlet.
+    Averages have order 2. For harmonic forces those of positions are exact at any stable Δt, and those of v² are low by the
+    fraction (ωΔt)²/4: a kinetic temperature below that of the bath by O(Δt²) is an error of the time step, not of the bath. The
+    same holds for rigid molecules; one without forces has the temperature of the bath. Momentum is not conserved, so that all 3N
+    degrees of freedom are thermal. Without friction it is velocity Verlet.
 
     Parameters
     ----------
@@ -135,7 +136,7 @@ class LangevinBAOAB(Thermostat):
 
 
 class StochasticVelocityRescaling(Thermostat):
-    """Velocity Verlet, then one factor for all velocities, drawn so that the kinetic energy is that of the canonical ensemble.
+    """Velocity Verlet, then one factor for all velocities, drawn so that the kinetic energy has its canonical distribution.
 
         dK = (K̄ − K) dt/τ + 2 √(K K̄/n_dof) dW/√τ,  K̄ = n_dof k_B T/2
 
@@ -143,9 +144,9 @@ class StochasticVelocityRescaling(Thermostat):
 
         K′ = c K + (1 − c) K̄/n_dof (S + ξ²) + 2 ξ √(c (1 − c) K K̄/n_dof)
 
-    K is what belongs to the n_dof that are counted: where the total momentum is a constant, the motion of the whole is none of them,
-    so that K is relative to the center of mass, whose velocity V is kept: v ← V + √(K′/K) (v − V). Where atoms are held fixed V is
-    zero. Directions of motion are kept, and dynamics hardly disturbed.
+    K is the kinetic energy of the n_dof degrees of freedom. Where total momentum is conserved, the motion of the center of mass is not
+    among them: K is then relative to its velocity V, which is kept, v ← V + √(K′/K) (v − V). Where atoms are held fixed, V is zero.
+    Directions of motion are kept, so that dynamics is hardly disturbed.
 
     Parameters
     ----------
@@ -213,6 +214,3 @@ def _not_negative(name: str, value: float) -> float:
     if not (isinstance(value, Real) and isfinite(value) and value >= 0.0):
         raise ValueError(f"{name} must be finite and not negative; {name} = {value!r}")
     return float(value)
-
-
-THERMOSTATS: dict[str, type[Thermostat]] = {method.name: method for method in (LangevinBAOAB, StochasticVelocityRescaling)}

@@ -31,7 +31,7 @@ class VelocityVerlet(MolecularDynamics):
     KeyboardInterrupt : after Ctrl-C; atoms hold the state of the last whole step.
     """
 
-    _guard: RunGuard
+    guard: RunGuard
     _made_for: Atoms | None = None
     _made_with: Potential | Sequence[Potential]
 
@@ -79,16 +79,16 @@ class VelocityVerlet(MolecularDynamics):
         if (
             made_for is None
             or atoms.constraints
-            or self._guard.engine.constraints
+            or self.guard.engine.constraints
             or not (same_scene(made_for, atoms) and cell_of(made_for).same_as(cell_of(atoms)))
             or atoms.calc.potentials is not self._made_with
         ):
             return self._new_guard(atoms)
-        engine = self._guard.engine
+        engine = self.guard.engine
         engine.positions[:] = atoms.positions
         if not np.array_equal(atoms.get_momenta(), _momenta(engine)):
             engine.velocities[:] = atoms.get_velocities()
-        return self._guard
+        return self.guard
 
     def _new_guard(self, atoms: Atoms) -> RunGuard:
         calculator = atoms.calc
@@ -96,11 +96,11 @@ class VelocityVerlet(MolecularDynamics):
             name = type(calculator).__name__
             raise TypeError(f"the calculator of atoms must be a minimd.ase.Calculator; it is {name}: use ase.md.verlet.VelocityVerlet")
         system = System.from_ase(atoms, calculator.bonds)
-        self._guard = RunGuard(Engine(system, calculator.potentials, Method(self.dt), options=calculator.options))
+        self.guard = RunGuard(Engine(system, calculator.potentials, Method(self.dt), options=calculator.options))
         self._made_for = atoms.copy()
         self._made_for.calc = calculator
         self._made_with = calculator.potentials
-        return self._guard
+        return self.guard
 
 
 def _momenta(engine: Engine) -> NDArray[np.float64]:

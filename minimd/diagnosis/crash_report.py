@@ -195,7 +195,7 @@ def unstable_bond(evidence: Evidence) -> Verdict | None:
     limit = stability_limit(evidence.engine.method.sequence())
     if stiffest is None or x <= limit:
         return None
-    cause = f"the timestep {evidence.shown_timestep} is too long for the bond of {stiffest.atoms}: Δt·ω = {x:.3g} (stable to {limit:.3g})"
+    cause = f"timestep {evidence.shown_timestep} too large for the bond of {stiffest.atoms}: Δt·ω = {x:.3g} (stable to {limit:.3g})"
     return Verdict("bond", stiffest, cause, f"take a timestep {BOND_STEP / x:.2g} times as long, or hold the bond rigid")
 
 
@@ -216,11 +216,11 @@ def too_hot(evidence: Evidence) -> Verdict | None:
         units = evidence.system.units
         hot = 2.0 * kinetic_energy(velocities, evidence.system.masses) / (3 * len(squares) * units.k_B)
         return Verdict(
-            "hot", evidence.strongest, f"too hot for the timestep {evidence.shown_timestep}: at {hot:.3g} {units.temperature} {passes}", advice
+            "hot", evidence.strongest, f"too hot, timestep {evidence.shown_timestep} too large: at {hot:.3g} {units.temperature} {passes}", advice
         )
     if speed > max(fast, HOT_SPOT * others) and speed * dt > HOT_STEP * sigma:
         than = f"{speed / others:.2g} times as fast as the others" if others > 0.0 else "the only one in motion"
-        return Verdict("hot", evidence.strongest, f"too hot for the timestep {evidence.shown_timestep}: {passes}, {than}", advice)
+        return Verdict("hot", evidence.strongest, f"too hot, timestep {evidence.shown_timestep} too large: {passes}, {than}", advice)
     return None
 
 
@@ -231,7 +231,7 @@ def long_step(evidence: Evidence) -> Verdict:
         cause = "atoms fly apart though no pair of a known law pushes them: the forces come from elsewhere"
         return Verdict("law", None, cause, "look at the forces in the last good state")
     what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}, {pair.apart}{pair.stiffness(evidence.timestep)}"
-    return Verdict("pair", pair, f"the timestep {evidence.shown_timestep} is too long for the {what}", "halve it until the energy is conserved")
+    return Verdict("pair", pair, f"timestep {evidence.shown_timestep} too large for the {what}", "halve it until the energy is conserved")
 
 
 RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (

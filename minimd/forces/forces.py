@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import ase
 
 CHANGED_SPEED = 2.0  # the skin is chosen anew when atoms have become faster or slower by this factor: its optimum is flat
+KNOWN = nullcontext()
 VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # places of xx yy zz yz xz xy in a (3, 3) tensor
 
 
@@ -100,30 +101,27 @@ class Forces:
         """
         if not self.system.cell.same_as(self._planned_for):
             self._bind()
-        if detail not in self._compiled:
-            return self._compile(detail)
         self.forces[:] = 0.0
         if detail != FORCES:
             self._clear_accumulators(detail)
-        for term in self.terms:
-            term.add(self.system, detail, self.forces, self._energies, self._virials)
+        with KNOWN if detail in self._compiled else self._compiling(detail):
+            for term in self.terms:
+                term.add(self.system, detail, self.forces, self._energies, self._virials)
         self.n_evaluations += 1
         self._detail = detail
         return self.forces
 
-    def _compile(self, detail: int) -> NDArray[np.float64]:
-        """The first compute with a detail; a law of the user's may not compile."""
-        self._compiled.add(detail)
+    @contextmanager
+    def _compiling(self, detail: int) -> Iterator[None]:
+        """Around the first compute with a detail; a law of the user's may not compile."""
         try:
             with announce_compilation():
-                return self.compute(detail)
-        except BaseException as error:
-            self._compiled.discard(detail)
-            if not isinstance(error, NumbaError):
-                raise
+                yield
+        except NumbaError as error:
             laws = ", ".join(repr(potential) for potential in self.potentials)
             reason = str(error).strip().splitlines()[0]
             raise TypeError(f"a law among {laws} does not compile; laws are arithmetic on numbers, as numba.njit takes it: {reason}") from error
+        self._compiled.add(detail)
 
     def _clear_accumulators(self, detail: int) -> None:
         """Zeros for energies and virials: one for each atom, or a single one if only totals are wanted and all terms can do with it."""

@@ -1,0 +1,69 @@
+"""The road of one step is as short as docs/architecture.md and the README say."""
+
+import re
+import sys
+from pathlib import Path
+
+from references import liquid
+
+import minimd as md
+
+REPOSITORY = Path(__file__).parents[1]
+PACKAGE = REPOSITORY / "minimd"
+
+
+def steady_steps():
+    """Chains of minimd's Python functions, outermost first, that a few steps without a list build go through."""
+    sim = md.Simulation(liquid(6), md.LennardJones(1.0, 1.0, 2.5, "shifted"), md.VelocityVerlet(0.001), threads=1, skin=0.6)
+    sim.run(1, progress=False)
+    n_builds = sim.engine.interactions.n_builds
+    stack, chains = [], []
+
+    def profile(frame, event, _argument):
+        if event == "call":
+            stack.append((frame.f_code.co_filename, frame.f_code.co_name))
+            chains.append([one for one in stack if Path(one[0]).is_relative_to(PACKAGE)])
+        elif event == "return" and stack:
+            stack.pop()
+
+    sys.setprofile(profile)
+    try:
+        sim.run(4, every=4, progress=False)
+    finally:
+        sys.setprofile(None)
+    assert sim.engine.interactions.n_builds == n_builds
+    return [chain for chain in chains if any(name == "advance" for _, name in chain)]
+
+
+def files_of_the_road():
+    """The files that the README lists as those of a step, and the number of lines it gives them."""
+    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    listed = re.search(r"A step of a liquid is these (\d+) files, ([\d ]+) lines in all:\n\n```\n(.*?)```", text, re.S)
+    return int(listed[1]), int(listed[2].replace(" ", "")), re.findall(r"^(minimd/\S+\.py)", listed[3], re.M)
+
+
+def test_from_run_to_the_kernel_there_are_eight_functions():
+    to_kernel = [chain for chain in steady_steps() if chain[-1][1] == "run" and chain[-1][0].endswith("threads.py")]
+    assert to_kernel
+    assert max(len(chain) for chain in to_kernel) <= 8, to_kernel[0]
+    architecture = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
+    for file, name in to_kernel[0]:
+        assert re.search(rf"`\w+\.{name}` \| `{Path(file).relative_to(PACKAGE).as_posix()}`", architecture), name
+
+
+def test_the_readme_lists_the_files_of_a_step_and_counts_their_lines():
+    n_files, n_lines, files = files_of_the_road()
+    visited = {Path(chain[-1][0]).relative_to(REPOSITORY).as_posix() for chain in steady_steps()}
+    assert visited <= set(files), visited - set(files)
+    assert len(files) == n_files
+    assert sum((REPOSITORY / file).read_text(encoding="utf-8").count("\n") for file in files) == n_lines
+
+
+def test_the_floors_of_the_page_are_those_of_the_house():
+    from test_floors import FLOORS
+
+    page = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| .* \| `([\w/.]+)` \|$", page, re.M)
+    assert [name for name, _ in rows] == [floor.removeprefix("minimd.") for floor in FLOORS]
+    for name, file in rows:
+        assert (PACKAGE / ("" if name in ("minimd", "replay") else name) / file).exists()

@@ -11,14 +11,13 @@ from physical_validation.data import EnsembleData, ObservableData, SimulationDat
 from scipy.stats import gamma
 
 import minimd as md
-from minimd.structure.lattice import crystal
-from minimd.structure.units import ASE, fs
 
+ASE, fs = md.units.ASE, md.units.fs
 temperatures = np.array([94.4, 100.0])  # K
 n_melting, n_production, every = 5000, 50_000, 25
 units = UnitData(ASE.k_B, 96.485, 0.1, 1e-3, 1.0, 1.602e6, 1e-3 / fs)  # what eV, Å, Å³, K, eV/Å³, Å √(u/eV) are in kJ/mol, nm, ps, bar
 argon = md.LennardJones(120 * ASE.k_B, 3.4, 8.0, "smooth")
-positions, edges = crystal("fcc", [3, 3, 3], 5.78)
+positions, edges = md.lattice.crystal("fcc", [3, 3, 3], 5.78)
 n_atoms = len(positions)
 melt = md.Simulation(md.System(positions, masses=39.948, cell=edges, units=ASE), argon, md.VelocityVerlet(8 * fs))
 melt.set_temperature(2 * temperatures[0], seed=1)

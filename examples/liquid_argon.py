@@ -7,8 +7,8 @@ import numpy as np
 from ase.build import bulk
 
 import minimd as md
-from minimd.structure.units import ASE, fs, ps
 
+ASE, fs, ps = md.units.ASE, md.units.fs, md.units.ps
 temperature = 94.4  # K
 epsilon, sigma = 120.0 * ASE.k_B, 3.4  # eV, Å
 lattice_constant = 5.780  # Å: four atoms of 39.948 u at 1.374 g/cm³

@@ -8,8 +8,8 @@ import numpy as np
 from ase.build import bulk
 
 import minimd as md
-from minimd.structure.units import ASE, fs
 
+ASE, fs = md.units.ASE, md.units.fs
 temperature = 130.0  # K
 parameters = {"Ar": (120.0 * ASE.k_B, 3.40), "Kr": (164.0 * ASE.k_B, 3.65)}  # ε [eV], σ [Å]
 n_equilibration, n_steps = 1500, 1500

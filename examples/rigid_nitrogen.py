@@ -10,14 +10,13 @@ from ase import Atoms
 from ase.constraints import FixBondLengths
 
 import minimd as md
-from minimd.structure.lattice import constant_from_density, crystal
 
 density, temperature, bond = 0.808 * md.units.GRAM_PER_CM3, 77.0, 1.0897  # u/Å³, K, Å
 n_equilibration, duration = 2000, 800  # steps, fs
 timesteps = [2, 4, 8, 16]  # fs
 kelvin, fs = md.units.ASE.k_B, md.units.fs
 
-centers, edges = crystal("fcc", [3, 3, 3], constant_from_density("fcc", density, 2 * 14.007))
+centers, edges = md.lattice.crystal("fcc", [3, 3, 3], md.lattice.constant_from_density("fcc", density, 2 * 14.007))
 arms = 0.5 * bond * np.random.default_rng(1).choice([-1.0, 1.0], centers.shape) / np.sqrt(3.0)
 positions = np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3)
 pairs = np.arange(len(positions)).reshape(-1, 2)

@@ -9,7 +9,6 @@ import numpy as np
 
 import minimd as md
 from minimd.integrators import BlanesMoan4, KahanLi6, KahanLi8
-from minimd.structure.lattice import crystal
 
 n_cells, density, temperature = 3, 0.8442, 0.3  # 108 atoms of solid argon in reduced Lennard-Jones units, in free space
 cutoff, duration, n_looks = 2.5, 1.0, 20
@@ -21,7 +20,7 @@ timesteps = {
 }
 
 edge = (4.0 / density) ** (1.0 / 3.0)
-positions = crystal("fcc", [n_cells] * 3, edge)[0]
+positions = md.lattice.crystal("fcc", [n_cells] * 3, edge)[0]
 positions += 0.02 * np.random.default_rng(1).standard_normal(positions.shape)
 
 

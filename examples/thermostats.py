@@ -10,13 +10,12 @@ from scipy import stats
 
 import minimd as md
 from minimd.integrators import Bath, State, Surroundings
-from minimd.structure.lattice import crystal
 
 n_cells, lattice_constant, temperature, seed = 3, 5.78, 94.4, 1  # 108 atoms at Rahman's density [Å, K]
 n_equilibration, n_steps, every = 5_000, 40_000, 20
 kelvin, fs = md.units.ASE.k_B, md.units.fs  # k_B · 1 K, 1 fs in eV and Å √(u/eV)
 
-positions, edges = crystal("fcc", [n_cells] * 3, lattice_constant)
+positions, edges = md.lattice.crystal("fcc", [n_cells] * 3, lattice_constant)
 argon = md.System(positions, masses=39.948, cell=edges, units=md.units.ASE)
 law = md.LennardJones(120 * kelvin, 3.4, cutoff=8.0, truncation="switched")
 methods = [

@@ -1,4 +1,4 @@
-"""minimd: a molecular-dynamics mini-engine. Fast, exact, and small enough to read in an afternoon."""
+"""minimd: a molecular-dynamics mini-engine, fast and exact. docs/architecture.md shows the house; a step is a few files of it."""
 
 from minimd import integrators
 from minimd.compiled.machine import version
@@ -14,7 +14,7 @@ from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
 from minimd.replay import replay
 from minimd.simulation.simulation import Simulation
-from minimd.structure import units
+from minimd.structure import lattice, units
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.structure.errors import ConstraintError, ConvergenceError, NonFiniteError
@@ -50,6 +50,7 @@ __all__ = [
     "advise_timestep",
     "evaluate",
     "integrators",
+    "lattice",
     "minimize",
     "neighbor_list",
     "replay",

@@ -1,18 +1,14 @@
 """Threads that work on one task together: each takes the next chunk of it until none is left.
 
     phase = begin(worker, task)
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        ...                                        # the work of this chunk
-        chunk = finish_and_take(worker, phase, n)
-    phase = barrier(worker, phase)                 # returns when all n chunks are finished, whoever did them
+    phase = share(worker, phase, n, work, a, b)        # work(chunk, a, b) for n chunks; returns when all are finished, whoever did them
 
 A task is cut into chunks by its size, never by the number of threads, and no two chunks of a phase write to the same
 memory. So the result has the same bits for any number of threads, and whichever thread did which chunk.
 
 A barrier waits for chunks, not for threads. The calling thread starts at once; the others sleep between tasks, and join when
 they are awake (some 20 µs later), or not at all if the machine is busy: they can make a task faster, never delay it.
-Between take and finish nothing may raise: no other thread would finish that chunk.
+The work of a chunk may not raise: no other thread would finish that chunk.
 Each thread begins with the same chunks in every task, whose memory is then in its cache, and goes on with those of the others.
 """
 
@@ -37,6 +33,7 @@ PATIENCE = 2000  # reads of a counter before a waiting thread lets others run
 LINGERING = 100_000  # reads, about 100 µs, before a helper goes to sleep: waking it takes as long as a small task
 
 HAS_AFFINITY = hasattr(os, "sched_setaffinity")
+_sched_getcpu = types.ExternalFunction("sched_getcpu", types.int32())
 _let_others_run = types.ExternalFunction("SwitchToThread" if os.name == "nt" else "sched_yield", types.int32())
 
 
@@ -67,7 +64,7 @@ class ThreadPool:
     def run(self, kernel: Callable, *arguments: object) -> None:
         """kernel(worker, task, *arguments) on this thread, and on the others as soon as they are awake.
 
-        The kernel must call begin, take, finish_and_take and barrier as described above, and release Python's lock (shared_kernel).
+        The kernel must call begin and share as described above, and release Python's lock (shared_kernel).
         """
         with self._busy:
             self._n_tasks += 1
@@ -122,6 +119,16 @@ def begin(worker, task):
     if worker.thread == 0:
         _exchange(worker.counters, OPEN, phase)
     return phase
+
+
+@scalar
+def share(worker, phase, n, work, *arguments):
+    """work(chunk, *arguments) for each of n chunks, on all threads that are awake; returns the next phase when all are finished."""
+    chunk = take(worker, phase, n)
+    while chunk >= 0:
+        work(chunk, *arguments)
+        chunk = finish_and_take(worker, phase, n)
+    return barrier(worker, phase)
 
 
 @scalar
@@ -206,9 +213,6 @@ def _linger(counters, task):
     reads = 0
     while reads < LINGERING and _read(counters, OPEN) < (task + 1) * PHASES:
         reads += 1
-
-
-_sched_getcpu = types.ExternalFunction("sched_getcpu", types.int32())
 
 
 @kernel

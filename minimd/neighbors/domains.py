@@ -42,7 +42,7 @@ class Domains(namedtuple("Domains", "column cluster run ghost")):
 class GhostClusters(namedtuple("GhostClusters", "owner key shift bottom top boxes lanes home is_used of start")):
     """M ghosts of C clusters.
 
-    owner, key : (M,) int, the cluster, and the cluster with its image as one number.  shift : (M, 3) lattice vector of that image [length].
+    owner : (M,) int, the cluster.  key : (M,) int, 27 · cluster + code of the image, 9 (a + 1) + 3 (b + 1) + c + 1.  shift : (M, 3) lattice vector of that image [length].
     bottom, top : (M,) fractional coordinates along the third lattice vector.  boxes : (M, 6) see Clusters.
     lanes : (M,) uint8, bit k is set if lane k is not padding.
     home : (C,) int, the home of each cluster.
@@ -68,19 +68,13 @@ def cut_into_domains(clusters: Clusters, columns: Columns, n_atoms: int) -> Doma
 
 def make_ghosts(n_clusters: int, n_ghosts: int, memory: Buffers) -> GhostClusters:
     """Arrays of these sizes, to be filled by fill_ghosts and sort_ghosts."""
-    return GhostClusters(
-        owner=memory.array("owner", np.int32, n_ghosts),
-        key=memory.array("key", np.int32, n_ghosts),
-        shift=memory.array("shift", np.float64, n_ghosts, 3),
-        bottom=memory.array("ghost bottom", np.float64, n_ghosts),
-        top=memory.array("ghost top", np.float64, n_ghosts),
-        boxes=memory.array("ghost boxes", np.float64, n_ghosts, 6),
-        lanes=memory.array("lanes", np.uint8, n_ghosts),
-        home=memory.array("home", np.int32, n_clusters),
-        is_used=memory.array("is_used", np.bool_, n_ghosts),
-        of=memory.array("of", np.int32, n_ghosts),
-        start=memory.array("start", np.int32, n_clusters + 1),
-    )
+    array = memory.array
+    owner, key, of = (array(name, np.int32, n_ghosts) for name in ("owner", "key", "of"))
+    bottom, top = (array(name, np.float64, n_ghosts) for name in ("ghost bottom", "ghost top"))
+    shift, boxes = array("shift", np.float64, n_ghosts, 3), array("ghost boxes", np.float64, n_ghosts, 6)
+    lanes, is_used = array("lanes", np.uint8, n_ghosts), array("is_used", np.bool_, n_ghosts)
+    home, start = array("home", np.int32, n_clusters), array("start", np.int32, n_clusters + 1)
+    return GhostClusters(owner, key, shift, bottom, top, boxes, lanes, home, is_used, of, start)
 
 
 @kernel
@@ -118,23 +112,11 @@ def _seen(run_x, run_y, image_z, clusters, columns):
         return 0, 0, image
     column = (run_x - image_x * counts[0]) * counts[1] + run_y - image_y * counts[1]
     first, last = clusters.column_start[column], clusters.column_start[column + 1]
-    if image_z > 0:
-        end = first
-        while end < last and clusters.bottom[end] <= columns.along:
-            end += 1
-        last = end
-    if image_z < 0:
-        begin = last
-        while begin > first and clusters.top[begin - 1] >= 1.0 - columns.along:
-            begin -= 1
-        first = begin
+    while image_z > 0 and last > first and clusters.bottom[last - 1] > columns.along:
+        last -= 1
+    while image_z < 0 and last > first and clusters.top[first] < 1.0 - columns.along:
+        first += 1
     return first, last, image
-
-
-@scalar
-def image_key(cluster, image):
-    """A cluster and the code of its image as one number."""
-    return cluster * IMAGES + image
 
 
 @scalar
@@ -157,7 +139,7 @@ def fill_ghosts(domain, layout):
                 z = a * lattice[0, 2] + b * lattice[1, 2] + image_z * lattice[2, 2]
                 is_home = image == HOME and run_x < domains.column[domain + 1]
                 for k in range(first, last):
-                    ghosts.owner[ghost], ghosts.key[ghost], ghosts.is_used[ghost] = k, image_key(k, image), is_home
+                    ghosts.owner[ghost], ghosts.key[ghost], ghosts.is_used[ghost] = k, k * IMAGES + image, is_home
                     ghosts.lanes[ghost] = ALL_LANES >> (LANES - clusters.filled[k])
                     ghosts.bottom[ghost], ghosts.top[ghost] = clusters.bottom[k] + image_z, clusters.top[k] + image_z
                     for d, shift in enumerate((x, y, z)):

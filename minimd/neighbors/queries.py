@@ -9,6 +9,7 @@ from minimd.neighbors.pair_list import PairList
 from minimd.structure.system import LARGEST, System
 
 QUANTITIES = "ijdDS"
+BEYOND = 1.0 + 1e-9  # of a distance, to find the pair that has it
 
 
 def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArray, ...] | NDArray:
@@ -44,15 +45,12 @@ def _all_directions(system: System, cutoff: float) -> dict[str, NDArray]:
     if cell.is_periodic:
         steps = steps + (pairs.translations @ cell.inverse)[pairs.image]
     shifts = np.rint(steps).astype(np.int64) @ cell.reduction
-    i, j = order[first], order[pairs.second]
-    i, j, shifts = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([shifts, -shifts])
+    both, shifts = np.stack([order[first], order[pairs.second]]), np.concatenate([shifts, -shifts])
+    i, j = np.concatenate([both, both[::-1]], axis=1)
     by_first = np.lexsort((*shifts.T, j, i))
     i, j, shifts = i[by_first], j[by_first], shifts[by_first]
     vectors = positions[j] - positions[i] + shifts @ cell.vectors
     return {"i": i, "j": j, "d": np.linalg.norm(vectors, axis=1), "D": vectors, "S": shifts}
-
-
-BEYOND = 1.0 + 1e-9  # of a distance, to find the pair that has it
 
 
 class ClosestPair(NamedTuple):

@@ -2,6 +2,7 @@
 
 import math
 import operator
+from functools import partial
 
 import numpy as np
 from numba import types
@@ -9,49 +10,47 @@ from numba.extending import intrinsic, overload
 
 from minimd.compiled.simd.vector import broadcast, call, is_vector, lane, with_lane
 
-FLOAT_OPERATORS = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
-INTEGER_OPERATORS = {operator.add: "add", operator.sub: "sub", operator.mul: "mul"}
+FLOAT_OPERATORS = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}  # methods of IRBuilder
+INTEGER_OPERATORS = {operator.add: "add", operator.sub: "sub", operator.mul: "mul", operator.and_: "and_", operator.or_: "or_"}
 COMPARISONS = {operator.lt: "<", operator.le: "<=", operator.gt: ">", operator.ge: ">=", operator.eq: "==", operator.ne: "!="}
 LANE_BY_LANE = (math.exp, math.log, math.sin, math.cos, math.tanh, math.erf, math.erfc, np.exp, np.log, np.sin, np.cos, np.tanh)
 
 
-def _instruction(names: dict[bool, str], compares: bool = False):
-    """An intrinsic for two vectors of one type: names[is float] is the IRBuilder's method, or the sign of a comparison."""
+def _instruction(emit, compares: bool = False):
+    """An intrinsic for two vectors of one type: emit(builder, is float) is the method of IRBuilder that writes it."""
 
     @intrinsic
     def operation(_context, a, b):
-        is_float = isinstance(a.element, types.Float)
-
-        def generate(context, builder, signature, arguments):
-            if compares:
-                return (builder.fcmp_ordered if is_float else builder.icmp_signed)(names[is_float], *arguments)
-            return getattr(builder, names[is_float])(*arguments)
-
-        return (a.mask if compares else a)(a, b), generate
+        return (a.mask if compares else a)(a, b), lambda context, builder, signature, arguments: emit(builder, a.is_float)(*arguments)
 
     return operation
 
 
-def _bind(function, operation) -> None:
-    """Make a Python operator of two arguments work when one of them is a vector and the other a vector or a number."""
-
-    @overload(function)
-    def of_vectors(a, b):
-        if is_vector(a) and a == b:
-            return lambda a, b: operation(a, b)
-        if is_vector(a) and isinstance(b, types.Number):
-            return lambda a, b: operation(a, broadcast(b, a))
-        if is_vector(b) and isinstance(a, types.Number):
-            return lambda a, b: operation(broadcast(a, b), b)
-        return None
+def _arithmetic(of):
+    return _instruction(lambda builder, is_float: getattr(builder, (FLOAT_OPERATORS if is_float else INTEGER_OPERATORS)[of]))
 
 
-for _operator, _name in FLOAT_OPERATORS.items():
-    _bind(_operator, _instruction({True: _name, False: INTEGER_OPERATORS.get(_operator, "")}))
-for _operator, _sign in COMPARISONS.items():
-    _bind(_operator, _instruction({True: _sign, False: _sign}, compares=True))
-_bind(operator.and_, _instruction({False: "and_"}))
-_bind(operator.or_, _instruction({False: "or_"}))
+def _comparison(sign: str):
+    return _instruction(lambda builder, is_float: partial(builder.fcmp_ordered if is_float else builder.icmp_signed, sign), compares=True)
+
+
+def _function(name: str):
+    """An intrinsic for one of LLVM's functions whose argument and result are of one vector type."""
+
+    @intrinsic
+    def one(_context, a):
+        return a(a), lambda context, builder, signature, arguments: call(builder, f"llvm.{name}.{a.suffix}", arguments[0].type, arguments)
+
+    return one
+
+
+_square_root, _magnitude = _function("sqrt"), _function("fabs")
+
+
+@intrinsic
+def fma(_context, a, b, c):
+    """a · b + c for vectors of one type, rounded once."""
+    return a(a, b, c), lambda context, builder, signature, arguments: call(builder, f"llvm.fma.{a.suffix}", arguments[0].type, arguments)
 
 
 @intrinsic
@@ -71,28 +70,41 @@ def _select(mask, a, b):
     return lambda mask, a, b: a if mask else b
 
 
-def _function(name: str):
-    """An intrinsic for one of LLVM's functions whose arguments and result are of one vector type."""
+def _bind(function, operation) -> None:
+    """Let a Python operator of two arguments do an operation where one of them is a vector and the other a vector or a number."""
 
-    @intrinsic
-    def one(_context, a):
-        return a(a), lambda context, builder, signature, arguments: call(builder, f"llvm.{name}.{a.suffix}", arguments[0].type, arguments)
+    @overload(function)
+    def of_vectors(a, b):
+        if is_vector(a) and a == b:
+            return lambda a, b: operation(a, b)
+        if is_vector(a) and isinstance(b, types.Number):
+            return lambda a, b: operation(a, broadcast(b, a))
+        if is_vector(b) and isinstance(a, types.Number):
+            return lambda a, b: operation(broadcast(a, b), b)
+        return None
 
-    return one
+
+def _bind_choice(function, beats) -> None:
+    """Let max or min, of a vector and a vector or a number, keep the lane that beats the other."""
+
+    @overload(function)
+    def of_vectors(a, b):
+        if is_vector(a):
+            return lambda a, b: select(beats(a, b), a, broadcast(b, a))
+        return (lambda a, b: select(beats(b, a), b, broadcast(a, b))) if is_vector(b) else None
 
 
-_square_root, _magnitude = _function("sqrt"), _function("fabs")
-
-
-@intrinsic
-def fma(_context, a, b, c):
-    """a · b + c for vectors of one type, rounded once."""
-    return a(a, b, c), lambda context, builder, signature, arguments: call(builder, f"llvm.fma.{a.suffix}", arguments[0].type, arguments)
+for _operator in FLOAT_OPERATORS | INTEGER_OPERATORS:
+    _bind(_operator, _arithmetic(_operator))
+for _operator, _sign in COMPARISONS.items():
+    _bind(_operator, _comparison(_sign))
+_bind_choice(max, operator.gt)
+_bind_choice(min, operator.lt)
 
 
 @overload(operator.neg)
-def _negative(a):
-    return (lambda a: 0.0 - a) if is_vector(a) else None
+def _negative(x):
+    return (lambda x: 0.0 - x) if is_vector(x) else None
 
 
 @overload(math.sqrt)
@@ -106,23 +118,9 @@ def _abs(x):
     return (lambda x: _magnitude(x)) if is_vector(x) else None
 
 
-@overload(max)
-def _larger(a, b):
-    if is_vector(a):
-        return lambda a, b: select(a > b, a, broadcast(b, a))
-    return (lambda a, b: select(b > a, b, broadcast(a, b))) if is_vector(b) else None
-
-
-@overload(min)
-def _smaller(a, b):
-    if is_vector(a):
-        return lambda a, b: select(a < b, a, broadcast(b, a))
-    return (lambda a, b: select(b < a, b, broadcast(a, b))) if is_vector(b) else None
-
-
 @overload(operator.pow)
 def _power(x, exponent):
-    """The powers that laws are written with, which the compiler picks where the exponent is a constant; others lane by lane."""
+    """The powers that laws are written with; the compiler picks one where the exponent is a constant. Others lane by lane."""
     if not (is_vector(x) and isinstance(exponent, types.Number)):
         return None
     lanes = x.lanes
@@ -148,16 +146,14 @@ def _each_lane(function) -> None:
 
     @overload(function)
     def of_vector(x):
-        if not is_vector(x):
-            return None
-        lanes = x.lanes
+        lanes = x.lanes if is_vector(x) else 0
 
         def each(x):
             for k in range(lanes):
                 x = with_lane(x, k, function(lane(x, k)))
             return x
 
-        return each
+        return each if lanes else None
 
 
 for _slow in LANE_BY_LANE:

@@ -1,10 +1,9 @@
 """Vectors from and to contiguous memory."""
 
-from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from minimd.compiled.simd.vector import Vector, call
+from minimd.compiled.simd.vector import Vector
 
 
 @intrinsic(prefer_literal=True)
@@ -13,8 +12,7 @@ def load(_context, array, index, lanes):
     kind = Vector(array.dtype, lanes.literal_value)
 
     def generate(context, builder, signature, arguments):
-        pointer = pointer_to(context, builder, array, arguments[0], arguments[1], kind)
-        value = builder.load(pointer)
+        value = builder.load(pointer_to(context, builder, array, arguments, kind))
         value.align = array.dtype.bitwidth // 8
         return value
 
@@ -26,27 +24,14 @@ def store(_context, array, index, vector):
     """Write a vector to contiguous elements of a one-dimensional array, from index."""
 
     def generate(context, builder, signature, arguments):
-        pointer = pointer_to(context, builder, array, arguments[0], arguments[1], vector)
+        pointer = pointer_to(context, builder, array, arguments, vector)
         builder.store(arguments[2], pointer).align = array.dtype.bitwidth // 8
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), generate
 
 
-@intrinsic
-def store_compressed(_context, array, index, vector, mask):
-    """Write the lanes where the mask is set, one after the other, from index; as many elements are written as bits are set."""
-
-    def generate(context, builder, signature, arguments):
-        pointer = pointer_to(context, builder, array, arguments[0], arguments[1], vector)
-        element = builder.bitcast(pointer, context.get_value_type(array.dtype).as_pointer())
-        call(builder, f"llvm.masked.compressstore.{vector.suffix}", ir.VoidType(), (arguments[2], element, arguments[3]))
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, vector, mask), generate
-
-
-def pointer_to(context, builder, kind, array, index, vector):
-    """The address of an element of an array, as that of a vector."""
-    data = context.make_array(kind)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), context.get_value_type(vector).as_pointer())
+def pointer_to(context, builder, kind, arguments, vector):
+    """The address of an element of an array, as that of a vector.  arguments : values of the array, of type kind, and of the index."""
+    data = context.make_array(kind)(context, builder, arguments[0]).data
+    return builder.bitcast(builder.gep(data, [arguments[1]]), context.get_value_type(vector).as_pointer())

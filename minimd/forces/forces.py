@@ -51,15 +51,13 @@ class Forces:
         self.system, self.options = system, options or Options()
         self.potentials = tuple(potentials) if isinstance(potentials, Sequence) and not isinstance(potentials, str) else (potentials,)
         self.terms: list[Term] = []
-        self.n_evaluations, self._builds_before = 0, 0
-        self._displacement = 0.0
+        self.n_evaluations, self._builds_before, self._displacement = 0, 0, 0.0
         self._bind()
         for term in self._bound:
             if term.warning:
                 warnings.warn(term.warning, stacklevel=outside_minimd())
         self.forces = np.zeros_like(system.positions)
-        self._energies, self._virials = np.zeros(0), np.zeros((0, 6))
-        self._detail = FORCES
+        self._energies, self._virials, self._detail = np.zeros(0), np.zeros((0, 6)), FORCES
 
     def _bind(self) -> None:
         """Bind the potentials to the system, as it is in its present cell, and plan the terms."""
@@ -107,8 +105,7 @@ class Forces:
             self._clear_accumulators(detail)
         for term in self.terms:
             term.add(self.system, detail, self.forces, self._energies, self._virials)
-        self.n_evaluations += 1
-        self._detail = detail
+        self.n_evaluations, self._detail = self.n_evaluations + 1, detail
         return self.forces
 
     def _compile(self, detail: int) -> NDArray[np.float64]:
@@ -121,8 +118,7 @@ class Forces:
             self._compiled.discard(detail)
             if not isinstance(error, NumbaError):
                 raise
-            laws = ", ".join(repr(potential) for potential in self.potentials)
-            reason = str(error).strip().splitlines()[0]
+            laws, reason = ", ".join(map(repr, self.potentials)), str(error).strip().splitlines()[0]
             raise TypeError(f"a law among {laws} does not compile; laws are arithmetic on numbers, as numba.njit takes it: {reason}") from error
 
     def _clear_accumulators(self, detail: int) -> None:
@@ -170,8 +166,8 @@ class Forces:
         return self._virials + tail / len(self.system)
 
     @property
-    def longest_stride(self) -> float:
-        """The largest finite cutoff [length]: an atom that moves farther in one step has passed its neighbors unseen."""
+    def largest_cutoff(self) -> float:
+        """The largest finite cutoff [length]: an atom that moves farther in one step may pass its neighbors unseen."""
         return max((term.cutoff for term in self._bound if np.isfinite(term.cutoff)), default=np.inf)
 
     @property
@@ -192,8 +188,7 @@ class Forces:
     def skipped(self) -> list[str]:
         """What this scene lacks and therefore does not pay for, for the report."""
         absent = [] if self.system.cell.is_periodic else ["periodic images"]
-        if all(term.ingredient != BOND_LOOP for term in self.terms):
-            absent.append(BOND_LOOP)
+        absent += [BOND_LOOP] if all(term.ingredient != BOND_LOOP for term in self.terms) else []
         return absent + [what for term in self.terms for what in term.skipped()]
 
     def _tail_corrections(self) -> tuple[float, float]:

@@ -42,7 +42,8 @@ class Domains(namedtuple("Domains", "column cluster run ghost")):
 class GhostClusters(namedtuple("GhostClusters", "owner key shift bottom top boxes lanes home is_used of start")):
     """M ghosts of C clusters.
 
-    owner : (M,) int, the cluster.  key : (M,) int, 27 · cluster + code of the image, 9 (a + 1) + 3 (b + 1) + c + 1.  shift : (M, 3) lattice vector of that image [length].
+    owner : (M,) int, the cluster.  key : (M,) int, 27 · cluster + code of the image (a, b, c), which is 9 (a + 1) + 3 (b + 1) + c + 1.
+    shift : (M, 3) lattice vector of that image [length].
     bottom, top : (M,) fractional coordinates along the third lattice vector.  boxes : (M, 6) see Clusters.
     lanes : (M,) uint8, bit k is set if lane k is not padding.
     home : (C,) int, the home of each cluster.

@@ -76,10 +76,8 @@ class PairPotential:
         self.bonded_scale = _checked_scale(bonded_scale)
         self.tail_correction = tail_correction
         if tail_correction and (truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
-            raise ValueError(
-                f"tail_correction needs a cutoff and truncation 'truncated', {_listed(SWITCHES)}; "
-                f"cutoff = {self.cutoff}, truncation = {truncation!r} have no tail"
-            )
+            needed, given = f"a cutoff and truncation 'truncated', {_listed(SWITCHES)}", f"cutoff = {self.cutoff}, truncation = {truncation!r}"
+            raise ValueError(f"tail_correction needs {needed}; {given} have no tail")
 
     def bind(self, system: System) -> "PairTerm":
         """The term of this potential in a system.
@@ -128,14 +126,9 @@ class PairPotential:
 
         counts : (S,) atoms of each species.  M. P. Allen, D. J. Tildesley (2017), eq. 2.144.
         """
-        names = tuple(species_names) if self.depends_on_species else (None,)
-        numbers = counts if self.depends_on_species else np.array([counts.sum()])
-        energy = virial = 0.0
-        for a, n_a in zip(names, numbers, strict=True):
-            for b, n_b in zip(names, numbers, strict=True):
-                u, w = 2.0 * pi * n_a * n_b / volume * self._tail_integrals(a, b)
-                energy, virial = energy + u, virial + w
-        return float(energy), float(virial)
+        crowds = [*zip(species_names, counts, strict=True)] if self.depends_on_species else [(None, counts.sum())]
+        terms = [2.0 * pi * n_a * n_b / volume * self._tail_integrals(a, b) for a, n_a in crowds for b, n_b in crowds]
+        return float(sum(u for u, _ in terms)), float(sum(w for _, w in terms))
 
     def _numbers(self, a: Label | None, b: Label | None) -> tuple[float, ...]:
         cutoff, parameters = self._cutoff_of(a, b), self._parameters_of(a, b)
@@ -209,10 +202,7 @@ class PairTerm(Term):
         return self._potential.tail(*self._species, volume=1.0)
 
     def tail(self, system: System) -> tuple[float, float]:
-        """See Term.
-
-        Raises ValueError if the cell has no volume.
-        """
+        """See Term. Raises ValueError if the cell has no volume."""
         if not self._potential.tail_correction:
             return 0.0, 0.0
         volume, (energy, virial) = _volume(system), self._tail_times_volume
@@ -226,10 +216,7 @@ def _volume(system: System) -> float:
 
 
 def _integral(function: Callable[[float], float], low: float, high: float) -> float:
-    """∫ function(x) dx.
-
-    Raises ValueError if it does not converge.
-    """
+    """∫ function(x) dx. Raises ValueError if it does not converge."""
     from scipy.integrate import quad  # here, so that importing minimd need not load it
 
     value, error = quad(function, low, high, epsabs=0.0, epsrel=ACCURACY, full_output=1)[:2]
@@ -249,7 +236,7 @@ def _checked_parameters(parameters: Parameters | ByLabel) -> Parameters | dict[L
 
 def _checked_tuple(numbers: Parameters) -> Parameters:
     values = tuple(float(number) for number in numbers)
-    if not all(isfinite(value) for value in values):
+    if not all(map(isfinite, values)):
         raise ValueError(f"parameters must be finite; they are {values}")
     return values
 
@@ -258,7 +245,7 @@ def _checked_cutoff(cutoff: float | Mapping[tuple[Label, Label], float] | None) 
     """The largest cutoff; infinite for None."""
     if cutoff is None:
         return inf
-    values = list(cutoff.values()) if isinstance(cutoff, Mapping) else [cutoff]
+    values = cutoff.values() if isinstance(cutoff, Mapping) else [cutoff]
     for value in values:
         if not (isinstance(value, Real) and 0.0 < value < LARGEST):
             raise ValueError(f"cutoff must be positive and finite, below {LARGEST:g}; cutoff = {value!r}; leave it out for none")

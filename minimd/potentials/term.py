@@ -13,6 +13,14 @@ FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes
 BOND_LOOP = "bond loop"
 
 
+class Accumulators(NamedTuple):
+    """What kernels add to: forces (N, 3) [energy/length], energies (N,) and virials (N, 6), xx yy zz yz xz xy [energy], see Term.add."""
+
+    forces: NDArray
+    energies: NDArray
+    virials: NDArray
+
+
 class PairLaw(NamedTuple):
     """A law on all pairs within a cutoff, as the planner needs it to find a list of neighbors; laws with one bonded_scale share a list.
 

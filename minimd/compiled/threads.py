@@ -15,12 +15,11 @@ Each thread begins with the same chunks in every task, whose memory is then in i
 import functools
 import os
 import threading
+from collections import namedtuple
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, NamedTuple
 
 import numpy as np
-from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
@@ -37,12 +36,8 @@ _sched_getcpu = types.ExternalFunction("sched_getcpu", types.int32())
 _let_others_run = types.ExternalFunction("SwitchToThread" if os.name == "nt" else "sched_yield", types.int32())
 
 
-class Worker(NamedTuple):
+class Worker(namedtuple("Worker", "counters thread n_threads")):
     """One thread of a pool. counters : shared.  thread : its number; 0 is the calling thread.  n_threads : of the pool."""
-
-    counters: Any
-    thread: int
-    n_threads: int
 
 
 class ThreadPool:
@@ -52,9 +47,8 @@ class ThreadPool:
         self.n_threads = n_threads
         self._counters = np.zeros(CLAIMS + MOST_CHUNKS, dtype=np.int64)
         self._busy = threading.Lock()
-        self._n_tasks = 0
         self._task: tuple = ()
-        self._core = -1
+        self._n_tasks, self._core = 0, -1
         self._wake = [threading.Lock() for _ in range(n_threads - 1)]
         self._helpers = [threading.Thread(target=self._help, args=(k, wake), daemon=True) for k, wake in enumerate(self._wake, start=1)]
         for wake, helper in zip(self._wake, self._helpers, strict=True):
@@ -165,15 +159,23 @@ def barrier(worker, phase):
     return phase + 1
 
 
+def _at(counters, emit: Callable) -> Callable:
+    """What an intrinsic does to a counter: emit(builder, address, *numbers)."""
+
+    def generate(context, builder, signature, arguments):
+        data = context.make_array(counters)(context, builder, arguments[0]).data
+        return emit(builder, builder.gep(data, [arguments[1]]), *arguments[2:])
+
+    return generate
+
+
 def _atomic(name: str):
-    """An intrinsic (counters, place, value) that changes a counter in one step and returns what it was."""
+    """An intrinsic (counters, place, number) that changes a counter in one step and returns what it was."""
 
     @intrinsic
-    def change(_context, counters, place, value):
-        def generate(context, builder, signature, arguments):
-            return builder.atomic_rmw(name, _address(context, builder, signature, arguments), arguments[2], "seq_cst")
-
-        return types.int64(counters, types.intp, types.int64), generate
+    def change(_context, counters, place, number):
+        emit = _at(counters, lambda builder, address, number: builder.atomic_rmw(name, address, number, "seq_cst"))
+        return types.int64(counters, types.intp, types.int64), emit
 
     return change
 
@@ -183,28 +185,15 @@ _add, _exchange = _atomic("add"), _atomic("xchg")
 
 @intrinsic
 def _read(_context, counters, place):
-    """The present value of a counter, whichever thread wrote it."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.load_atomic(_address(context, builder, signature, arguments), "seq_cst", 8)
-
-    return types.int64(counters, types.intp), generate
+    """The present number of a counter, whichever thread wrote it."""
+    return types.int64(counters, types.intp), _at(counters, lambda builder, address: builder.load_atomic(address, "seq_cst", 8))
 
 
 @intrinsic
-def _replace(_context, counters, place, expected, value):
-    """Write a value if the counter still has the expected one; returns what it was."""
-
-    def generate(context, builder, signature, arguments):
-        pair = builder.cmpxchg(_address(context, builder, signature, arguments), arguments[2], arguments[3], "seq_cst", "seq_cst")
-        return builder.extract_value(pair, 0)
-
-    return types.int64(counters, types.intp, types.int64, types.int64), generate
-
-
-def _address(context, builder, signature, arguments) -> ir.Value:
-    data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-    return builder.gep(data, [arguments[1]])
+def _replace(_context, counters, place, expected, number):
+    """Write a number if the counter still has the expected one; returns what it was."""
+    emit = _at(counters, lambda builder, *values: builder.extract_value(builder.cmpxchg(*values, "seq_cst", "seq_cst"), 0))
+    return types.int64(counters, types.intp, types.int64, types.int64), emit
 
 
 @shared_kernel

@@ -71,8 +71,8 @@ def with_energy(sums):
 
 
 @scalar
-def add_cluster_forces(first, last, arrays, law, parameters, sums):
-    """Forces between the atoms of clusters first to last and the clusters of their rows.
+def add_cluster_forces(domain, arrays, law, parameters, sums):
+    """Forces between the atoms of a domain and the clusters of their rows.
 
         r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= Σ f r_ij,   W += f r_ij ⊗ r_ij
 
@@ -83,7 +83,7 @@ def add_cluster_forces(first, last, arrays, law, parameters, sums):
     nothing = broadcast(0.0, load(sums.forces, 0, LANES))
     zero = convert(nothing, 0.0)
     own_share = 0.5 if sums.detail == PER_ATOM else 1.0
-    for slot in range(first * LANES, last * LANES):
+    for slot in range(arrays.domain_start[domain] * LANES, arrays.domain_start[domain + 1] * LANES):
         home, lane = homes[slot // LANES], slot % LANES
         place = home * BLOCK + lane
         at = position(coordinates, place)

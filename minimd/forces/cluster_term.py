@@ -29,26 +29,26 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces):
     """
     n = arrays.domain_start.size - 1
     phase = share(worker, begin(worker, task), n, gather, arrays, positions)
-    phase = share(worker, phase, n, _add_all_laws, arrays, laws, sums)
+    phase = share(worker, phase, n, _add_laws, arrays, laws, sums)
     share(worker, phase, n, scatter, arrays, forces, np.empty(BLOCK))
 
 
-@scalar
-def _add_all_laws(domain, arrays, laws, sums):
-    _add_laws(arrays.domain_start[domain], arrays.domain_start[domain + 1], arrays, laws, sums)
-
-
 @by_type
-def _add_laws(first, last, arrays, laws, sums):
+def _add_all(domain, arrays, laws, sums):
     """add_cluster_forces for each law, unrolled by the compiler."""
     if len(laws) == 1:
-        return lambda first, last, arrays, laws, sums: add_cluster_forces(first, last, arrays, laws[0][0], laws[0][1], sums)
+        return lambda domain, arrays, laws, sums: add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums)
 
-    def add(first, last, arrays, laws, sums):
-        add_cluster_forces(first, last, arrays, laws[0][0], laws[0][1], sums)
-        _add_laws(first, last, arrays, laws[1:], sums)
+    def add(domain, arrays, laws, sums):
+        add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums)
+        _add_all(domain, arrays, laws[1:], sums)
 
     return add
+
+
+@scalar
+def _add_laws(domain, arrays, laws, sums):
+    _add_all(domain, arrays, laws, sums)
 
 
 class ClusterTerm(Term):

@@ -30,19 +30,12 @@ class PairListTerm(Term):
             cutoff = np.inf
         skin = skin_for(system, laws, options, displacement) if cutoff < np.inf else 0.0
         _check_size(system, cutoff, skin)
+        self._in_users_order = cutoff == np.inf
+        self.summary = "all pairs" if self._in_users_order else f"pair list (skin {skin:.3g})"
         self.list = PairList(n, cutoff, skin, laws.excluded)
         self._laws, self._loops = laws, [pair_loop_for(one.law) for one in laws.members]
         self._parameters_of = 0  # which build of the list
         self._positions, self._sums = np.empty((n, 3)), Accumulators(np.empty((n, 3)), np.empty(n), np.empty((n, 6)))
-
-    @property
-    def summary(self) -> str:  # type: ignore[override]
-        """The list, for the report."""
-        return "all pairs" if self._in_users_order else f"pair list (skin {self.list.skin:.3g})"
-
-    @property
-    def _in_users_order(self) -> bool:
-        return self.list.cutoff == np.inf
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""

@@ -149,17 +149,17 @@ def exclude_pairs(worker, task, layout, image, partners, slot_of, rows):
 @scalar
 def _find_slots(domain, layout, slot_of):
     clusters, domain_start = layout.clusters, layout.domains.cluster
-    for cluster in range(domain_start[domain], domain_start[domain + 1]):
-        for slot in range(cluster * LANES, cluster * LANES + clusters.filled[cluster]):
+    for slot in range(domain_start[domain] * LANES, domain_start[domain + 1] * LANES):
+        if slot % LANES < clusters.filled[slot // LANES]:
             slot_of[clusters.atom[slot]] = slot
 
 
 @scalar
 def _exclude_partners(domain, layout, image, partners, slot_of, rows):
     clusters, domain_start, (start, values) = layout.clusters, layout.domains.cluster, partners
-    for cluster in range(domain_start[domain], domain_start[domain + 1]):
-        for slot in range(cluster * LANES, cluster * LANES + clusters.filled[cluster]):
-            i = clusters.atom[slot]
+    for slot in range(domain_start[domain] * LANES, domain_start[domain + 1] * LANES):
+        i = clusters.atom[slot]
+        if slot == slot_of[i]:  # not padding
             for p in range(start[i], start[i + 1]):
                 _exclude(slot, slot_of[values[p]], clusters, layout.ghosts, image, rows)
 

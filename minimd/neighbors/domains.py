@@ -135,15 +135,13 @@ def fill_ghosts(domain, layout):
             for image_z in range(-1, 2):
                 first, last, image = _seen(run_x, run_y, image_z, clusters, columns)
                 a, b = image // 9 - 1, image // 3 % 3 - 1
-                x = a * lattice[0, 0] + b * lattice[1, 0] + image_z * lattice[2, 0]
-                y = a * lattice[0, 1] + b * lattice[1, 1] + image_z * lattice[2, 1]
-                z = a * lattice[0, 2] + b * lattice[1, 2] + image_z * lattice[2, 2]
                 is_home = image == HOME and run_x < domains.column[domain + 1]
                 for k in range(first, last):
                     ghosts.owner[ghost], ghosts.key[ghost], ghosts.is_used[ghost] = k, k * IMAGES + image, is_home
                     ghosts.lanes[ghost] = ALL_LANES >> (LANES - clusters.filled[k])
                     ghosts.bottom[ghost], ghosts.top[ghost] = clusters.bottom[k] + image_z, clusters.top[k] + image_z
-                    for d, shift in enumerate((x, y, z)):
+                    for d in range(3):
+                        shift = a * lattice[0, d] + b * lattice[1, d] + image_z * lattice[2, d]
                         ghosts.shift[ghost, d] = shift
                         ghosts.boxes[ghost, d], ghosts.boxes[ghost, d + 3] = clusters.boxes[k, d] + shift, clusters.boxes[k, d + 3] + shift
                         store(coordinates, ghost * BLOCK + d * LANES, load(clusters.coordinates, k * BLOCK + d * LANES, LANES) + shift)

@@ -1,8 +1,8 @@
-"""Pair potentials: a law, its parameters for each pair of species, a cutoff and a truncation."""
+"""Pair potentials: a law, its parameters for each pair of species, given or mixed, a cutoff and a truncation."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
-from math import inf, isfinite, pi
+from math import inf, isfinite, pi, sqrt
 from numbers import Real
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.potentials.law import UserLaw, check_user_law, evaluate_law, user_law
-from minimd.potentials.mixing import MIXING, Parameters
 from minimd.potentials.term import PairLaw, Term, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS
 from minimd.structure.system import LARGEST, System
@@ -21,8 +20,22 @@ TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where laws of the user's are tri
 UNSCALED = (1.0, 1.0, 1.0)
 
 Label = str | int
+Parameters = tuple[float, ...]
 ByLabel = Mapping[Label, Parameters]
 ByPairOfLabels = Mapping[tuple[Label, Label], Parameters]
+
+
+def lorentz_berthelot(first: Parameters, second: Parameters) -> Parameters:
+    """(ε, σ) of an unlike pair: ε = √(ε₁ ε₂), σ = (σ₁ + σ₂)/2.  H. A. Lorentz, Ann. Phys. 248, 127 (1881); D. Berthelot, C. R. 126, 1703 (1898)."""
+    return sqrt(first[0] * second[0]), 0.5 * (first[1] + second[1])
+
+
+def geometric(first: Parameters, second: Parameters) -> Parameters:
+    """(ε, σ) of an unlike pair: ε = √(ε₁ ε₂), σ = √(σ₁ σ₂)."""
+    return sqrt(first[0] * second[0]), sqrt(first[1] * second[1])
+
+
+MIXING = {"lorentz-berthelot": lorentz_berthelot, "geometric": geometric}
 
 
 class PairPotential:

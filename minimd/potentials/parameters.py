@@ -1,32 +1,24 @@
 """Where the parameters of a pair come from: one tuple for all, a table by species, or a row for each pair."""
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
-from numba.core import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import by_type
 
 
-class SameForAll(NamedTuple):
+class SameForAll(namedtuple("SameForAll", "numbers")):
     """One tuple of numbers for every pair."""
 
-    numbers: Any
 
-
-class BySpecies(NamedTuple):
+class BySpecies(namedtuple("BySpecies", "columns species")):
     """columns : tuple of (S, S) arrays, one for each parameter.  species : (N,) int."""
 
-    columns: Any
-    species: Any
 
-
-class ByPair(NamedTuple):
+class ByPair(namedtuple("ByPair", "columns")):
     """columns : tuple of (P,) arrays, one for each parameter."""
-
-    columns: Any
 
 
 def parameters_of_pair(source, p, i, j):
@@ -51,7 +43,7 @@ def _parameters_of_pair(source, p, i, j):
 @by_type
 def _row(columns, index):
     """(columns[0][index], columns[1][index], …), unrolled by the compiler."""
-    if isinstance(columns, types.BaseTuple) and len(columns) == 1:
+    if len(columns) == 1:
         return lambda columns, index: (columns[0][index],)
     return lambda columns, index: (columns[0][index],) + _row(columns[1:], index)
 

@@ -14,11 +14,10 @@ hand: one for AVX-512, two for AVX2, four for NEON. So a law written for numbers
 How to add an operation. If LLVM has an instruction or a function for it, make an intrinsic with `_instruction` or `_function`, see
 arithmetic.py, or write an `@intrinsic`: it gets the Numba types of its arguments, and returns the signature `result(arguments)` and a
 function that emits instructions with llvmlite's IRBuilder. Bind it to the Python name that laws use with `_bind` or `@overload`. If
-there is no instruction, apply the function lane by lane: see `_each_lane`.
+there is no instruction, apply the function lane by lane: see `_bind_one`.
 """
 
 from minimd.compiled.simd.arithmetic import fma, select
-from minimd.compiled.simd.memory import load, store
-from minimd.compiled.simd.vector import bits_from_mask, broadcast, convert, lane, mask_from_bits, total, with_lane
+from minimd.compiled.simd.vector import bits_from_mask, broadcast, convert, lane, load, mask_from_bits, store, total, with_lane
 
 __all__ = ["bits_from_mask", "broadcast", "convert", "fma", "lane", "load", "mask_from_bits", "select", "store", "total", "with_lane"]

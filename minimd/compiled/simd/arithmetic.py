@@ -107,17 +107,6 @@ def _negative(x):
     return (lambda x: 0.0 - x) if is_vector(x) else None
 
 
-@overload(math.sqrt)
-@overload(np.sqrt)
-def _sqrt(x):
-    return (lambda x: _square_root(x)) if is_vector(x) else None
-
-
-@overload(abs)
-def _abs(x):
-    return (lambda x: _magnitude(x)) if is_vector(x) else None
-
-
 @overload(operator.pow)
 def _power(x, exponent):
     """The powers that laws are written with; the compiler picks one where the exponent is a constant. Others lane by lane."""
@@ -141,20 +130,24 @@ def _power(x, exponent):
     return power
 
 
-def _each_lane(function) -> None:
-    """Let a function of one number act on each lane of a vector."""
+def _bind_one(function, operation=None) -> None:
+    """Let a function of one number act on vectors: by an operation, or lane by lane if there is none."""
 
     @overload(function)
     def of_vector(x):
-        lanes = x.lanes if is_vector(x) else 0
+        if not is_vector(x):
+            return None
+        if operation:
+            return lambda x: operation(x)
+        lanes = x.lanes
 
         def each(x):
             for k in range(lanes):
                 x = with_lane(x, k, function(lane(x, k)))
             return x
 
-        return each if lanes else None
+        return each
 
 
-for _slow in LANE_BY_LANE:
-    _each_lane(_slow)
+for _one, _operation in {math.sqrt: _square_root, np.sqrt: _square_root, abs: _magnitude, **dict.fromkeys(LANE_BY_LANE)}.items():
+    _bind_one(_one, _operation)

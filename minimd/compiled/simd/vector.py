@@ -1,4 +1,4 @@
-"""The vector type, and how numbers become vectors and vectors numbers."""
+"""The vector type; vectors from numbers and memory, and back."""
 
 from llvmlite import ir
 from numba import types
@@ -52,7 +52,7 @@ def broadcast(_context, number, like):
             return arguments[0]
         one = context.cast(builder, arguments[0], number, like.element)
         empty = ir.Constant(ir.VectorType(one.type, like.lanes), ir.Undefined)
-        return some_lanes(builder, builder.insert_element(empty, one, INT32(0)), [0] * like.lanes)
+        return _some_lanes(builder, builder.insert_element(empty, one, INT32(0)), [0] * like.lanes)
 
     return like(number, like), generate
 
@@ -104,7 +104,7 @@ def total(_context, vector):
         value, lanes = arguments[0], vector.lanes
         while lanes > 1:
             lanes //= 2
-            halves = [some_lanes(builder, value, range(start, start + lanes)) for start in (0, lanes)]
+            halves = [_some_lanes(builder, value, range(start, start + lanes)) for start in (0, lanes)]
             value = (builder.fadd if vector.is_float else builder.add)(*halves)
         return builder.extract_element(value, INT32(0))
 
@@ -127,7 +127,32 @@ def with_lane(_context, vector, k, number):
     return vector(vector, k, number), generate
 
 
-def some_lanes(builder, value, numbers):
+@intrinsic(prefer_literal=True)
+def load(_context, array, index, lanes):
+    """`lanes` (a literal) contiguous elements of a one-dimensional array, from index."""
+    kind = Vector(array.dtype, lanes.literal_value)
+
+    def generate(context, builder, signature, arguments):
+        value = builder.load(_pointer_to(context, builder, array, arguments, kind))
+        value.align = array.dtype.bitwidth // 8
+        return value
+
+    return kind(array, types.intp, lanes), generate
+
+
+@intrinsic
+def store(_context, array, index, vector):
+    """Write a vector to contiguous elements of a one-dimensional array, from index."""
+
+    def generate(context, builder, signature, arguments):
+        pointer = _pointer_to(context, builder, array, arguments, vector)
+        builder.store(arguments[2], pointer).align = array.dtype.bitwidth // 8
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vector), generate
+
+
+def _some_lanes(builder, value, numbers):
     """Some lanes of a vector, as a shorter or longer one."""
     pattern = ir.Constant(ir.VectorType(INT32, len(numbers)), list(numbers))
     return builder.shuffle_vector(value, ir.Constant(value.type, ir.Undefined), pattern)
@@ -137,3 +162,9 @@ def call(builder, name, result, arguments):
     """Call one of LLVM's functions by name."""
     kind = ir.FunctionType(result, [argument.type for argument in arguments])
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)
+
+
+def _pointer_to(context, builder, kind, arguments, vector):
+    """The address of an element of an array, as that of a vector.  arguments : values of the array, of type kind, and of the index."""
+    data = context.make_array(kind)(context, builder, arguments[0]).data
+    return builder.bitcast(builder.gep(data, [arguments[1]]), context.get_value_type(vector).as_pointer())

@@ -251,8 +251,7 @@ def test_evaluate_takes_atoms_of_ase():
 
 
 def test_laws_run_as_plain_python_too():
-    from minimd.potentials.pair_loop import add_pair_forces, fixed_pairs
-    from minimd.potentials.parameters import SameForAll
+    from minimd.potentials.pair_loop import SameForAll, add_pair_forces, fixed_pairs
     from minimd.potentials.term import TOTALS, Accumulators
 
     system = chain(None)

@@ -106,10 +106,9 @@ class CompileClock(event.Listener):
     def on_start(self, _event: event.Event) -> None:
         """Called by Numba; compilations nest."""
         self._depth += 1
-        if self._depth > 1:
-            return
-        self._started = perf_counter()
-        if self.is_to_tell:
+        if self._depth == 1:
+            self._started = perf_counter()
+        if self._depth == 1 and self.is_to_tell:
             self._timer = threading.Timer(WAIT_BEFORE_TELLING, self._tell)
             self._timer.daemon = True
             self._timer.start()

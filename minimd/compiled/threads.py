@@ -87,13 +87,11 @@ class ThreadPool:
         worker = Worker(self._counters, thread, self.n_threads)
         while True:
             wake.acquire()
-            current = self._task
-            if not current:
-                continue  # too late
-            task, kernel, arguments = current
-            kernel(worker, task, *arguments)
-            del current, kernel, arguments
-            _linger(self._counters, task)
+            if current := self._task:  # else it is too late
+                task, kernel, arguments = current
+                kernel(worker, task, *arguments)
+                del current, kernel, arguments
+                _linger(self._counters, task)
 
 
 @functools.cache

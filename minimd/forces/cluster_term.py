@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import by_type, kernel, scalar, shared_kernel, without_cache
+from minimd.compiled.kernels import by_type, kernel, shared_kernel, without_cache
 from minimd.compiled.threads import begin, share, thread_pool
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, add_cluster_forces
 from minimd.forces.options import Options
@@ -15,7 +15,7 @@ from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList, gather, scatter
 from minimd.neighbors.clusters import BLOCK, LANES
 from minimd.potentials.law import is_user_law
-from minimd.potentials.parameters import SameForAll
+from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
 from minimd.structure.system import System
 
@@ -29,7 +29,7 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces):
     """
     n = arrays.domain_start.size - 1
     phase = share(worker, begin(worker, task), n, gather, arrays, positions)
-    phase = share(worker, phase, n, _add_laws, arrays, laws, sums)
+    phase = share(worker, phase, n, _add_all, arrays, laws, sums)
     share(worker, phase, n, scatter, arrays, forces, np.empty(BLOCK))
 
 
@@ -44,11 +44,6 @@ def _add_all(domain, arrays, laws, sums):
         _add_all(domain, arrays, laws[1:], sums)
 
     return add
-
-
-@scalar
-def _add_laws(domain, arrays, laws, sums):
-    _add_all(domain, arrays, laws, sums)
 
 
 class ClusterTerm(Term):

@@ -19,7 +19,7 @@ from minimd.neighbors.queries import closest_pair
 from minimd.neighbors.verlet_list import VerletList
 from minimd.potentials.laws import Scaled
 from minimd.potentials.pair_loop import FixedPairs
-from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, PairLaw, Potential, Term, bound
+from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, bound
 from minimd.structure.console import outside_minimd
 from minimd.structure.errors import NonFiniteError
 from minimd.structure.system import System
@@ -166,8 +166,7 @@ class Forces:
     @property
     def virials(self) -> NDArray[np.float64]:
         """Each atom's share of W [energy], (N, 6) as xx yy zz yz xz xy, of the last compute with PER_ATOM."""
-        tail = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * self._tail_corrections()[1] / 3.0
-        return self._virials + tail / len(self.system)
+        return self._virials + np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * self._tail_corrections()[1] / 3.0 / len(self.system)
 
     @property
     def largest_cutoff(self) -> float:
@@ -210,17 +209,14 @@ def _n_builds(terms: Sequence[Term]) -> int:
 
 
 def plan(terms_bound: Sequence[Term], system: System, options: Options, displacement: float) -> list[Term]:
-    """The terms to run: those that add their forces themselves, and one list for all pair laws with the same bonded_scale.
+    """The terms to run: those that add their forces themselves, and one term with a list for all pair laws of one bonded_scale.
 
     terms_bound : the terms that the potentials were bound to.  displacement : of the fastest atom in a step [length], 0 if unknown.
     """
     terms = [term for term in terms_bound if term.pair_law is None]
-    sharing: dict[tuple, list[PairLaw]] = {}
-    for term in terms_bound:
-        if term.pair_law is not None:
-            sharing.setdefault(term.pair_law.bonded_scale, []).append(term.pair_law)
-    for members in sharing.values():
-        laws = PairLaws(system, members)
+    pair_laws = [term.pair_law for term in terms_bound if term.pair_law is not None]
+    for scale in dict.fromkeys(one.bonded_scale for one in pair_laws):
+        laws = PairLaws(system, [one for one in pair_laws if one.bonded_scale == scale])
         with_list = ClusterTerm if laws.fit_clusters(system, options, displacement) else PairListTerm
         terms.append(with_list(system, laws, options, displacement))
         terms.extend(scaled_terms(system, laws))

@@ -9,8 +9,7 @@ from minimd.compiled.kernels import kernel
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws, skin_for
 from minimd.neighbors.pair_list import PairList
-from minimd.potentials.pair_loop import pair_loop_for
-from minimd.potentials.parameters import by_species
+from minimd.potentials.pair_loop import by_species, pair_loop_for
 from minimd.potentials.term import FORCES, Accumulators, Term
 from minimd.structure.system import System, number_density
 

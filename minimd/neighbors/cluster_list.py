@@ -39,7 +39,7 @@ class ClusterList(VerletList):
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
     cutoff, skin, excluded : see VerletList.  is_mixed : whether the pair arithmetic is float32.  pool : the threads that build it.
-    clusters, domains, ghosts, rows, memory : see there.  arrays : what the loop needs of them.
+    clusters, domains, ghosts, rows, memory : see there.  arrays : what the loop needs of them.  n_domains : number of chunks of a task.
     """
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_mixed: bool, pool: ThreadPool) -> None:
@@ -49,17 +49,12 @@ class ClusterList(VerletList):
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
         self._memory = Buffers()
 
-    @property
-    def n_domains(self) -> int:
-        """Into how many chunks a task is cut."""
-        return len(self.domains.run) - 1
-
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
             self._columns, self._columns_of = make_columns(cell, positions, self.cutoff + self.skin), cell
         self.clusters = sort_into_clusters(positions, self._columns, self._memory, self._pool)
         self.domains = cut_into_domains(self.clusters, self._columns, len(positions))
-        n_clusters, n_ghosts = len(self.clusters.filled), int(self.domains.ghost[-1])
+        self.n_domains, n_clusters, n_ghosts = len(self.domains.run) - 1, len(self.clusters.filled), int(self.domains.ghost[-1])
         if n_ghosts > GHOST_BITS:
             raise ValueError(f"cluster lists hold up to {GHOST_BITS} ghost clusters, this scene needs {n_ghosts}: simulate fewer atoms")
         self.ghosts = make_ghosts(n_clusters, n_ghosts, self._memory)

@@ -47,9 +47,7 @@ class Work(namedtuple("Work", "ahead candidates entries near")):
 def make_work(domains, columns):
     """Enough for any cluster of any domain."""
     n_runs = (columns.reach[0] + 1) * (2 * columns.reach[1] + 1)
-    n = 0
-    for domain in range(domains.run.size - 1):
-        n = max(n, domains.ghost[domains.run[domain + 1]] - domains.ghost[domains.run[domain]])
+    n = np.diff(domains.ghost[domains.run]).max()
     return Work(np.empty((n_runs, 2), dtype=np.int64), np.empty(n, dtype=np.int64), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint8))
 
 

@@ -69,9 +69,8 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Co
 def sort_into_clusters(positions: NDArray[np.float64], columns: Columns, memory: Buffers, pool: ThreadPool) -> Clusters:
     """The clusters of all columns, the second lattice direction running faster than the first."""
     n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
-    many, bins, triples = (n,), (n_bins + 1,), (n, 3)
-    fields = ((np.int32, many), (np.int32, many), (np.int32, bins), (np.int32, bins), (np.float64, triples), (np.float64, many))
-    binned = Binned(*memory.carve("scratch", *fields))
+    of_atoms, of_bins = (np.int32, (n,)), (np.int32, (n_bins + 1,))
+    binned = Binned(*memory.carve("scratch", of_atoms, of_atoms, of_bins, of_bins, (np.float64, (n, 3)), (np.float64, (n,))))
     column_start = memory.array("column_start", np.int64, n_columns + 1)
     sort_into_columns(positions, columns, binned, column_start)
     n_clusters = int(column_start[-1])

@@ -12,9 +12,8 @@ Each of these columns is a run of ghosts, sorted along the third lattice vector,
 
     | image −1: the highest of the column | the column itself | image +1: the lowest of the column |
 
-A ghost is a cluster moved by a lattice vector, with forces of its own; the one in the cluster's own domain, moved by zero, is its
-home. Positions are copied to all ghosts of a cluster, and the forces on them are summed in the order of the ghosts: the same
-bits, whichever thread did the work.
+A ghost is a cluster moved by a lattice vector, with forces of its own; the one in the cluster's own domain, moved by zero, is its home. Positions
+are copied to all ghosts of a cluster, and the forces on them are summed in the order of the ghosts: the same bits, whichever thread did the work.
 """
 
 from collections import namedtuple

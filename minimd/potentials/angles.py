@@ -100,7 +100,8 @@ class AngleTerm(Term):
 
     def __init__(self, potential: HarmonicAngle, triples: NDArray[np.int64]) -> None:
         first, middle, last = (np.ascontiguousarray(triples[:, k]) for k in range(3))
-        self._angles = Angles(first, middle, last, *np.zeros((2, len(triples), 3)), potential.k, potential.angle)
+        translations = np.zeros((2, len(triples), 3))
+        self._angles = Angles(first, middle, last, translations[0], translations[1], potential.k, potential.angle)
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""

@@ -56,7 +56,7 @@ class BondPotential:
         for parameter in self.parameters:
             if parameter.shape not in ((), (n_bonds,)):
                 raise ValueError(f"a bond parameter must be one number or {n_bonds}, one for each bond; its shape is {parameter.shape}")
-        return np.stack([np.broadcast_to(column, n_bonds) for column in (np.inf, *self.parameters)], axis=-1)
+        return np.stack([np.broadcast_to(column, n_bonds) for column in (np.array(np.inf), *self.parameters)], axis=-1)
 
 
 class HarmonicBond(BondPotential):

@@ -9,7 +9,7 @@ from collections import namedtuple
 from collections.abc import Callable, Iterable
 from inspect import signature
 from math import isfinite, nan
-from typing import Any, NamedTuple
+from typing import Any
 
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
@@ -31,10 +31,8 @@ def law_type(name: str, formula: Callable) -> Any:
     return type_of(formula)(namedtuple(name, fields, module=python.__module__))
 
 
-class UserLaw(NamedTuple):
+class UserLaw(namedtuple("UserLaw", "function")):
     """Law type of a law that the user brings: function(r2, *parameters)."""
-
-    function: Any
 
 
 def user_law(function: Callable) -> UserLaw:

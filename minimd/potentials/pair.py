@@ -114,7 +114,7 @@ class PairPotential:
         ------
         ValueError : if a species has no parameters, or an unlike pair neither its own nor a mixing rule.
         """
-        names = tuple(species_names) if self.depends_on_species else (None,)
+        names = species_names if self.depends_on_species else (None,)
         return np.array([[self._numbers(a, b) for b in names] for a in names], dtype=np.float64)
 
     @property
@@ -161,11 +161,11 @@ class PairPotential:
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
         if not isinstance(self.parameters, dict):
             return self.parameters
-        for name in (a, b):
-            if name not in self.parameters and (a, b) not in self.pairs:
-                raise ValueError(f"{type(self).__name__} has no parameters for species {name!r}; it has {_listed(self.parameters)}")
         if (a, b) in self.pairs:
             return self.pairs[a, b]
+        for name in (a, b):
+            if name not in self.parameters:
+                raise ValueError(f"{type(self).__name__} has no parameters for species {name!r}; it has {_listed(self.parameters)}")
         if a == b:
             return self.parameters[a]
         if self.mixing is None:

@@ -2,13 +2,12 @@
 
 import math
 import operator
-from functools import partial
 
 import numpy as np
 from numba import types
 from numba.extending import intrinsic, overload
 
-from minimd.compiled.simd.vector import broadcast, call, is_vector, lane, with_lane
+from minimd.compiled.simd.vector import Vector, broadcast, call, lane, with_lane
 
 FLOAT_OPERATORS = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}  # methods of IRBuilder
 INTEGER_OPERATORS = {operator.add: "add", operator.sub: "sub", operator.mul: "mul", operator.and_: "and_", operator.or_: "or_"}
@@ -16,22 +15,15 @@ COMPARISONS = {operator.lt: "<", operator.le: "<=", operator.gt: ">", operator.g
 LANE_BY_LANE = (math.exp, math.log, math.sin, math.cos, math.tanh, math.erf, math.erfc, np.exp, np.log, np.sin, np.cos, np.tanh)
 
 
-def _instruction(emit, compares: bool = False):
-    """An intrinsic for two vectors of one type: emit(builder, is float) is the method of IRBuilder that writes it."""
+def _instruction(of_floats: str, of_integers: str, *sign: str):
+    """An intrinsic for two vectors of one type: IRBuilder's methods for floats and for integers, and the sign of a comparison."""
 
     @intrinsic
     def operation(_context, a, b):
-        return (a.mask if compares else a)(a, b), lambda context, builder, signature, arguments: emit(builder, a.is_float)(*arguments)
+        method = of_floats if a.is_float else of_integers
+        return (a.mask if sign else a)(a, b), lambda context, builder, signature, arguments: getattr(builder, method)(*sign, *arguments)
 
     return operation
-
-
-def _arithmetic(of):
-    return _instruction(lambda builder, is_float: getattr(builder, (FLOAT_OPERATORS if is_float else INTEGER_OPERATORS)[of]))
-
-
-def _comparison(sign: str):
-    return _instruction(lambda builder, is_float: partial(builder.fcmp_ordered if is_float else builder.icmp_signed, sign), compares=True)
 
 
 def _function(name: str):
@@ -65,7 +57,7 @@ def select(mask, a, b):
 
 @overload(select)
 def _select(mask, a, b):
-    if is_vector(mask):
+    if isinstance(mask, Vector):
         return lambda mask, a, b: _choose(mask, a, broadcast(b, a))
     return lambda mask, a, b: a if mask else b
 
@@ -75,13 +67,9 @@ def _bind(function, operation) -> None:
 
     @overload(function)
     def of_vectors(a, b):
-        if is_vector(a) and a == b:
-            return lambda a, b: operation(a, b)
-        if is_vector(a) and isinstance(b, types.Number):
+        if isinstance(a, Vector) and (a == b or isinstance(b, types.Number)):
             return lambda a, b: operation(a, broadcast(b, a))
-        if is_vector(b) and isinstance(a, types.Number):
-            return lambda a, b: operation(broadcast(a, b), b)
-        return None
+        return (lambda a, b: operation(broadcast(a, b), b)) if isinstance(b, Vector) and isinstance(a, types.Number) else None
 
 
 def _bind_choice(function, beats) -> None:
@@ -89,28 +77,28 @@ def _bind_choice(function, beats) -> None:
 
     @overload(function)
     def of_vectors(a, b):
-        if is_vector(a):
+        if isinstance(a, Vector):
             return lambda a, b: select(beats(a, b), a, broadcast(b, a))
-        return (lambda a, b: select(beats(b, a), b, broadcast(a, b))) if is_vector(b) else None
+        return (lambda a, b: select(beats(b, a), b, broadcast(a, b))) if isinstance(b, Vector) else None
 
 
 for _operator in FLOAT_OPERATORS | INTEGER_OPERATORS:
-    _bind(_operator, _arithmetic(_operator))
+    _bind(_operator, _instruction(FLOAT_OPERATORS.get(_operator, ""), INTEGER_OPERATORS.get(_operator, "")))
 for _operator, _sign in COMPARISONS.items():
-    _bind(_operator, _comparison(_sign))
+    _bind(_operator, _instruction("fcmp_ordered", "icmp_signed", _sign))
 _bind_choice(max, operator.gt)
 _bind_choice(min, operator.lt)
 
 
 @overload(operator.neg)
 def _negative(x):
-    return (lambda x: 0.0 - x) if is_vector(x) else None
+    return (lambda x: 0.0 - x) if isinstance(x, Vector) else None
 
 
 @overload(operator.pow)
 def _power(x, exponent):
     """The powers that laws are written with; the compiler picks one where the exponent is a constant. Others lane by lane."""
-    if not (is_vector(x) and isinstance(exponent, types.Number)):
+    if not (isinstance(x, Vector) and isinstance(exponent, types.Number)):
         return None
     lanes = x.lanes
 
@@ -135,7 +123,7 @@ def _bind_one(function, operation=None) -> None:
 
     @overload(function)
     def of_vector(x):
-        if not is_vector(x):
+        if not isinstance(x, Vector):
             return None
         if operation:
             return lambda x: operation(x)

@@ -36,19 +36,14 @@ class VectorModel(models.PrimitiveModel):
         super().__init__(manager, fe_type, ir.VectorType(element, fe_type.lanes))
 
 
-def is_vector(kind: types.Type) -> bool:
-    """True for the Numba type of a vector or a mask."""
-    return isinstance(kind, Vector)
-
-
 @intrinsic
 def broadcast(_context, number, like):
     """A number in all lanes, as a vector of the type of like; a vector of that type is returned as it is."""
-    if is_vector(number) and number != like:
+    if isinstance(number, Vector) and number != like:
         return None
 
     def generate(context, builder, signature, arguments):
-        if is_vector(number):
+        if isinstance(number, Vector):
             return arguments[0]
         one = context.cast(builder, arguments[0], number, like.element)
         empty = ir.Constant(ir.VectorType(one.type, like.lanes), ir.Undefined)
@@ -72,17 +67,14 @@ def mask_from_bits(_context, bits, like):
 @intrinsic
 def bits_from_mask(_context, mask):
     """A mask as an int64 whose bit k is lane k; zero if no lane is set."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.zext(builder.bitcast(arguments[0], ir.IntType(mask.lanes)), ir.IntType(64))
-
-    return types.int64(mask), generate
+    bits, int64 = ir.IntType(mask.lanes), ir.IntType(64)
+    return types.int64(mask), lambda context, builder, signature, arguments: builder.zext(builder.bitcast(arguments[0], bits), int64)
 
 
 @intrinsic
 def convert(_context, vector, like):
     """A vector of float64, float32 or int32 with the element type of like, a vector or a number of float64 or float32."""
-    element = like.element if is_vector(like) else like
+    element = like.element if isinstance(like, Vector) else like
     kind = Vector(element, vector.lanes)
 
     def generate(context, builder, signature, arguments):
@@ -145,8 +137,7 @@ def store(_context, array, index, vector):
     """Write a vector to contiguous elements of a one-dimensional array, from index."""
 
     def generate(context, builder, signature, arguments):
-        pointer = _pointer_to(context, builder, array, arguments, vector)
-        builder.store(arguments[2], pointer).align = array.dtype.bitwidth // 8
+        builder.store(arguments[2], _pointer_to(context, builder, array, arguments, vector)).align = array.dtype.bitwidth // 8
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), generate

@@ -8,20 +8,7 @@ import numpy as np
 import pytest
 
 from minimd.compiled.kernels import scalar
-from minimd.compiled.simd import (
-    bits_from_mask,
-    broadcast,
-    convert,
-    fma,
-    lane,
-    load,
-    mask_from_bits,
-    select,
-    store,
-    store_compressed,
-    total,
-    with_lane,
-)
+from minimd.compiled.simd import bits_from_mask, broadcast, convert, fma, lane, load, mask_from_bits, select, store, total, with_lane
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.truncation import TRUNCATIONS
 
@@ -114,18 +101,6 @@ def test_masks_lanes_and_sums(kind):
     assert sum_ == (pairs[0] + pairs[2]) + (pairs[1] + pairs[3])
     assert fifth == a[5]
     assert changed == pytest.approx(a.sum() - a[2] + 100.0, rel=1e-5)
-
-
-def test_compressed_store_writes_the_chosen_lanes_one_after_the_other():
-    @numba.njit
-    def run(a, out):
-        x = load(a, 0, 8)
-        store_compressed(out, 1, x, x > 2.0)
-
-    a, out = numbers(np.float64, 8), np.full(10, -1.0)
-    run(a, out)
-    chosen = a[a > 2.0]
-    assert np.array_equal(out, [-1.0, *chosen, *[-1.0] * (9 - len(chosen))])
 
 
 def test_conversion_rounds_to_the_nearest():

@@ -36,7 +36,7 @@ def test_a_term_needs_nothing_but_add():
         forces.compute(1)
     assert both.forces[:, 2] == pytest.approx(alone.forces[:, 2] - 1.0, abs=1e-12)
     assert both.potential_energy == pytest.approx(alone.potential_energy + system.positions[:, 2].sum(), rel=1e-12)
-    assert (both.skipped(), both.pair_search, both.longest_stride) == (alone.skipped(), alone.pair_search, alone.longest_stride)
+    assert (both.skipped(), both.pair_search, both.largest_cutoff) == (alone.skipped(), alone.pair_search, alone.largest_cutoff)
     assert md.Simulation(system, [LJ, Weight()], md.VelocityVerlet(0.001)).run(2, progress=False).n_atoms == len(system)
 
 

@@ -39,14 +39,19 @@ def cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix=name))
 
 
-def kernel(function):
+def kernel(function, **flags):
     """Compile a function that Python calls with arrays and numbers: lazily, once per machine."""
-    return _cached(function)
+    previous = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(cache_folder())
+    try:
+        return numba.njit(cache=True, error_model="numpy", **flags)(function)
+    finally:
+        numba.config.CACHE_DIR = previous
 
 
 def shared_kernel(function):
     """Compile a kernel that several threads run at once, see compiled.threads: it does not hold Python's lock."""
-    return _cached(function, nogil=True)
+    return kernel(function, nogil=True)
 
 
 def inlined(function):
@@ -101,10 +106,9 @@ class CompileClock(event.Listener):
     def on_start(self, _event: event.Event) -> None:
         """Called by Numba; compilations nest."""
         self._depth += 1
-        if self._depth > 1:
-            return
-        self._started = perf_counter()
-        if self.is_to_tell:
+        if self._depth == 1:
+            self._started = perf_counter()
+        if self._depth == 1 and self.is_to_tell:
             self._timer = threading.Timer(WAIT_BEFORE_TELLING, self._tell)
             self._timer.daemon = True
             self._timer.start()
@@ -136,15 +140,6 @@ def announce_compilation() -> Iterator[None]:
         compile_clock.is_to_tell = False
 
 
-def _cached(function, **flags):
-    previous = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder())
-    try:
-        return numba.njit(cache=True, error_model="numpy", **flags)(function)
-    finally:
-        numba.config.CACHE_DIR = previous
-
-
 def _is_mine(folder: Path) -> bool:
     """Cached code is executed, so no other user may be able to write it."""
     status = folder.stat()
@@ -161,10 +156,6 @@ def _source_hash() -> str:
 
 
 def _cache_bases() -> list[Path]:
-    bases = []
-    if os.environ.get("NUMBA_CACHE_DIR"):
-        bases.append(Path(os.environ["NUMBA_CACHE_DIR"]))
-    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    bases.append(Path(user) / "minimd")
-    bases.append(Path(tempfile.gettempdir()) / f"minimd-{os.getuid() if hasattr(os, 'getuid') else 'user'}")
-    return bases
+    given, user = os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    temporary = f"minimd-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+    return [*([Path(given)] if given else []), Path(user) / "minimd", Path(tempfile.gettempdir()) / temporary]

@@ -1,30 +1,25 @@
 """Threads that work on one task together: each takes the next chunk of it until none is left.
 
     phase = begin(worker, task)
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        ...                                        # the work of this chunk
-        chunk = finish_and_take(worker, phase, n)
-    phase = barrier(worker, phase)                 # returns when all n chunks are finished, whoever did them
+    phase = share(worker, phase, n, work, a, b)        # work(chunk, a, b) for n chunks; returns when all are finished, whoever did them
 
 A task is cut into chunks by its size, never by the number of threads, and no two chunks of a phase write to the same
 memory. So the result has the same bits for any number of threads, and whichever thread did which chunk.
 
 A barrier waits for chunks, not for threads. The calling thread starts at once; the others sleep between tasks, and join when
 they are awake (some 20 µs later), or not at all if the machine is busy: they can make a task faster, never delay it.
-Between take and finish nothing may raise: no other thread would finish that chunk.
+The work of a chunk may not raise: no other thread would finish that chunk.
 Each thread begins with the same chunks in every task, whose memory is then in its cache, and goes on with those of the others.
 """
 
 import functools
 import os
 import threading
+from collections import namedtuple
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, NamedTuple
 
 import numpy as np
-from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
@@ -37,15 +32,12 @@ PATIENCE = 2000  # reads of a counter before a waiting thread lets others run
 LINGERING = 100_000  # reads, about 100 µs, before a helper goes to sleep: waking it takes as long as a small task
 
 HAS_AFFINITY = hasattr(os, "sched_setaffinity")
+_sched_getcpu = types.ExternalFunction("sched_getcpu", types.int32())
 _let_others_run = types.ExternalFunction("SwitchToThread" if os.name == "nt" else "sched_yield", types.int32())
 
 
-class Worker(NamedTuple):
+class Worker(namedtuple("Worker", "counters thread n_threads")):
     """One thread of a pool. counters : shared.  thread : its number; 0 is the calling thread.  n_threads : of the pool."""
-
-    counters: Any
-    thread: int
-    n_threads: int
 
 
 class ThreadPool:
@@ -55,9 +47,8 @@ class ThreadPool:
         self.n_threads = n_threads
         self._counters = np.zeros(CLAIMS + MOST_CHUNKS, dtype=np.int64)
         self._busy = threading.Lock()
-        self._n_tasks = 0
         self._task: tuple = ()
-        self._core = -1
+        self._n_tasks, self._core = 0, -1
         self._wake = [threading.Lock() for _ in range(n_threads - 1)]
         self._helpers = [threading.Thread(target=self._help, args=(k, wake), daemon=True) for k, wake in enumerate(self._wake, start=1)]
         for wake, helper in zip(self._wake, self._helpers, strict=True):
@@ -67,7 +58,7 @@ class ThreadPool:
     def run(self, kernel: Callable, *arguments: object) -> None:
         """kernel(worker, task, *arguments) on this thread, and on the others as soon as they are awake.
 
-        The kernel must call begin, take, finish_and_take and barrier as described above, and release Python's lock (shared_kernel).
+        The kernel must call begin and share as described above, and release Python's lock (shared_kernel).
         """
         with self._busy:
             self._n_tasks += 1
@@ -96,13 +87,11 @@ class ThreadPool:
         worker = Worker(self._counters, thread, self.n_threads)
         while True:
             wake.acquire()
-            current = self._task
-            if not current:
-                continue  # too late
-            task, kernel, arguments = current
-            kernel(worker, task, *arguments)
-            del current, kernel, arguments
-            _linger(self._counters, task)
+            if current := self._task:  # else it is too late
+                task, kernel, arguments = current
+                kernel(worker, task, *arguments)
+                del current, kernel, arguments
+                _linger(self._counters, task)
 
 
 @functools.cache
@@ -122,6 +111,16 @@ def begin(worker, task):
     if worker.thread == 0:
         _exchange(worker.counters, OPEN, phase)
     return phase
+
+
+@scalar
+def share(worker, phase, n, work, *arguments):
+    """work(chunk, *arguments) for each of n chunks, on all threads that are awake; returns the next phase when all are finished."""
+    chunk = take(worker, phase, n)
+    while chunk >= 0:
+        work(chunk, *arguments)
+        chunk = finish_and_take(worker, phase, n)
+    return barrier(worker, phase)
 
 
 @scalar
@@ -158,15 +157,23 @@ def barrier(worker, phase):
     return phase + 1
 
 
+def _at(counters, emit: Callable) -> Callable:
+    """What an intrinsic does to a counter: emit(builder, address, *numbers)."""
+
+    def generate(context, builder, signature, arguments):
+        data = context.make_array(counters)(context, builder, arguments[0]).data
+        return emit(builder, builder.gep(data, [arguments[1]]), *arguments[2:])
+
+    return generate
+
+
 def _atomic(name: str):
-    """An intrinsic (counters, place, value) that changes a counter in one step and returns what it was."""
+    """An intrinsic (counters, place, number) that changes a counter in one step and returns what it was."""
 
     @intrinsic
-    def change(_context, counters, place, value):
-        def generate(context, builder, signature, arguments):
-            return builder.atomic_rmw(name, _address(context, builder, signature, arguments), arguments[2], "seq_cst")
-
-        return types.int64(counters, types.intp, types.int64), generate
+    def change(_context, counters, place, number):
+        emit = _at(counters, lambda builder, address, number: builder.atomic_rmw(name, address, number, "seq_cst"))
+        return types.int64(counters, types.intp, types.int64), emit
 
     return change
 
@@ -176,28 +183,15 @@ _add, _exchange = _atomic("add"), _atomic("xchg")
 
 @intrinsic
 def _read(_context, counters, place):
-    """The present value of a counter, whichever thread wrote it."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.load_atomic(_address(context, builder, signature, arguments), "seq_cst", 8)
-
-    return types.int64(counters, types.intp), generate
+    """The present number of a counter, whichever thread wrote it."""
+    return types.int64(counters, types.intp), _at(counters, lambda builder, address: builder.load_atomic(address, "seq_cst", 8))
 
 
 @intrinsic
-def _replace(_context, counters, place, expected, value):
-    """Write a value if the counter still has the expected one; returns what it was."""
-
-    def generate(context, builder, signature, arguments):
-        pair = builder.cmpxchg(_address(context, builder, signature, arguments), arguments[2], arguments[3], "seq_cst", "seq_cst")
-        return builder.extract_value(pair, 0)
-
-    return types.int64(counters, types.intp, types.int64, types.int64), generate
-
-
-def _address(context, builder, signature, arguments) -> ir.Value:
-    data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-    return builder.gep(data, [arguments[1]])
+def _replace(_context, counters, place, expected, number):
+    """Write a number if the counter still has the expected one; returns what it was."""
+    emit = _at(counters, lambda builder, *values: builder.extract_value(builder.cmpxchg(*values, "seq_cst", "seq_cst"), 0))
+    return types.int64(counters, types.intp, types.int64, types.int64), emit
 
 
 @shared_kernel
@@ -206,9 +200,6 @@ def _linger(counters, task):
     reads = 0
     while reads < LINGERING and _read(counters, OPEN) < (task + 1) * PHASES:
         reads += 1
-
-
-_sched_getcpu = types.ExternalFunction("sched_getcpu", types.int32())
 
 
 @kernel

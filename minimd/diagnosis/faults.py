@@ -39,7 +39,7 @@ def fault_of(engine: Engine) -> str | None:
             if bad.size:
                 return f"{name} of {bad.size} atoms are not finite, or beyond {LARGEST:g} (atom {bad[0]}{' ...' if bad.size > 1 else ''})"
     atom, speed = longest(system.velocities)
-    distance, cutoff = speed * abs(engine.method.timestep), engine.interactions.longest_stride
+    distance, cutoff = speed * abs(engine.method.timestep), engine.interactions.largest_cutoff
     if distance > cutoff:
         return f"atom {atom} moves {distance:.3g} {system.units.length} in one step, past every neighbor (cutoff {cutoff:g})"
     return None
@@ -51,7 +51,7 @@ def fault_at_start(engine: Engine) -> str | None:
     distance = acceleration * engine.method.timestep**2
     if not (np.isfinite(distance) and np.isfinite(engine.interactions.potential_energy)):
         return "forces or energies are not finite"
-    if distance > engine.interactions.longest_stride:
+    if distance > engine.interactions.largest_cutoff:
         return f"the force on atom {atom} would move it by {distance:.3g} {engine.system.units.length} in one step"
     return fault_of(engine)
 

@@ -1,7 +1,7 @@
 """The vector loop over clusters: the same pair laws as pair_loop, applied to eight pairs at a time.
 
-Atoms that are near each other form clusters of eight; see neighbors.clusters for the picture. A row belongs to one atom i
-and names the clusters j that hold atoms within its reach; a mask says which lanes of each count.
+Atoms near each other form clusters of eight; see neighbors.clusters for the picture. A row belongs to one atom i and names the
+clusters j that hold atoms within its reach; a mask says which lanes of each count.
 """
 
 import functools
@@ -17,7 +17,7 @@ from minimd.compiled.simd import broadcast, convert, fma, load, mask_from_bits, 
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import BLOCK, LANES
 from minimd.potentials.law import evaluate_law, is_user_law
-from minimd.potentials.parameters import SameForAll
+from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import PER_ATOM
 
 LANE_SUMS = 7  # accumulators of a lane with PER_ATOM: energy, and six of the virial
@@ -71,8 +71,8 @@ def with_energy(sums):
 
 
 @scalar
-def add_cluster_forces(first, last, arrays, law, parameters, sums):
-    """Forces between the atoms of clusters first to last and the clusters of their rows.
+def add_cluster_forces(domain, arrays, law, parameters, sums):
+    """Forces between the atoms of a domain and the clusters of their rows.
 
         r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= Σ f r_ij,   W += f r_ij ⊗ r_ij
 
@@ -80,13 +80,13 @@ def add_cluster_forces(first, last, arrays, law, parameters, sums):
     sums : with TOTALS each pair is added to the cluster of its atom i, with PER_ATOM half of it to each atom.
     """
     rows, homes, coordinates, unit = arrays.rows, arrays.ghosts.home, arrays.memory.coordinates, arrays.memory.unit
-    nothing = broadcast(0.0, load(sums.forces, 0, LANES))
+    nothing, like = broadcast(0.0, load(sums.forces, 0, LANES)), load(coordinates, 0, LANES)
     zero = convert(nothing, 0.0)
     own_share = 0.5 if sums.detail == PER_ATOM else 1.0
-    for slot in range(first * LANES, last * LANES):
+    for slot in range(arrays.domain_start[domain] * LANES, arrays.domain_start[domain + 1] * LANES):
         home, lane = homes[slot // LANES], slot % LANES
         place = home * BLOCK + lane
-        at = position(coordinates, place)
+        at = (broadcast(coordinates[place], like), broadcast(coordinates[place + LANES], like), broadcast(coordinates[place + 2 * LANES], like))
         after = rows.entries[rows.start[slot]]
         ahead = separations(coordinates, after & GHOST_BITS, at, unit)
         fx = fy = fz = nothing
@@ -113,7 +113,8 @@ def add_cluster_forces(first, last, arrays, law, parameters, sums):
                 xx, yy, zz = fma(gx, dx, xx), fma(gy, dy, yy), fma(gz, dz, zz)
                 yz, xz, xy = fma(gy, dz, yz), fma(gx, dz, xz), fma(gx, dy, xy)
                 if sums.detail == PER_ATOM:
-                    add_halves(sums.lane_sums, ghost, (u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy))
+                    for c, w in enumerate((u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
+                        add(sums.lane_sums, (ghost * LANE_SUMS + c) * LANES, 0.5 * w)
         sums.forces[place] += total(fx)
         sums.forces[place + LANES] += total(fy)
         sums.forces[place + 2 * LANES] += total(fz)
@@ -122,13 +123,6 @@ def add_cluster_forces(first, last, arrays, law, parameters, sums):
             sums.energies[k] += own_share * total(energy)
             for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
                 sums.virials[k, c] += own_share * total(w)
-
-
-@scalar
-def position(coordinates, place):
-    """x, y and z of one atom, each in all lanes."""
-    like = load(coordinates, 0, LANES)
-    return broadcast(coordinates[place], like), broadcast(coordinates[place + LANES], like), broadcast(coordinates[place + 2 * LANES], like)
 
 
 @scalar
@@ -157,13 +151,6 @@ def separation(coordinates, place, x, unit):
 def add(sums, place, vector):
     """Add eight numbers to those from a place on."""
     store(sums, place, load(sums, place, LANES) + vector)
-
-
-@scalar
-def add_halves(lane_sums, ghost, values):
-    """Half of each of LANE_SUMS vectors, to the lanes of a ghost."""
-    for k in range(LANE_SUMS):
-        add(lane_sums, (ghost * LANE_SUMS + k) * LANES, 0.5 * values[k])
 
 
 @functools.cache

@@ -1,13 +1,12 @@
 """Pair laws on the cluster list: eight pairs at a time, on a pool of threads."""
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import by_type, kernel, shared_kernel, without_cache
-from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
+from minimd.compiled.threads import begin, share, thread_pool
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, add_cluster_forces
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws, skin_for
@@ -16,53 +15,33 @@ from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList, gather, scatter
 from minimd.neighbors.clusters import BLOCK, LANES
 from minimd.potentials.law import is_user_law
-from minimd.potentials.parameters import SameForAll
+from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
 from minimd.structure.system import System
-
-
-class LaneLaws(NamedTuple):
-    """law_types : tuple of laws.  parameters : tuple of their parameters, each SameForAll or ByLane."""
-
-    law_types: Any
-    parameters: Any
 
 
 @shared_kernel
 def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces):
     """forces (N, 3) += those of all laws; each domain is a chunk of the task.
 
-    positions : (N, 3) [length].  arrays : ClusterArrays.  laws : LaneLaws.  sums : Sums or ForceSums.
+    positions : (N, 3) [length].  arrays : ClusterArrays.  laws : tuple of pairs, a law type and its parameters, SameForAll or ByLane.
+    sums : Sums or ForceSums.
     """
-    start = arrays.domain_start
-    n, work = start.size - 1, np.empty(BLOCK)
-    phase = begin(worker, task)
-    domain = take(worker, phase, n)
-    while domain >= 0:
-        gather(start[domain], start[domain + 1], arrays, positions)
-        domain = finish_and_take(worker, phase, n)
-    phase = barrier(worker, phase)
-    domain = take(worker, phase, n)
-    while domain >= 0:
-        _add_all_laws(start[domain], start[domain + 1], arrays, laws.law_types, laws.parameters, sums)
-        domain = finish_and_take(worker, phase, n)
-    phase = barrier(worker, phase)
-    domain = take(worker, phase, n)
-    while domain >= 0:
-        scatter(start[domain], start[domain + 1], arrays, forces, work)
-        domain = finish_and_take(worker, phase, n)
-    barrier(worker, phase)
+    n = arrays.domain_start.size - 1
+    phase = share(worker, begin(worker, task), n, gather, arrays, positions)
+    phase = share(worker, phase, n, _add_all, arrays, laws, sums)
+    share(worker, phase, n, scatter, arrays, forces, np.empty(BLOCK))
 
 
 @by_type
-def _add_all_laws(first, last, arrays, laws, parameters, sums):
+def _add_all(domain, arrays, laws, sums):
     """add_cluster_forces for each law, unrolled by the compiler."""
     if len(laws) == 1:
-        return lambda first, last, arrays, laws, parameters, sums: add_cluster_forces(first, last, arrays, laws[0], parameters[0], sums)
+        return lambda domain, arrays, laws, sums: add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums)
 
-    def add(first, last, arrays, laws, parameters, sums):
-        add_cluster_forces(first, last, arrays, laws[0], parameters[0], sums)
-        _add_all_laws(first, last, arrays, laws[1:], parameters[1:], sums)
+    def add(domain, arrays, laws, sums):
+        add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums)
+        _add_all(domain, arrays, laws[1:], sums)
 
     return add
 
@@ -95,9 +74,7 @@ class ClusterTerm(Term):
         sums = self._force_sums if detail == FORCES else self._sums(detail)
         self._pool.run(self._evaluate, system.positions, self.list.arrays, self._laws, sums, forces)
         if before is not None:
-            net = np.subtract(net_force(forces), before)
-            if np.isfinite(net).all():
-                take_out(*net, forces)
+            take_out(before, forces)
         if detail == TOTALS:
             energies[0] += sums.energies.sum()
             virials[0] += sums.virials.sum(axis=0)
@@ -106,9 +83,8 @@ class ClusterTerm(Term):
 
     def _prepare(self, system: System) -> None:
         """What a new list asks for: parameters in the order of its clusters, the array of its forces."""
-        tables = [one.table for one in self._pair_laws.members]
-        parameters = tuple(self._by_lane(k, table, system.species_index) for k, table in enumerate(tables))
-        self._laws = LaneLaws(tuple(one.law for one in self._pair_laws.members), parameters)
+        of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(self._pair_laws.members)]
+        self._laws = tuple((one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True))
         self._force_sums = ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
         self._prepared_for = self.list.n_builds
 
@@ -173,10 +149,11 @@ def net_force(forces):
 
 
 @kernel
-def take_out(x, y, z, forces):
-    """forces −= (x, y, z) / N: the net force of pairs is rounding, and without it momentum is conserved."""
-    x, y, z = x / forces.shape[0], y / forces.shape[0], z / forces.shape[0]
-    for i in range(forces.shape[0]):
-        forces[i, 0] -= x
-        forces[i, 1] -= y
-        forces[i, 2] -= z
+def take_out(before, forces):
+    """forces −= (Σ F − before) / N, if finite: the net force of pairs is rounding, and without it momentum is conserved."""
+    x, y, z = net_force(forces)
+    x, y, z = x - before[0], y - before[1], z - before[2]
+    if np.isfinite(x) and np.isfinite(y) and np.isfinite(z):
+        x, y, z = x / forces.shape[0], y / forces.shape[0], z / forces.shape[0]
+        for i in range(forces.shape[0]):
+            forces[i, 0], forces[i, 1], forces[i, 2] = forces[i, 0] - x, forces[i, 1] - y, forces[i, 2] - z

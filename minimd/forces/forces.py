@@ -1,4 +1,4 @@
-"""Forces: the sum of all terms of a scene, at each step; energies and virial when they are asked for."""
+"""Forces: the sum of all terms of a scene at each step, energies and virial when they are asked for; the plan, which list each pair law gets."""
 
 import warnings
 from collections.abc import Iterator, Sequence
@@ -11,10 +11,14 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import announce_compilation
+from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
-from minimd.forces.plan import plan
+from minimd.forces.pair_laws import PairLaws
+from minimd.forces.pair_list_term import PairListTerm
 from minimd.neighbors.queries import closest_pair
 from minimd.neighbors.verlet_list import VerletList
+from minimd.potentials.laws import Scaled
+from minimd.potentials.pair_loop import FixedPairs
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, bound
 from minimd.structure.console import outside_minimd
 from minimd.structure.errors import NonFiniteError
@@ -52,15 +56,13 @@ class Forces:
         self.system, self.options = system, options or Options()
         self.potentials = tuple(potentials) if isinstance(potentials, Sequence) and not isinstance(potentials, str) else (potentials,)
         self.terms: list[Term] = []
-        self.n_evaluations, self._builds_before = 0, 0
-        self._displacement = 0.0
+        self.n_evaluations, self._builds_before, self._displacement = 0, 0, 0.0
         self._bind()
         for term in self._bound:
             if term.warning:
                 warnings.warn(term.warning, stacklevel=outside_minimd())
         self.forces = np.zeros_like(system.positions)
-        self._energies, self._virials = np.zeros(0), np.zeros((0, 6))
-        self._detail = FORCES
+        self._energies, self._virials, self._detail = np.zeros(0), np.zeros((0, 6)), FORCES
 
     def _bind(self) -> None:
         """Bind the potentials to the system, as it is in its present cell, and plan the terms."""
@@ -164,12 +166,11 @@ class Forces:
     @property
     def virials(self) -> NDArray[np.float64]:
         """Each atom's share of W [energy], (N, 6) as xx yy zz yz xz xy, of the last compute with PER_ATOM."""
-        tail = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * self._tail_corrections()[1] / 3.0
-        return self._virials + tail / len(self.system)
+        return self._virials + np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * self._tail_corrections()[1] / 3.0 / len(self.system)
 
     @property
-    def longest_stride(self) -> float:
-        """The largest finite cutoff [length]: an atom that moves farther in one step has passed its neighbors unseen."""
+    def largest_cutoff(self) -> float:
+        """The largest finite cutoff [length]: an atom that moves farther in one step may pass its neighbors unseen."""
         return max((term.cutoff for term in self._bound if np.isfinite(term.cutoff)), default=np.inf)
 
     @property
@@ -190,8 +191,7 @@ class Forces:
     def skipped(self) -> list[str]:
         """What this scene lacks and therefore does not pay for, for the report."""
         absent = [] if self.system.cell.is_periodic else ["periodic images"]
-        if all(term.ingredient != BOND_LOOP for term in self.terms):
-            absent.append(BOND_LOOP)
+        absent += [BOND_LOOP] if all(term.ingredient != BOND_LOOP for term in self.terms) else []
         return absent + [what for term in self.terms for what in term.skipped()]
 
     def _tail_corrections(self) -> tuple[float, float]:
@@ -206,6 +206,32 @@ def _lists(terms: Sequence[Term]) -> list[VerletList]:
 
 def _n_builds(terms: Sequence[Term]) -> int:
     return sum(one.n_builds for one in _lists(terms))
+
+
+def plan(terms_bound: Sequence[Term], system: System, options: Options, displacement: float) -> list[Term]:
+    """The terms to run: those that add their forces themselves, and one term with a list for all pair laws of one bonded_scale.
+
+    terms_bound : the terms that the potentials were bound to.  displacement : of the fastest atom in a step [length], 0 if unknown.
+    """
+    terms = [term for term in terms_bound if term.pair_law is None]
+    pair_laws = [term.pair_law for term in terms_bound if term.pair_law is not None]
+    for scale in dict.fromkeys(one.bonded_scale for one in pair_laws):
+        laws = PairLaws(system, [one for one in pair_laws if one.bonded_scale == scale])
+        with_list = ClusterTerm if laws.fit_clusters(system, options, displacement) else PairListTerm
+        terms.append(with_list(system, laws, options, displacement))
+        terms.extend(scaled_terms(system, laws))
+    return terms
+
+
+def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
+    """Each law times its factors on the pairs one, two and three bonds apart, which the list leaves out."""
+    for one in laws.members:
+        for pairs, factor in laws.special:
+            if factor != 0.0:
+                species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
+                rows = one.table[species[:, 0], species[:, 1]]
+                rows = np.column_stack([rows[:, 0], np.full(len(rows), factor), rows[:, 1:]])  # the factor is the first parameter of Scaled
+                yield FixedPairs(system, pairs, Scaled(one.law), rows)
 
 
 @dataclass(frozen=True)

@@ -53,10 +53,9 @@ class PairLaws:
                 largest = np.where(np.isfinite(tried), tried, 0.0).max(axis=0)  # a law of the user's may end before the cutoff
                 sizes = [size for size in (TRIED_AT[0] ** 2 * cutoff2, cutoff2, *largest.tolist()) if size > 0.0 and isfinite(size)]
                 if min(sizes) < SINGLE[0] or max(sizes) > SINGLE[1]:
-                    raise ValueError(
-                        f"precision='mixed' has room for squared distances, energies and forces from {SINGLE[0]:g} to {SINGLE[1]:g}; those of "
-                        f"{one.name} go from {min(sizes):.1e} to {max(sizes):.1e}: take other units, or precision='double'"
-                    )
+                    room = f"precision='mixed' has room for squared distances, energies and forces from {SINGLE[0]:g} to {SINGLE[1]:g}"
+                    found = f"those of {one.name} go from {min(sizes):.1e} to {max(sizes):.1e}"
+                    raise ValueError(f"{room}; {found}: take other units, or precision='double'")
 
 
 def skin_for(system: System, laws: PairLaws, options: Options, displacement: float) -> float:

@@ -9,9 +9,8 @@ from minimd.compiled.kernels import kernel
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws, skin_for
 from minimd.neighbors.pair_list import PairList
-from minimd.potentials.pair_loop import pair_loop_for
-from minimd.potentials.parameters import by_species
-from minimd.potentials.term import FORCES, Term
+from minimd.potentials.pair_loop import by_species, pair_loop_for
+from minimd.potentials.term import FORCES, Accumulators, Term
 from minimd.structure.system import System, number_density
 
 ALL_PAIRS_UP_TO = 100  # atoms: below, an open scene is faster without a list that has to be rebuilt
@@ -30,44 +29,35 @@ class PairListTerm(Term):
             cutoff = np.inf
         skin = skin_for(system, laws, options, displacement) if cutoff < np.inf else 0.0
         _check_size(system, cutoff, skin)
+        self._in_users_order = cutoff == np.inf
+        self.summary = "all pairs" if self._in_users_order else f"pair list (skin {skin:.3g})"
         self.list = PairList(n, cutoff, skin, laws.excluded)
         self._laws, self._loops = laws, [pair_loop_for(one.law) for one in laws.members]
-        self._parameters: list[tuple] = []
         self._parameters_of = 0  # which build of the list
-        self._local = (np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((n, 6)))
-
-    @property
-    def summary(self) -> str:  # type: ignore[override]
-        """The list, for the report."""
-        return "all pairs" if self._in_users_order else f"pair list (skin {self.list.skin:.3g})"
-
-    @property
-    def _in_users_order(self) -> bool:
-        return self.list.cutoff == np.inf
+        self._positions, self._sums = np.empty((n, 3)), Accumulators(np.empty((n, 3)), np.empty(n), np.empty((n, 6)))
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
         self.list.update(system.positions, system.cell)
         if self._parameters_of != self.list.n_builds:
             species = system.species_index[self.list.order]
-            self._parameters = [by_species(one.table, species) for one in self._laws.members]
-            self._parameters_of = self.list.n_builds
+            self._parameters, self._parameters_of = [by_species(one.table, species) for one in self._laws.members], self.list.n_builds
         if self._in_users_order:
-            self._run_loops(system.positions, detail, forces, energies, virials)
+            self._run_loops(system.positions, detail, Accumulators(forces, energies, virials))
             return
-        positions, local_forces, local_energies, local_virials = self._local
-        gather(system.positions, self.list.order, self.list.offsets, positions, local_forces)
+        local = self._sums
+        gather(system.positions, self.list.order, self.list.offsets, self._positions, local.forces)
         if detail != FORCES:
-            local_energies[:], local_virials[:] = 0.0, 0.0
-        self._run_loops(positions, detail, local_forces, local_energies, local_virials)
-        scatter(local_forces, self.list.order, forces)
+            local.energies[:], local.virials[:] = 0.0, 0.0
+        self._run_loops(self._positions, detail, local)
+        scatter(local.forces, self.list.order, forces)
         if detail != FORCES:
-            energies[self.list.order] += local_energies
-            virials[self.list.order] += local_virials
+            energies[self.list.order] += local.energies
+            virials[self.list.order] += local.virials
 
-    def _run_loops(self, positions: NDArray, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+    def _run_loops(self, positions: NDArray, detail: int, sums: Accumulators) -> None:
         for one, loop, parameters in zip(self._laws.members, self._loops, self._parameters, strict=True):
-            loop(positions, self.list.pairs, one.law, parameters, detail, forces, energies, virials)
+            loop(positions, self.list.pairs, one.law, parameters, detail, sums)
 
     def skipped(self) -> Iterable[str]:
         """See Term."""
@@ -96,8 +86,8 @@ def _check_size(system: System, cutoff: float, skin: float) -> None:
     n_atoms, reach, cell = len(system), cutoff + skin, system.cell
     n_pairs = 0.5 * n_atoms**2
     if reach < np.inf:
-        among_all = 0.5 * n_atoms * number_density(system, reach) * 4.0 / 3.0 * np.pi * reach**3
-        n_pairs = among_all if cell.is_periodic else min(n_pairs, among_all)
+        in_reach = 0.5 * n_atoms * number_density(system, reach) * 4.0 / 3.0 * np.pi * reach**3
+        n_pairs = in_reach if cell.is_periodic else min(n_pairs, in_reach)
     n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
     for name, number, most in (("pairs", n_pairs, MOST_PAIRS), ("images of the cell", n_images, MOST_IMAGES)):
         if number > most:

@@ -20,14 +20,6 @@ class Grid(namedtuple("Grid", "counts reach origin extent")):
     """
 
 
-class Sorted(namedtuple("Sorted", "order offsets bin_start")):
-    """Atoms in the order of their bins.
-
-    order : (N,) int, the user's index of each.  offsets : (N, 3) [length], lattice vectors that bring each into the cell.
-    bin_start : (bins + 1,) int, first atom of each bin.
-    """
-
-
 def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
     """A grid whose bins are about half the reach wide, wider where there would be many more bins than atoms."""
     fractional = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
@@ -42,37 +34,31 @@ def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
     return Grid(counts.astype(np.int64), needed.astype(np.int64), origin, extent)
 
 
-def sort_into_bins(positions: NDArray[np.float64], cell: Cell, grid: Grid) -> Sorted:
-    """The atoms in the order of their bins, the last lattice direction running fastest."""
-    return Sorted(*_sort(positions, cell.lattice, cell.inverse, cell.pbc, grid))
-
-
 class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
     """The arrays of a counting sort of N atoms into B bins.
 
-    order, bins : (N,) int, atoms in the order of their bins, and the bin of each atom.  bin_start, place : (B + 1,) int.
-    cells : (N, 3), lattice vectors that bring each atom into the cell, as numbers.
+    order, bins : (N,) int, atoms in the order of their bins, and the bin of each atom.
+    bin_start : (B + 1,) int, first atom of each bin.  place : (B + 1,) int, scratch.
+    cells : (N, 3) numbers of lattice vectors that bring each atom into the cell.
     height : (N,) fractional coordinate along the third lattice vector, in the cell.
     """
 
 
 @scalar
 def counting_sort(positions, inverse, pbc, grid, binned):
-    """Atoms into the bins of a grid (counts, origin, extent), in linear time: fills Binned."""
+    """Sort atoms into the bins of a grid (counts, origin, extent), the last direction running fastest, in linear time: fills Binned."""
     counts, origin, extent = grid.counts, grid.origin, grid.extent
     for b in range(binned.bin_start.size):
         binned.bin_start[b] = 0
     for i in range(positions.shape[0]):
-        index = 0
+        index, s = 0, 0.0
         for d in range(3):
             s = positions[i, 0] * inverse[0, d] + positions[i, 1] * inverse[1, d] + positions[i, 2] * inverse[2, d]
             binned.cells[i, d] = -np.floor(s) if pbc[d] else 0.0
             s += binned.cells[i, d]
             along = int((s - origin[d]) / extent[d] * counts[d])
             index = index * counts[d] + max(0, min(counts[d] - 1, along))
-            if d == 2:
-                binned.height[i] = s
-        binned.bins[i] = index
+        binned.bins[i], binned.height[i] = index, s
         binned.bin_start[index + 1] += 1
     for b in range(binned.bin_start.size - 1):
         binned.place[b] = binned.bin_start[b]
@@ -84,8 +70,8 @@ def counting_sort(positions, inverse, pbc, grid, binned):
 
 
 @kernel
-def _sort(positions, lattice, inverse, pbc, grid):
-    """order, offsets and bin_start as in Sorted."""
+def sort_into_bins(positions, lattice, inverse, pbc, grid):
+    """order, offsets and bin_start: the atoms in the order of their bins, see Binned; offsets[k] [length] brings atom order[k] into the cell."""
     n_atoms, n_bins = positions.shape[0], grid.counts[0] * grid.counts[1] * grid.counts[2]
     order, bins = np.empty(n_atoms, dtype=np.int64), np.empty(n_atoms, dtype=np.int64)
     bin_start, place = np.empty(n_bins + 1, dtype=np.int64), np.empty(n_bins + 1, dtype=np.int64)

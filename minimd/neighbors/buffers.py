@@ -1,5 +1,6 @@
 """Memory that is used again at each build: new pages from the operating system would cost more time than writing to them."""
 
+from itertools import accumulate
 from math import prod
 from typing import Any
 
@@ -29,12 +30,7 @@ class Buffers:
 
     def carve(self, name: str, *fields: tuple[type, tuple[int, ...]]) -> list[NDArray[Any]]:
         """Arrays of these types and shapes, one after the other in one piece of memory; those carved next of the same name take their place."""
-        starts = [0]
-        for dtype, shape in fields:
-            n_bytes = prod(shape) * np.dtype(dtype).itemsize
-            starts.append(starts[-1] + -(-n_bytes // CACHE_LINE) * CACHE_LINE)
+        sizes = [prod(shape) * np.dtype(dtype).itemsize for dtype, shape in fields]
+        starts = [0, *accumulate(-(-size // CACHE_LINE) * CACHE_LINE for size in sizes)]
         piece = self.array(name, np.uint8, starts[-1])
-        return [
-            piece[start : start + prod(shape) * np.dtype(dtype).itemsize].view(dtype).reshape(shape)
-            for start, (dtype, shape) in zip(starts, fields, strict=False)
-        ]
+        return [piece[a : a + size].view(dtype).reshape(shape) for a, size, (dtype, shape) in zip(starts, sizes, fields, strict=False)]

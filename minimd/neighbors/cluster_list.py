@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from minimd.compiled.kernels import by_type, kernel, scalar, shared_kernel
 from minimd.compiled.simd import broadcast, convert, load, store
-from minimd.compiled.threads import ThreadPool, barrier, begin, finish_and_take, take
+from minimd.compiled.threads import ThreadPool, begin, share
 from minimd.neighbors.buffers import SPARE, Buffers
 from minimd.neighbors.cluster_search import GHOST_BITS, Rows, exclude_pairs, find_rows, make_work
-from minimd.neighbors.clusters import BLOCK, LANES, Clusters, make_columns, sort_into_clusters
-from minimd.neighbors.domains import Domains, GhostClusters, Layout, cut_into_domains, fill_ghosts, make_ghosts, sort_ghosts
+from minimd.neighbors.clusters import BLOCK, LANES, make_columns, sort_into_clusters
+from minimd.neighbors.domains import Layout, cut_into_domains, fill_ghosts, make_ghosts, sort_ghosts
 from minimd.neighbors.verlet_list import VerletList
 from minimd.structure.cell import Cell
 
@@ -39,16 +39,8 @@ class ClusterList(VerletList):
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
     cutoff, skin, excluded : see VerletList.  is_mixed : whether the pair arithmetic is float32.  pool : the threads that build it.
-
-    clusters, domains, ghosts, rows, memory : see there.  arrays : what the loop needs of them.  n_builds : how often it was built.
+    clusters, domains, ghosts, rows, memory : see there.  arrays : what the loop needs of them.  n_domains : number of chunks of a task.
     """
-
-    clusters: Clusters
-    domains: Domains
-    ghosts: GhostClusters
-    rows: Rows
-    memory: Memory
-    arrays: ClusterArrays
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_mixed: bool, pool: ThreadPool) -> None:
         super().__init__(n_atoms, cutoff, skin, excluded)
@@ -57,17 +49,12 @@ class ClusterList(VerletList):
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
         self._memory = Buffers()
 
-    @property
-    def n_domains(self) -> int:
-        """Into how many chunks a task is cut."""
-        return len(self.domains.run) - 1
-
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
             self._columns, self._columns_of = make_columns(cell, positions, self.cutoff + self.skin), cell
         self.clusters = sort_into_clusters(positions, self._columns, self._memory, self._pool)
         self.domains = cut_into_domains(self.clusters, self._columns, len(positions))
-        n_clusters, n_ghosts = len(self.clusters.filled), int(self.domains.ghost[-1])
+        self.n_domains, n_clusters, n_ghosts = len(self.domains.run) - 1, len(self.clusters.filled), int(self.domains.ghost[-1])
         if n_ghosts > GHOST_BITS:
             raise ValueError(f"cluster lists hold up to {GHOST_BITS} ghost clusters, this scene needs {n_ghosts}: simulate fewer atoms")
         self.ghosts = make_ghosts(n_clusters, n_ghosts, self._memory)
@@ -76,9 +63,9 @@ class ClusterList(VerletList):
         self.rows = self._find_rows(layout)
         sort_ghosts(self.ghosts)
         self.memory = self._make_memory(exact)
-        if self.has_excluded:
+        if self._excluded[1].size:
             slot_of, image = self._memory.array("slot of", np.int64, len(positions)), (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-            self._pool.run(exclude_pairs, layout, image, (self._excluded_start, self._excluded), slot_of, self.rows)
+            self._pool.run(exclude_pairs, layout, image, self._excluded, slot_of, self.rows)
         self.arrays = ClusterArrays(self.clusters, self.domains.cluster, self.ghosts, self.rows, self.memory)
 
     def _find_rows(self, layout: Layout) -> Rows:
@@ -106,8 +93,7 @@ class ClusterList(VerletList):
         (forces,) = self._memory.carve("scratch", (number, (len(exact),)))  # sorting is over
         if not self._is_mixed:
             return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces)
-        shift = self._memory.array("grid shift", np.int32, len(ghosts.owner), 3)
-        origin = np.empty(3)
+        shift, origin = self._memory.array("grid shift", np.int32, len(ghosts.owner), 3), np.empty(3)
         unit = lay_grid(ghosts, self.skin, origin, shift)
         if unit > COARSEST * self.cutoff:
             width, limit = unit * GRID, COARSEST * self.cutoff
@@ -122,14 +108,13 @@ def _build_domains(worker, task, layout, rows, entries, needed):
     entries : (K + 1,) int, first entry of each domain.
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
     """
-    n, work = needed.size, make_work(layout.domains, layout.columns)
-    phase = begin(worker, task)
-    domain = take(worker, phase, n)
-    while domain >= 0:
-        fill_ghosts(domain, layout)
-        needed[domain] = find_rows(domain, layout, rows, (entries[domain], entries[domain + 1]), work)
-        domain = finish_and_take(worker, phase, n)
-    barrier(worker, phase)
+    share(worker, begin(worker, task), needed.size, _build_domain, layout, rows, entries, needed, make_work(layout.domains, layout.columns))
+
+
+@scalar
+def _build_domain(domain, layout, rows, entries, needed, work):
+    fill_ghosts(domain, layout)
+    needed[domain] = find_rows(domain, layout, rows, (entries[domain], entries[domain + 1]), work)
 
 
 @kernel
@@ -149,11 +134,11 @@ def lay_grid(ghosts, skin, origin, shift):
 
 
 @scalar
-def gather(first, last, arrays, positions):
-    """Positions of the atoms of clusters first to last, to all ghosts of them; forces there = 0."""
-    clusters, _, ghosts, _, memory = arrays
+def gather(domain, arrays, positions):
+    """Positions of the atoms of a domain, to all ghosts of their clusters; forces there = 0."""
+    clusters, domain_start, ghosts, _, memory = arrays
     nothing = broadcast(0.0, load(memory.forces, 0, LANES))
-    for k in range(first, last):
+    for k in range(domain_start[domain], domain_start[domain + 1]):
         home = ghosts.home[k] * BLOCK
         for lane in range(LANES):
             slot = k * LANES + lane
@@ -177,10 +162,10 @@ def coordinate(x, origin, unit, coordinates):
 
 
 @scalar
-def scatter(first, last, arrays, forces, work):
-    """forces (N, 3) += those on all ghosts of clusters first to last. work : (BLOCK,) float64, scratch."""
-    clusters, _, ghosts, _, memory = arrays
-    for k in range(first, last):
+def scatter(domain, arrays, forces, work):
+    """forces (N, 3) += those on all ghosts of the clusters of a domain. work : (BLOCK,) float64, scratch."""
+    clusters, domain_start, ghosts, _, memory = arrays
+    for k in range(domain_start[domain], domain_start[domain + 1]):
         for c in range(0, BLOCK, LANES):
             force = convert(load(memory.forces, ghosts.of[ghosts.start[k]] * BLOCK + c, LANES), 0.0)
             for p in range(ghosts.start[k] + 1, ghosts.start[k + 1]):

@@ -18,9 +18,9 @@ import numpy as np
 
 from minimd.compiled.kernels import inlined, scalar, shared_kernel
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, load
-from minimd.compiled.threads import barrier, begin, finish_and_take, take
+from minimd.compiled.threads import begin, share
 from minimd.neighbors.clusters import BLOCK, LANES
-from minimd.neighbors.domains import ALL_LANES, HOME, image_key
+from minimd.neighbors.domains import ALL_LANES, HOME, IMAGES
 from minimd.structure.cell import minimum_image
 
 LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
@@ -47,9 +47,7 @@ class Work(namedtuple("Work", "ahead candidates entries near")):
 def make_work(domains, columns):
     """Enough for any cluster of any domain."""
     n_runs = (columns.reach[0] + 1) * (2 * columns.reach[1] + 1)
-    n = 0
-    for domain in range(domains.run.size - 1):
-        n = max(n, domains.ghost[domains.run[domain + 1]] - domains.ghost[domains.run[domain]])
+    n = np.diff(domains.ghost[domains.run]).max()
     return Work(np.empty((n_runs, 2), dtype=np.int64), np.empty(n, dtype=np.int64), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint8))
 
 
@@ -61,8 +59,7 @@ def find_rows(domain, layout, rows, room, work):
     """
     columns, domains, column_start = layout.columns, layout.domains, layout.clusters.column_start
     width, depth = columns.counts[1] + 2 * columns.reach[1], columns.reach[1]
-    ahead = work.ahead
-    first, last = room
+    ahead, (first, last) = work.ahead, room
     n_entries = first
     for x in range(domains.column[domain], domains.column[domain + 1]):
         for y in range(columns.counts[1]):
@@ -111,8 +108,7 @@ def _prune(k, n, layout, rows, n_entries, last, work):
     if n_entries + LANES * (n + 1) >= last:  # no room: an upper bound tells how much is missing
         return n_entries + LANES * (n + 1) + 1
     ghosts, coordinates, reach, filled = layout.ghosts, layout.coordinates, layout.columns.distance, layout.clusters.filled[k]
-    home = ghosts.home[k]
-    own = home * BLOCK
+    home, own = ghosts.home[k], ghosts.home[k] * BLOCK
     x, y, z = load(coordinates, own, LANES), load(coordinates, own + LANES, LANES), load(coordinates, own + 2 * LANES, LANES)
     for c in range(n):
         ghost = work.candidates[c]
@@ -143,26 +139,27 @@ def exclude_pairs(worker, task, layout, image, partners, slot_of, rows):
 
     image : lattice, inverse, pbc, safe_distance2 of Cell.  partners : see find_pairs.  slot_of : (N,) int, output, slot of each atom.
     """
+    n = layout.domains.cluster.size - 1
+    phase = share(worker, begin(worker, task), n, _find_slots, layout, slot_of)
+    share(worker, phase, n, _exclude_partners, layout, image, partners, slot_of, rows)
+
+
+@scalar
+def _find_slots(domain, layout, slot_of):
     clusters, domain_start = layout.clusters, layout.domains.cluster
-    start, values = partners
-    n = domain_start.size - 1
-    phase = begin(worker, task)
-    domain = take(worker, phase, n)
-    while domain >= 0:
-        for cluster in range(domain_start[domain], domain_start[domain + 1]):
-            for slot in range(cluster * LANES, cluster * LANES + clusters.filled[cluster]):
-                slot_of[clusters.atom[slot]] = slot
-        domain = finish_and_take(worker, phase, n)
-    phase = barrier(worker, phase)
-    domain = take(worker, phase, n)
-    while domain >= 0:
-        for cluster in range(domain_start[domain], domain_start[domain + 1]):
-            for slot in range(cluster * LANES, cluster * LANES + clusters.filled[cluster]):
-                i = clusters.atom[slot]
-                for p in range(start[i], start[i + 1]):
-                    _exclude(slot, slot_of[values[p]], clusters, layout.ghosts, image, rows)
-        domain = finish_and_take(worker, phase, n)
-    barrier(worker, phase)
+    for slot in range(domain_start[domain] * LANES, domain_start[domain + 1] * LANES):
+        if slot % LANES < clusters.filled[slot // LANES]:
+            slot_of[clusters.atom[slot]] = slot
+
+
+@scalar
+def _exclude_partners(domain, layout, image, partners, slot_of, rows):
+    clusters, domain_start, (start, values) = layout.clusters, layout.domains.cluster, partners
+    for slot in range(domain_start[domain] * LANES, domain_start[domain + 1] * LANES):
+        i = clusters.atom[slot]
+        if slot == slot_of[i]:  # not padding
+            for p in range(start[i], start[i + 1]):
+                _exclude(slot, slot_of[values[p]], clusters, layout.ghosts, image, rows)
 
 
 @scalar
@@ -174,7 +171,7 @@ def _exclude(slot, other, clusters, ghosts, image, rows):
     y = clusters.coordinates[place + LANES] - clusters.coordinates[own + LANES]
     z = clusters.coordinates[place + 2 * LANES] - clusters.coordinates[own + 2 * LANES]
     a, b, c = minimum_image(x, y, z, *image)
-    key = image_key(cluster, HOME + int(9.0 * a + 3.0 * b + c))
+    key = cluster * IMAGES + HOME + int(9.0 * a + 3.0 * b + c)
     for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])):  # unsigned: no check for indices that count from the end
         if ghosts.key[rows.entries[entry] & GHOST_BITS] == key:
             rows.entries[entry] &= ~np.uint32(1 << (LANES_FROM + lane))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel, scalar, shared_kernel
-from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take
+from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, begin, share
 from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
 from minimd.neighbors.buffers import Buffers
 from minimd.structure.cell import Cell
@@ -69,22 +69,16 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Co
 def sort_into_clusters(positions: NDArray[np.float64], columns: Columns, memory: Buffers, pool: ThreadPool) -> Clusters:
     """The clusters of all columns, the second lattice direction running faster than the first."""
     n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
-    many, bins, triples = (n,), (n_bins + 1,), (n, 3)
-    fields = ((np.int32, many), (np.int32, many), (np.int32, bins), (np.int32, bins), (np.float64, triples), (np.float64, many))
-    binned = Binned(*memory.carve("scratch", *fields))
+    of_atoms, of_bins = (np.int32, (n,)), (np.int32, (n_bins + 1,))
+    binned = Binned(*memory.carve("scratch", of_atoms, of_atoms, of_bins, of_bins, (np.float64, (n, 3)), (np.float64, (n,))))
     column_start = memory.array("column_start", np.int64, n_columns + 1)
     sort_into_columns(positions, columns, binned, column_start)
     n_clusters = int(column_start[-1])
-    clusters = Clusters(
-        atom=memory.array("atom", np.int32, n_clusters * LANES),
-        filled=memory.array("filled", np.int64, n_clusters),
-        offsets=memory.array("offsets", np.float64, n_clusters * LANES, 3),
-        column_start=column_start,
-        bottom=memory.array("bottom", np.float64, n_clusters),
-        top=memory.array("top", np.float64, n_clusters),
-        coordinates=memory.array("home coordinates", np.float64, n_clusters * BLOCK),
-        boxes=memory.array("boxes", np.float64, n_clusters, 6),
-    )
+    n_slots, array = n_clusters * LANES, memory.array
+    atom, filled, offsets = array("atom", np.int32, n_slots), array("filled", np.int64, n_clusters), array("offsets", np.float64, n_slots, 3)
+    bottom, top = (array(name, np.float64, n_clusters) for name in ("bottom", "top"))
+    coordinates, boxes = array("home coordinates", np.float64, n_clusters * BLOCK), array("boxes", np.float64, n_clusters, 6)
+    clusters = Clusters(atom, filled, offsets, column_start, bottom, top, coordinates, boxes)
     pool.run(_fill_clusters, positions, columns, binned, clusters, min(int(columns.counts[0]), MOST_CHUNKS))
     return clusters
 
@@ -103,14 +97,14 @@ def sort_into_columns(positions, columns, binned, column_start):
 @shared_kernel
 def _fill_clusters(worker, task, positions, columns, binned, clusters, n):
     """The clusters of all columns; a chunk is some rows of columns along the second lattice vector."""
+    share(worker, begin(worker, task), n, _fill_columns, n, positions, columns, binned, clusters)
+
+
+@scalar
+def _fill_columns(chunk, n, positions, columns, binned, clusters):
     counts = columns.counts
-    phase = begin(worker, task)
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        for column in range(chunk * counts[0] // n * counts[1], (chunk + 1) * counts[0] // n * counts[1]):
-            _fill_column(column, positions, columns, binned, clusters)
-        chunk = finish_and_take(worker, phase, n)
-    barrier(worker, phase)
+    for column in range(chunk * counts[0] // n * counts[1], (chunk + 1) * counts[0] // n * counts[1]):
+        _fill_column(column, positions, columns, binned, clusters)
 
 
 @scalar

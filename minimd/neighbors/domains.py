@@ -12,9 +12,8 @@ Each of these columns is a run of ghosts, sorted along the third lattice vector,
 
     | image −1: the highest of the column | the column itself | image +1: the lowest of the column |
 
-A ghost is a cluster moved by a lattice vector, with forces of its own; the one in the cluster's own domain, moved by zero, is its
-home. Positions are copied to all ghosts of a cluster, and the forces on them are summed in the order of the ghosts: the same
-bits, whichever thread did the work.
+A ghost is a cluster moved by a lattice vector, with forces of its own; the one in the cluster's own domain, moved by zero, is its home. Positions
+are copied to all ghosts of a cluster, and the forces on them are summed in the order of the ghosts: the same bits, whichever thread did the work.
 """
 
 from collections import namedtuple
@@ -42,7 +41,8 @@ class Domains(namedtuple("Domains", "column cluster run ghost")):
 class GhostClusters(namedtuple("GhostClusters", "owner key shift bottom top boxes lanes home is_used of start")):
     """M ghosts of C clusters.
 
-    owner, key : (M,) int, the cluster, and the cluster with its image as one number.  shift : (M, 3) lattice vector of that image [length].
+    owner : (M,) int, the cluster.  key : (M,) int, 27 · cluster + code of the image (a, b, c), which is 9 (a + 1) + 3 (b + 1) + c + 1.
+    shift : (M, 3) lattice vector of that image [length].
     bottom, top : (M,) fractional coordinates along the third lattice vector.  boxes : (M, 6) see Clusters.
     lanes : (M,) uint8, bit k is set if lane k is not padding.
     home : (C,) int, the home of each cluster.
@@ -68,19 +68,13 @@ def cut_into_domains(clusters: Clusters, columns: Columns, n_atoms: int) -> Doma
 
 def make_ghosts(n_clusters: int, n_ghosts: int, memory: Buffers) -> GhostClusters:
     """Arrays of these sizes, to be filled by fill_ghosts and sort_ghosts."""
-    return GhostClusters(
-        owner=memory.array("owner", np.int32, n_ghosts),
-        key=memory.array("key", np.int32, n_ghosts),
-        shift=memory.array("shift", np.float64, n_ghosts, 3),
-        bottom=memory.array("ghost bottom", np.float64, n_ghosts),
-        top=memory.array("ghost top", np.float64, n_ghosts),
-        boxes=memory.array("ghost boxes", np.float64, n_ghosts, 6),
-        lanes=memory.array("lanes", np.uint8, n_ghosts),
-        home=memory.array("home", np.int32, n_clusters),
-        is_used=memory.array("is_used", np.bool_, n_ghosts),
-        of=memory.array("of", np.int32, n_ghosts),
-        start=memory.array("start", np.int32, n_clusters + 1),
-    )
+    array = memory.array
+    owner, key, of = (array(name, np.int32, n_ghosts) for name in ("owner", "key", "of"))
+    bottom, top = (array(name, np.float64, n_ghosts) for name in ("ghost bottom", "ghost top"))
+    shift, boxes = array("shift", np.float64, n_ghosts, 3), array("ghost boxes", np.float64, n_ghosts, 6)
+    lanes, is_used = array("lanes", np.uint8, n_ghosts), array("is_used", np.bool_, n_ghosts)
+    home, start = array("home", np.int32, n_clusters), array("start", np.int32, n_clusters + 1)
+    return GhostClusters(owner, key, shift, bottom, top, boxes, lanes, home, is_used, of, start)
 
 
 @kernel
@@ -118,23 +112,11 @@ def _seen(run_x, run_y, image_z, clusters, columns):
         return 0, 0, image
     column = (run_x - image_x * counts[0]) * counts[1] + run_y - image_y * counts[1]
     first, last = clusters.column_start[column], clusters.column_start[column + 1]
-    if image_z > 0:
-        end = first
-        while end < last and clusters.bottom[end] <= columns.along:
-            end += 1
-        last = end
-    if image_z < 0:
-        begin = last
-        while begin > first and clusters.top[begin - 1] >= 1.0 - columns.along:
-            begin -= 1
-        first = begin
+    while image_z > 0 and last > first and clusters.bottom[last - 1] > columns.along:
+        last -= 1
+    while image_z < 0 and last > first and clusters.top[first] < 1.0 - columns.along:
+        first += 1
     return first, last, image
-
-
-@scalar
-def image_key(cluster, image):
-    """A cluster and the code of its image as one number."""
-    return cluster * IMAGES + image
 
 
 @scalar
@@ -152,15 +134,13 @@ def fill_ghosts(domain, layout):
             for image_z in range(-1, 2):
                 first, last, image = _seen(run_x, run_y, image_z, clusters, columns)
                 a, b = image // 9 - 1, image // 3 % 3 - 1
-                x = a * lattice[0, 0] + b * lattice[1, 0] + image_z * lattice[2, 0]
-                y = a * lattice[0, 1] + b * lattice[1, 1] + image_z * lattice[2, 1]
-                z = a * lattice[0, 2] + b * lattice[1, 2] + image_z * lattice[2, 2]
                 is_home = image == HOME and run_x < domains.column[domain + 1]
                 for k in range(first, last):
-                    ghosts.owner[ghost], ghosts.key[ghost], ghosts.is_used[ghost] = k, image_key(k, image), is_home
+                    ghosts.owner[ghost], ghosts.key[ghost], ghosts.is_used[ghost] = k, k * IMAGES + image, is_home
                     ghosts.lanes[ghost] = ALL_LANES >> (LANES - clusters.filled[k])
                     ghosts.bottom[ghost], ghosts.top[ghost] = clusters.bottom[k] + image_z, clusters.top[k] + image_z
-                    for d, shift in enumerate((x, y, z)):
+                    for d in range(3):
+                        shift = a * lattice[0, d] + b * lattice[1, d] + image_z * lattice[2, d]
                         ghosts.shift[ghost, d] = shift
                         ghosts.boxes[ghost, d], ghosts.boxes[ghost, d + 3] = clusters.boxes[k, d] + shift, clusters.boxes[k, d + 3] + shift
                         store(coordinates, ghost * BLOCK + d * LANES, load(clusters.coordinates, k * BLOCK + d * LANES, LANES) + shift)

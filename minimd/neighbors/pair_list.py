@@ -24,32 +24,26 @@ class PairList(VerletList):
     """All pairs within cutoff + skin, in any cell, all images of them; built in linear time.
 
     cutoff, skin, excluded : see VerletList; an infinite cutoff lists all pairs, in open scenes.
-
     pairs : Pairs, counting in the order of the list.  order : (N,) int, user's index of each atom in that order.
     offsets : (N, 3), lattice vectors to add to positions[order].  n_builds : how often it was built.
     """
 
-    pairs: Pairs
-
-    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
-        super().__init__(n_atoms, cutoff, skin, excluded)
-        self._second, self._image = (np.empty(0, dtype=np.uint32) for _ in range(2))
+    _second = _image = np.empty(0, dtype=np.uint32)
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         if self.cutoff == np.inf:
-            self._list_all_pairs(positions)
-            return
+            return self._list_all_pairs(positions)
         reach = self.cutoff + self.skin
         grid = make_grid(cell, positions, reach)
-        self.order, self.offsets, bin_start = sort_into_bins(positions, cell, grid)
+        self.order, self.offsets, bin_start = sort_into_bins(positions, cell.lattice, cell.inverse, cell.pbc, grid)
         local, bins = positions[self.order] + self.offsets, bins_of(cell, grid, bin_start)
         start = np.empty(len(positions) + 1, dtype=np.int64)
         while True:
             found = Pairs(start, self._second, self._image, bins.translations)
-            n_pairs = find_pairs(local, self.order, bins, reach**2, (self._excluded_start, self._excluded), found)
+            n_pairs = find_pairs(local, self.order, bins, reach**2, self._excluded, found)
             if n_pairs <= len(self._second):
                 break
-            self._second, self._image = (np.empty(int(SPARE * n_pairs), dtype=np.uint32) for _ in range(2))
+            self._second, self._image = np.empty((2, int(SPARE * n_pairs)), dtype=np.uint32)
         self.pairs = Pairs(start, self._second[:n_pairs], self._image[:n_pairs], bins.translations)
 
     def _list_all_pairs(self, positions: NDArray[np.float64]) -> None:
@@ -57,11 +51,9 @@ class PairList(VerletList):
         n = len(positions)
         self.order, self.offsets = np.arange(n), np.zeros((n, 3))
         first, second = np.triu_indices(n, k=1)
-        if self._excluded.size:
-            apart = np.ones((n, n), dtype=bool)
-            apart[np.repeat(np.arange(n), np.diff(self._excluded_start)), self._excluded] = False
-            kept = apart[first, second]
-            first, second = first[kept], second[kept]
+        apart = np.ones((n, n), dtype=bool)
+        apart[np.repeat(np.arange(n), np.diff(self._excluded[0])), self._excluded[1]] = False
+        first, second = first[apart[first, second]], second[apart[first, second]]
         self.pairs = Pairs(starts(first, n), second.astype(np.uint32), np.empty(0, dtype=np.uint32), np.zeros((0, 3)))
 
 

@@ -9,6 +9,7 @@ from minimd.neighbors.pair_list import PairList
 from minimd.structure.system import LARGEST, System
 
 QUANTITIES = "ijdDS"
+BEYOND = 1.0 + 1e-9  # of a distance, to find the pair that has it
 
 
 def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArray, ...] | NDArray:
@@ -29,12 +30,6 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
         raise ValueError(f"quantities must be letters of {QUANTITIES!r}; quantities = {quantities!r}")
     if not (np.isfinite(cutoff) and cutoff > 0.0):
         raise ValueError(f"cutoff must be positive and finite; cutoff = {cutoff}")
-    found = _all_directions(system, cutoff)
-    answer = tuple(found[quantity] for quantity in quantities)
-    return answer if len(answer) > 1 else answer[0]
-
-
-def _all_directions(system: System, cutoff: float) -> dict[str, NDArray]:
     cell, positions = system.cell, system.positions
     pair_list = PairList(len(system), cutoff, 0.0, np.zeros((0, 2), dtype=np.int64))
     pair_list.update(positions, cell)
@@ -44,15 +39,14 @@ def _all_directions(system: System, cutoff: float) -> dict[str, NDArray]:
     if cell.is_periodic:
         steps = steps + (pairs.translations @ cell.inverse)[pairs.image]
     shifts = np.rint(steps).astype(np.int64) @ cell.reduction
-    i, j = order[first], order[pairs.second]
-    i, j, shifts = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([shifts, -shifts])
+    both, shifts = np.stack([order[first], order[pairs.second]]), np.concatenate([shifts, -shifts])
+    i, j = np.concatenate([both, both[::-1]], axis=1)
     by_first = np.lexsort((*shifts.T, j, i))
     i, j, shifts = i[by_first], j[by_first], shifts[by_first]
     vectors = positions[j] - positions[i] + shifts @ cell.vectors
-    return {"i": i, "j": j, "d": np.linalg.norm(vectors, axis=1), "D": vectors, "S": shifts}
-
-
-BEYOND = 1.0 + 1e-9  # of a distance, to find the pair that has it
+    found = {"i": i, "j": j, "d": np.linalg.norm(vectors, axis=1), "D": vectors, "S": shifts}
+    answer = tuple(found[quantity] for quantity in quantities)
+    return answer if len(answer) > 1 else answer[0]
 
 
 class ClosestPair(NamedTuple):
@@ -69,8 +63,7 @@ class ClosestPair(NamedTuple):
 def closest_pair(system: System) -> ClosestPair | None:
     """The two atoms that are closest to each other; None for a single atom in an open cell or where no distance is finite.
 
-    Atoms in one cell first, in N log N however unevenly they lie; what is closer through an image is then
-    searched within that distance of the faces.
+    First the closest pair in one cell, in N log N however unevenly atoms lie; then a closer one through an image, within that distance of the faces.
     """
     known, cell = np.flatnonzero((np.abs(system.positions) <= LARGEST).all(axis=1)), system.cell
     if known.size == 0 or (known.size == 1 and not cell.is_periodic):

@@ -13,38 +13,28 @@ from minimd.structure.cell import Cell, minimum_image
 class Bins(namedtuple("Bins", "bin_start counts forward crossed translations pbc lattice inverse safe_distance2")):
     """Where the search looks for the neighbors of the atoms of a bin, and through which images.
 
-    bin_start, counts : see Sorted, Grid.  forward, crossed, translations : see forward_bins, image_table.
+    bin_start, counts : see Binned, Grid.
+    forward : (K, 3) int, offsets of one half of the bins within reach, (0, 0, 0) left out: every pair is met once.
+    crossed : (3,) int, how many cells a search can cross in each direction.
+    translations : (T, 3) of all images [length]; no rows if nothing is periodic.
+        Image (a, b, c) has row ((a + n_x)(2 n_y + 1) + b + n_y)(2 n_z + 1) + c + n_z, with n = crossed.
     pbc, lattice, inverse, safe_distance2 : of the Cell.
     """
 
 
 def bins_of(cell: Cell, grid: Grid, bin_start: NDArray[np.int64]) -> Bins:
     """The bins of a grid, ready for a search."""
-    crossed, translations = image_table(cell, grid)
-    return Bins(bin_start, grid.counts, forward_bins(grid), crossed, translations, cell.pbc, cell.lattice, cell.inverse, cell.safe_distance2)
-
-
-def forward_bins(grid: Grid) -> NDArray[np.int64]:
-    """Offsets (dx, dy, dz) of one half of the bins within reach, (0, 0, 0) left out: (K, 3) int.
-
-    Of each offset and its opposite one is kept, so that every pair is met once.
-    """
-    axes = [np.arange(-r, r + 1) for r in grid.reach]
-    offsets = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return np.ascontiguousarray(offsets[len(offsets) // 2 + 1 :])
-
-
-def image_table(cell: Cell, grid: Grid) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """How many cells a search can cross in each direction, (3,) int, and the translations of all images, (T, 3) [length].
-
-    Image (a, b, c) stands in row ((a + n_x)(2 n_y + 1) + b + n_y)(2 n_z + 1) + c + n_z. No rows if nothing is periodic.
-    """
+    within = _steps(grid.reach)
+    forward = within[len(within) // 2 + 1 :].copy()
     crossed = np.where(cell.pbc, -(-grid.reach // grid.counts), 0)
-    if not cell.is_periodic:
-        return crossed, np.zeros((0, 3))
-    axes = [np.arange(-n, n + 1) for n in crossed]
-    images = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return crossed, images @ np.where(cell.pbc[:, None], cell.lattice, 0.0)
+    translations = _steps(crossed) @ np.where(cell.pbc[:, None], cell.lattice, 0.0) if cell.is_periodic else np.zeros((0, 3))
+    return Bins(bin_start, grid.counts, forward, crossed, translations, cell.pbc, cell.lattice, cell.inverse, cell.safe_distance2)
+
+
+def _steps(most: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(K, 3) int: all triples from −most to most, the last number running fastest."""
+    axes = [np.arange(-n, n + 1) for n in most]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 @kernel
@@ -56,8 +46,7 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
     partners : (start, values); the nearest image of a pair of user's atom a and values[start[a] : start[a + 1]] is left out.
     pairs : output, see Pairs; its atoms count in the order of the bins.
     """
-    n_pairs = 0
-    room = pairs.second.size
+    n_pairs, room = 0, pairs.second.size
     counts, bin_start, crossed, translations = bins.counts, bins.bin_start, bins.crossed, bins.translations
     shifted = translations.shape[0] > 0
     rows_y, rows_z = 2 * crossed[1] + 1, 2 * crossed[2] + 1
@@ -74,8 +63,7 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
                     pairs.start[i] = n_pairs
                     x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
                     for k in range(n_ranges):
-                        first_atom = i + 1 if k == 0 else ranges[k, 0]
-                        row = ranges[k, 2]
+                        first_atom, row = i + 1 if k == 0 else ranges[k, 0], ranges[k, 2]
                         tx = ty = tz = 0.0
                         if shifted:
                             tx, ty, tz = translations[row, 0], translations[row, 1], translations[row, 2]

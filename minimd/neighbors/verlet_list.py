@@ -39,37 +39,29 @@ class VerletList(ABC):
     Until then no pair that is not listed can have come within the cutoff: two atoms approach each other by at most the skin.
     Displacements are true ones: an atom moved by a lattice vector has moved.  L. Verlet, Phys. Rev. 159, 98 (1967).
 
-    cutoff : [length].
-    skin : [length], ≥ 0.
+    cutoff : [length].  skin : [length], ≥ 0.  n_builds : how often it was built.
     excluded : (P, 2) int, pairs whose nearest image is left out.
     """
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
-        self.cutoff, self.skin = cutoff, skin
-        self.n_builds = 0
-        self._excluded_start, self._excluded = partners(excluded, n_atoms)
+        self.cutoff, self.skin, self.n_builds = cutoff, skin, 0
+        self._excluded = partners(excluded, n_atoms)
         self._cell: Cell | None = None
-        self._built_at = np.empty((0, 3))
+        self._built_at = np.empty((n_atoms, 3))
 
     @abstractmethod
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         """List what is within cutoff + skin."""
-
-    @property
-    def has_excluded(self) -> bool:
-        """True if a pair is left out."""
-        return self._excluded.size > 0
 
     def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
         """Build the list anew if it may miss a pair; True if it was built.
 
         Raises NonFiniteError if a position is not finite.
         """
+        limit2 = 0.25 * self.skin**2 if self.cutoff < np.inf else np.finfo(float).max  # without a cutoff: until a position is not finite
         is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
-        if is_same and not self._moved_too_far(positions):
+        if is_same and not any_moved(positions, self._built_at, limit2):
             return False
-        if self._built_at.shape != positions.shape:
-            self._built_at = np.empty_like(positions)
         self._cell = None  # no list until the new one is whole
         n_bad, first = copy_finite(positions, self._built_at)
         if n_bad:
@@ -78,19 +70,12 @@ class VerletList(ABC):
         self._cell, self.n_builds = cell, self.n_builds + 1
         return True
 
-    def _moved_too_far(self, positions: NDArray[np.float64]) -> bool:
-        if self.cutoff == np.inf:
-            return not np.isfinite(positions).all()
-        return bool(any_moved(positions, self._built_at, 0.25 * self.skin**2))
-
 
 @kernel
 def any_moved(positions, reference, limit2):
     """True if an atom is farther than √limit2 from its reference position, or if its position is NaN."""
     for i in range(positions.shape[0]):
-        dx = positions[i, 0] - reference[i, 0]
-        dy = positions[i, 1] - reference[i, 1]
-        dz = positions[i, 2] - reference[i, 2]
+        dx, dy, dz = positions[i, 0] - reference[i, 0], positions[i, 1] - reference[i, 1], positions[i, 2] - reference[i, 2]
         if not dx * dx + dy * dy + dz * dz <= limit2:
             return True
     return False

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.kernels import kernel
-from minimd.potentials.term import FORCES, PER_ATOM, Term
+from minimd.potentials.term import FORCES, PER_ATOM, Accumulators, Term
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.system import System
@@ -46,54 +46,53 @@ class HarmonicAngle:
         return AngleTerm(self, checked_groups("triples", self.triples, 3, len(system)))
 
 
-class Triples(namedtuple("Triples", "first middle last first_translations last_translations")):
-    """first, middle, last : (A,) int.  first_translations, last_translations : (A, 3) [length], added to r_first − r_middle and r_last − r_middle."""
+class Angles(namedtuple("Angles", "first middle last first_translations last_translations k angle")):
+    """first, middle, last : (A,) int.  first_translations, last_translations : (A, 3) [length], added to r_first − r_middle and r_last − r_middle.
+
+    k, angle : (A,) stiffness [energy/rad²] and θ₀ [rad].
+    """
 
 
 @kernel
-def add_angle_forces(positions, triples, k, angle, detail, forces, energies, virials):
+def add_angle_forces(positions, angles, detail, sums):
     """Add harmonic angles u = ½ k (θ − θ₀)², with cos θ = a·b/(|a||b|), a = r_i − r_j, b = r_k − r_j.
 
         F_i = s (b/(|a||b|) − cos θ a/|a|²),   F_k = s (a/(|a||b|) − cos θ b/|b|²),   F_j = −F_i − F_k,   s = u′(θ)/sin θ
 
-    Shapes and detail as in add_pair_forces; the virial a ⊗ F_i + b ⊗ F_k is symmetric because angles feel no torque.
-    TOTALS adds an angle to its middle atom, PER_ATOM a third of it to each atom.
+    positions : (N, 3) [length].  angles : Angles.  detail, sums : see Term.add and Accumulators.
+    The virial a ⊗ F_i + b ⊗ F_k is symmetric because angles feel no torque. TOTALS adds an angle to its middle atom, PER_ATOM a third of it
+    to each atom.
     """
-    for t in range(triples.middle.size):
-        i, j, l = triples.first[t], triples.middle[t], triples.last[t]
-        a = np.empty(3)
-        b = np.empty(3)
+    forces, energies, virials = sums
+    for t in range(angles.middle.size):
+        i, j, l = angles.first[t], angles.middle[t], angles.last[t]
+        a, b = np.empty(3), np.empty(3)
         for c in range(3):
-            a[c] = positions[i, c] - positions[j, c] + triples.first_translations[t, c]
-            b[c] = positions[l, c] - positions[j, c] + triples.last_translations[t, c]
+            a[c] = positions[i, c] - positions[j, c] + angles.first_translations[t, c]
+            b[c] = positions[l, c] - positions[j, c] + angles.last_translations[t, c]
         a2, b2 = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
         ab = (a2 * b2) ** 0.5
         cosine = min(1.0, max(-1.0, (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / ab))
-        theta = np.arccos(cosine)
-        slope = k[t] * (theta - angle[t])
+        stretch = np.arccos(cosine) - angles.angle[t]
+        slope = angles.k[t] * stretch
         s = slope / max(STRAIGHT, (1.0 - cosine * cosine) ** 0.5)
         for c in range(3):
-            force_i = s * (b[c] / ab - cosine * a[c] / a2)
-            force_l = s * (a[c] / ab - cosine * b[c] / b2)
+            force_i, force_l = s * (b[c] / ab - cosine * a[c] / a2), s * (a[c] / ab - cosine * b[c] / b2)
             forces[i, c] += force_i
             forces[l, c] += force_l
             forces[j, c] -= force_i + force_l
-            if detail != FORCES:
-                for d in range(c, 3):
-                    w = a[d] * force_i + b[d] * force_l
-                    component = c if c == d else 6 - c - d
-                    if detail == PER_ATOM:
-                        virials[i, component] += w / 3.0
-                        virials[j, component] += w / 3.0
-                        virials[l, component] += w / 3.0
-                    else:
-                        virials[j, component] += w
+            for d in range(c, 3 if detail != FORCES else c):
+                w, component = a[d] * force_i + b[d] * force_l, c if c == d else 6 - c - d
+                if detail == PER_ATOM:
+                    for atom in (i, j, l):
+                        virials[atom, component] += w / 3.0
+                else:
+                    virials[j, component] += w
         if detail == PER_ATOM:
-            energies[i] += 0.5 * slope * (theta - angle[t]) / 3.0
-            energies[j] += 0.5 * slope * (theta - angle[t]) / 3.0
-            energies[l] += 0.5 * slope * (theta - angle[t]) / 3.0
+            for atom in (i, j, l):
+                energies[atom] += 0.5 * slope * stretch / 3.0
         elif detail != FORCES:
-            energies[j] += 0.5 * slope * (theta - angle[t])
+            energies[j] += 0.5 * slope * stretch
 
 
 class AngleTerm(Term):
@@ -101,17 +100,17 @@ class AngleTerm(Term):
 
     def __init__(self, potential: HarmonicAngle, triples: NDArray[np.int64]) -> None:
         first, middle, last = (np.ascontiguousarray(triples[:, k]) for k in range(3))
-        self._triples = Triples(first, middle, last, np.zeros((len(triples), 3)), np.zeros((len(triples), 3)))
-        self._k, self._angle = potential.k, potential.angle
+        translations = np.zeros((2, len(triples), 3))
+        self._angles = Angles(first, middle, last, translations[0], translations[1], potential.k, potential.angle)
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
-        cell, arms = system.cell, self._triples
+        cell, angles = system.cell, self._angles
         if cell.is_periodic:
             lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-            minimum_image_translations(system.positions, arms.middle, arms.first, *lattice, arms.first_translations)
-            minimum_image_translations(system.positions, arms.middle, arms.last, *lattice, arms.last_translations)
-        add_angle_forces(system.positions, arms, self._k, self._angle, detail, forces, energies, virials)
+            minimum_image_translations(system.positions, angles.middle, angles.first, *lattice, angles.first_translations)
+            minimum_image_translations(system.positions, angles.middle, angles.last, *lattice, angles.last_translations)
+        add_angle_forces(system.positions, angles, detail, Accumulators(forces, energies, virials))
 
 
 def _one_each(name: str, values: ArrayLike, n: int) -> NDArray[np.float64]:

@@ -56,8 +56,7 @@ class BondPotential:
         for parameter in self.parameters:
             if parameter.shape not in ((), (n_bonds,)):
                 raise ValueError(f"a bond parameter must be one number or {n_bonds}, one for each bond; its shape is {parameter.shape}")
-        columns = [np.broadcast_to(column, n_bonds) for column in (np.array(np.inf), *self.parameters)]
-        return np.stack(columns, axis=-1)
+        return np.stack([np.broadcast_to(column, n_bonds) for column in (np.array(np.inf), *self.parameters)], axis=-1)
 
 
 class HarmonicBond(BondPotential):
@@ -75,7 +74,7 @@ class HarmonicBond(BondPotential):
     """
 
     def __init__(self, k: ArrayLike, length: ArrayLike, pairs: ArrayLike | None = None) -> None:
-        for name, values in (("k", k), ("length", length)):
-            if np.any(np.asarray(values, dtype=np.float64) < 0.0):
-                raise ValueError(f"{name} of a harmonic bond must not be negative; {name} = {np.asarray(values).tolist()}")
         super().__init__(HarmonicLaw(), (k, length), pairs)
+        for name, values in zip(("k", "length"), self.parameters, strict=True):
+            if np.any(values < 0.0):
+                raise ValueError(f"{name} of a harmonic bond must not be negative; {name} = {values.tolist()}")

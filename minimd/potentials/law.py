@@ -9,7 +9,7 @@ from collections import namedtuple
 from collections.abc import Callable, Iterable
 from inspect import signature
 from math import isfinite, nan
-from typing import Any, NamedTuple
+from typing import Any
 
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
@@ -24,17 +24,15 @@ ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative, and beside the 
 def law_type(name: str, formula: Callable) -> Any:
     """The law type of a compiled law, formula(r2, *parameters), or of one around another law, formula(r2, law, parameters).
 
-    name : of the variable, in the module of the formula, that it is assigned to; there the cache and pickles find it.
+    name : of the variable that it is assigned to in the module of the formula; there the cache and pickles find it.
     """
     python = formula.py_func  # type: ignore[attr-defined]
     fields = ["law"] if "law" in signature(python).parameters else []
     return type_of(formula)(namedtuple(name, fields, module=python.__module__))
 
 
-class UserLaw(NamedTuple):
+class UserLaw(namedtuple("UserLaw", "function")):
     """Law type of a law that the user brings: function(r2, *parameters)."""
-
-    function: Any
 
 
 def user_law(function: Callable) -> UserLaw:
@@ -77,8 +75,7 @@ def _name(law: tuple) -> str:
 def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
     """Try a law of the user's at some distances [length]: does it return u and −u′(r)/r?
 
-    Raises TypeError as law_at. ValueError if the second number is not −u′(r)/r, by central differences, at most of the distances where it is
-    finite.
+    Raises TypeError as law_at; ValueError if the second number differs from −u′(r)/r, by central differences, at most of the distances.
     """
     tried, wrong = 0, []
     for r in distances:
@@ -108,10 +105,9 @@ def evaluate_law(law, r2, parameters):
 def _evaluate_law(law, r2, parameters):
     if not isinstance(law, types.BaseNamedTuple):
         return None
-    law_type = law.instance_class
-    if law_type is UserLaw:
+    if law.instance_class is UserLaw:
         return lambda law, r2, parameters: law.function(r2, *parameters)
-    formula = law_type.formula
+    formula = law.instance_class.formula
     if len(law) == 1:
         return lambda law, r2, parameters: formula(r2, law[0], parameters)
     return lambda law, r2, parameters: formula(r2, *parameters)

@@ -4,8 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
 
 from minimd.potentials.laws import LennardJonesLaw
-from minimd.potentials.mixing import Parameters
-from minimd.potentials.pair import ByPairOfLabels, Label, PairPotential
+from minimd.potentials.pair import ByPairOfLabels, Label, PairPotential, Parameters
 
 
 class LennardJones(PairPotential):

@@ -1,8 +1,8 @@
-"""Pair potentials: a law, its parameters for each pair of species, a cutoff and a truncation."""
+"""Pair potentials: a law, its parameters for each pair of species, given or mixed, a cutoff and a truncation."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
-from math import inf, isfinite, pi
+from math import inf, isfinite, pi, sqrt
 from numbers import Real
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.potentials.law import UserLaw, check_user_law, evaluate_law, user_law
-from minimd.potentials.mixing import MIXING, Parameters
 from minimd.potentials.term import PairLaw, Term, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS
 from minimd.structure.system import LARGEST, System
@@ -21,8 +20,22 @@ TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where laws of the user's are tri
 UNSCALED = (1.0, 1.0, 1.0)
 
 Label = str | int
+Parameters = tuple[float, ...]
 ByLabel = Mapping[Label, Parameters]
 ByPairOfLabels = Mapping[tuple[Label, Label], Parameters]
+
+
+def lorentz_berthelot(first: Parameters, second: Parameters) -> Parameters:
+    """(ε, σ) of an unlike pair: ε = √(ε₁ ε₂), σ = (σ₁ + σ₂)/2.  H. A. Lorentz, Ann. Phys. 248, 127 (1881); D. Berthelot, C. R. 126, 1703 (1898)."""
+    return sqrt(first[0] * second[0]), 0.5 * (first[1] + second[1])
+
+
+def geometric(first: Parameters, second: Parameters) -> Parameters:
+    """(ε, σ) of an unlike pair: ε = √(ε₁ ε₂), σ = √(σ₁ σ₂)."""
+    return sqrt(first[0] * second[0]), sqrt(first[1] * second[1])
+
+
+MIXING = {"lorentz-berthelot": lorentz_berthelot, "geometric": geometric}
 
 
 class PairPotential:
@@ -76,10 +89,8 @@ class PairPotential:
         self.bonded_scale = _checked_scale(bonded_scale)
         self.tail_correction = tail_correction
         if tail_correction and (truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
-            raise ValueError(
-                f"tail_correction needs a cutoff and truncation 'truncated', {_listed(SWITCHES)}; "
-                f"cutoff = {self.cutoff}, truncation = {truncation!r} have no tail"
-            )
+            needed, given = f"a cutoff and truncation 'truncated', {_listed(SWITCHES)}", f"cutoff = {self.cutoff}, truncation = {truncation!r}"
+            raise ValueError(f"tail_correction needs {needed}; {given} have no tail")
 
     def bind(self, system: System) -> "PairTerm":
         """The term of this potential in a system.
@@ -103,7 +114,7 @@ class PairPotential:
         ------
         ValueError : if a species has no parameters, or an unlike pair neither its own nor a mixing rule.
         """
-        names = tuple(species_names) if self.depends_on_species else (None,)
+        names = species_names if self.depends_on_species else (None,)
         return np.array([[self._numbers(a, b) for b in names] for a in names], dtype=np.float64)
 
     @property
@@ -128,14 +139,9 @@ class PairPotential:
 
         counts : (S,) atoms of each species.  M. P. Allen, D. J. Tildesley (2017), eq. 2.144.
         """
-        names = tuple(species_names) if self.depends_on_species else (None,)
-        numbers = counts if self.depends_on_species else np.array([counts.sum()])
-        energy = virial = 0.0
-        for a, n_a in zip(names, numbers, strict=True):
-            for b, n_b in zip(names, numbers, strict=True):
-                u, w = 2.0 * pi * n_a * n_b / volume * self._tail_integrals(a, b)
-                energy, virial = energy + u, virial + w
-        return float(energy), float(virial)
+        crowds = [*zip(species_names, counts, strict=True)] if self.depends_on_species else [(None, counts.sum())]
+        terms = [2.0 * pi * n_a * n_b / volume * self._tail_integrals(a, b) for a, n_a in crowds for b, n_b in crowds]
+        return float(sum(u for u, _ in terms)), float(sum(w for _, w in terms))
 
     def _numbers(self, a: Label | None, b: Label | None) -> tuple[float, ...]:
         cutoff, parameters = self._cutoff_of(a, b), self._parameters_of(a, b)
@@ -155,11 +161,11 @@ class PairPotential:
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
         if not isinstance(self.parameters, dict):
             return self.parameters
-        for name in (a, b):
-            if name not in self.parameters and (a, b) not in self.pairs:
-                raise ValueError(f"{type(self).__name__} has no parameters for species {name!r}; it has {_listed(self.parameters)}")
         if (a, b) in self.pairs:
             return self.pairs[a, b]
+        for name in (a, b):
+            if name not in self.parameters:
+                raise ValueError(f"{type(self).__name__} has no parameters for species {name!r}; it has {_listed(self.parameters)}")
         if a == b:
             return self.parameters[a]
         if self.mixing is None:
@@ -209,10 +215,7 @@ class PairTerm(Term):
         return self._potential.tail(*self._species, volume=1.0)
 
     def tail(self, system: System) -> tuple[float, float]:
-        """See Term.
-
-        Raises ValueError if the cell has no volume.
-        """
+        """See Term. Raises ValueError if the cell has no volume."""
         if not self._potential.tail_correction:
             return 0.0, 0.0
         volume, (energy, virial) = _volume(system), self._tail_times_volume
@@ -226,10 +229,7 @@ def _volume(system: System) -> float:
 
 
 def _integral(function: Callable[[float], float], low: float, high: float) -> float:
-    """∫ function(x) dx.
-
-    Raises ValueError if it does not converge.
-    """
+    """∫ function(x) dx. Raises ValueError if it does not converge."""
     from scipy.integrate import quad  # here, so that importing minimd need not load it
 
     value, error = quad(function, low, high, epsabs=0.0, epsrel=ACCURACY, full_output=1)[:2]
@@ -249,7 +249,7 @@ def _checked_parameters(parameters: Parameters | ByLabel) -> Parameters | dict[L
 
 def _checked_tuple(numbers: Parameters) -> Parameters:
     values = tuple(float(number) for number in numbers)
-    if not all(isfinite(value) for value in values):
+    if not all(map(isfinite, values)):
         raise ValueError(f"parameters must be finite; they are {values}")
     return values
 
@@ -258,7 +258,7 @@ def _checked_cutoff(cutoff: float | Mapping[tuple[Label, Label], float] | None) 
     """The largest cutoff; infinite for None."""
     if cutoff is None:
         return inf
-    values = list(cutoff.values()) if isinstance(cutoff, Mapping) else [cutoff]
+    values = cutoff.values() if isinstance(cutoff, Mapping) else [cutoff]
     for value in values:
         if not (isinstance(value, Real) and 0.0 < value < LARGEST):
             raise ValueError(f"cutoff must be positive and finite, below {LARGEST:g}; cutoff = {value!r}; leave it out for none")

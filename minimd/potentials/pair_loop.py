@@ -1,32 +1,82 @@
-"""The plain loop over pairs: the one place where a pair law becomes forces, energies and virial.
+"""The plain loop over pairs: the one place where a pair law becomes forces, energies and virial; bonds run through it too."""
 
-A bond is a pair whose list never changes; it runs through the same loop.
-"""
+from collections import namedtuple
 
 import numpy as np
+from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel, without_cache
+from minimd.compiled.kernels import by_type, kernel, without_cache
 from minimd.neighbors.pair_list import fixed_pairs
 from minimd.potentials.law import evaluate_law, is_user_law
-from minimd.potentials.parameters import ByPair, from_table, parameters_of_pair
-from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, Term
+from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, Accumulators, Term
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.system import System
 
 
+class SameForAll(namedtuple("SameForAll", "numbers")):
+    """One tuple of numbers for every pair."""
+
+
+class BySpecies(namedtuple("BySpecies", "columns species")):
+    """columns : tuple of (S, S) arrays, one for each parameter.  species : (N,) int."""
+
+
+class ByPair(namedtuple("ByPair", "columns")):
+    """columns : tuple of (P,) arrays, one for each parameter."""
+
+
+def parameters_of_pair(source, p, i, j):
+    """The parameters of pair p between atoms i and j: a tuple of numbers, the squared cutoff first."""
+    if isinstance(source, SameForAll):
+        return source.numbers
+    if isinstance(source, BySpecies):
+        return tuple(column[source.species[i], source.species[j]] for column in source.columns)
+    return tuple(column[p] for column in source.columns)
+
+
+@overload(parameters_of_pair)
+def _parameters_of_pair(source, p, i, j):
+    kind = source.instance_class
+    if kind is SameForAll:
+        return lambda source, p, i, j: source.numbers
+    if kind is BySpecies:
+        return lambda source, p, i, j: _row(source.columns, (source.species[i], source.species[j]))
+    return lambda source, p, i, j: _row(source.columns, p)
+
+
+@by_type
+def _row(columns, index):
+    """(columns[0][index], columns[1][index], …), unrolled by the compiler."""
+    if len(columns) == 1:
+        return lambda columns, index: (columns[0][index],)
+    return lambda columns, index: (columns[0][index],) + _row(columns[1:], index)
+
+
+def by_species(table: NDArray[np.float64], species: NDArray[np.int64]) -> SameForAll | BySpecies:
+    """Where the loop finds the numbers of a table (S, S, 1 + P), for atoms of these species (N,)."""
+    if len(table) == 1:
+        return SameForAll(tuple(table[0, 0].tolist()))
+    return BySpecies(from_table(table), species)
+
+
+def from_table(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """The columns (last axis) of a parameter table as contiguous arrays."""
+    return tuple(np.ascontiguousarray(table[..., k]) for k in range(table.shape[-1]))
+
+
 @kernel
-def add_pair_forces(positions, pairs, law, parameters, detail, forces, energies, virials):
+def add_pair_forces(positions, pairs, law, parameters, detail, sums):
     """Add the forces of a pair law on pairs within its cutoff.
 
         r_ij = r_j − r_i + translation,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= f r_ij,   W += f r_ij ⊗ r_ij
 
-    positions, forces : (N, 3) [length], [energy/length].  energies : (N,) [energy].
-    virials : (N, 6) [energy], xx yy zz yz xz xy.
-    law : law type.  parameters : see parameters_of_pair.
+    positions : (N, 3) [length].  pairs : Pairs.  law : law type.  parameters : see parameters_of_pair.
     detail : with FORCES only forces are changed. TOTALS adds each pair to energies and virials of its first atom, so that their
         sums are right; PER_ATOM adds half of it to both atoms.
+    sums : Accumulators.
     """
+    forces, energies, virials = sums
     shifted = pairs.translations.shape[0] > 0
     own_share = 0.5 if detail == PER_ATOM else 1.0
     for i in range(pairs.start.size - 1):
@@ -36,39 +86,27 @@ def add_pair_forces(positions, pairs, law, parameters, detail, forces, energies,
             j = pairs.second[p]
             dx, dy, dz = positions[j, 0] - x, positions[j, 1] - y, positions[j, 2] - z
             if shifted:
-                image = pairs.image[p]
-                dx += pairs.translations[image, 0]
-                dy += pairs.translations[image, 1]
-                dz += pairs.translations[image, 2]
+                t = pairs.image[p]
+                dx, dy, dz = dx + pairs.translations[t, 0], dy + pairs.translations[t, 1], dz + pairs.translations[t, 2]
             r2 = dx * dx + dy * dy + dz * dz
             numbers = parameters_of_pair(parameters, p, i, j)
             if r2 < numbers[0]:
                 u, f = evaluate_law(law, r2, numbers[1:])
-                fx -= f * dx
-                fy -= f * dy
-                fz -= f * dz
-                forces[j, 0] += f * dx
-                forces[j, 1] += f * dy
-                forces[j, 2] += f * dz
+                gx, gy, gz = f * dx, f * dy, f * dz
+                fx, fy, fz = fx - gx, fy - gy, fz - gz
+                forces[j, 0] += gx
+                forces[j, 1] += gy
+                forces[j, 2] += gz
                 if detail != FORCES:
                     energy += u
-                    xx += f * dx * dx
-                    yy += f * dy * dy
-                    zz += f * dz * dz
-                    yz += f * dy * dz
-                    xz += f * dx * dz
-                    xy += f * dx * dy
+                    xx, yy, zz = xx + gx * dx, yy + gy * dy, zz + gz * dz
+                    yz, xz, xy = yz + gy * dz, xz + gx * dz, xy + gx * dy
                     if detail == PER_ATOM:
                         energies[j] += 0.5 * u
-                        virials[j, 0] += 0.5 * f * dx * dx
-                        virials[j, 1] += 0.5 * f * dy * dy
-                        virials[j, 2] += 0.5 * f * dz * dz
-                        virials[j, 3] += 0.5 * f * dy * dz
-                        virials[j, 4] += 0.5 * f * dx * dz
-                        virials[j, 5] += 0.5 * f * dx * dy
-        forces[i, 0] += fx
-        forces[i, 1] += fy
-        forces[i, 2] += fz
+                        for c, w in enumerate((gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
+                            virials[j, c] += 0.5 * w
+        for c, g in enumerate((fx, fy, fz)):
+            forces[i, c] += g
         if detail != FORCES:
             energies[i] += own_share * energy
             for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
@@ -100,4 +138,4 @@ class FixedPairs(Term):
         if cell.is_periodic:
             lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
             minimum_image_translations(system.positions, self._first, self._second, *lattice, self._pairs.translations)
-        self._loop(system.positions, self._pairs, self._law, self._parameters, detail, forces, energies, virials)
+        self._loop(system.positions, self._pairs, self._law, self._parameters, detail, Accumulators(forces, energies, virials))

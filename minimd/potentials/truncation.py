@@ -89,17 +89,10 @@ def smooth(r2, law, parameters):
 
 
 class Truncation(NamedTuple):
-    """One row of the table: the law type to put around a law (None: nothing), and the numbers its formula needs.
+    """around : the law type of the truncated law, from that of the law.  numbers : those of its formula, from the law, its parameters, r_c, r_on."""
 
-    numbers : function of the law, its parameters, r_c and r_on.
-    """
-
-    law_type: Callable | None
+    around: Callable[[tuple], tuple]
     numbers: Callable[[tuple, tuple, float, float], tuple]
-
-    def around(self, law: tuple) -> tuple:
-        """The law type of the truncated law."""
-        return self.law_type(law) if self.law_type else law
 
 
 def _value_and_slope(law: tuple, parameters: tuple, cutoff: float, _switch_start: float) -> tuple:
@@ -111,7 +104,7 @@ Shifted, ForceShifted, Switched = law_type("Shifted", shifted), law_type("ForceS
 CharmmSwitched, Smooth = law_type("CharmmSwitched", charmm), law_type("Smooth", smooth)
 
 TRUNCATIONS = {
-    "truncated": Truncation(None, lambda law, parameters, cutoff, switch_start: ()),
+    "truncated": Truncation(lambda law: law, lambda law, parameters, cutoff, switch_start: ()),
     "shifted": Truncation(Shifted, lambda law, parameters, cutoff, switch_start: evaluate_law(law, cutoff * cutoff, parameters)[:1]),
     "force-shifted": Truncation(ForceShifted, _value_and_slope),
     "switched": Truncation(Switched, lambda law, parameters, cutoff, switch_start: (switch_start, cutoff)),

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, Positiv
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones
-from minimd.potentials.mixing import MIXING
+from minimd.potentials.pair import MIXING
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.scene.section import Dimension, Section, one_of, reading_of
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName

@@ -11,29 +11,13 @@ To Numba such a variable has the type Vector(element, lanes); its value is a vec
 LLVM knows `fadd <8 x double>` as it knows `fadd double`, and translates it to the widest instructions of the processor at
 hand: one for AVX-512, two for AVX2, four for NEON. So a law written for numbers compiles for vectors from the same source.
 
-How to add an operation. If LLVM has an instruction or an intrinsic function for it, write an `@intrinsic`: it gets the
-Numba types of its arguments and returns a signature, `result(arguments)`, and a function that emits the instruction with
-llvmlite's IRBuilder. Bind it to the Python name that laws use with `@overload`; see `select` and `math.sqrt` in arithmetic.py. If there
-is none, lane by lane will do: see `_each_lane`.
+How to add an operation. If LLVM has an instruction or a function for it, make an intrinsic with `_instruction` or `_function`, see
+arithmetic.py, or write an `@intrinsic`: it gets the Numba types of its arguments, and returns the signature `result(arguments)` and a
+function that emits instructions with llvmlite's IRBuilder. Bind it to the Python name that laws use with `_bind` or `@overload`. If
+there is no instruction, apply the function lane by lane: see `_bind_one`.
 """
 
 from minimd.compiled.simd.arithmetic import fma, select
-from minimd.compiled.simd.memory import load, store, store_compressed
-from minimd.compiled.simd.vector import Vector, bits_from_mask, broadcast, convert, is_vector, lane, mask_from_bits, total, with_lane
+from minimd.compiled.simd.vector import bits_from_mask, broadcast, convert, lane, load, mask_from_bits, store, total, with_lane
 
-__all__ = [
-    "Vector",
-    "bits_from_mask",
-    "broadcast",
-    "convert",
-    "fma",
-    "is_vector",
-    "lane",
-    "load",
-    "mask_from_bits",
-    "select",
-    "store",
-    "store_compressed",
-    "total",
-    "with_lane",
-]
+__all__ = ["bits_from_mask", "broadcast", "convert", "fma", "lane", "load", "mask_from_bits", "select", "store", "total", "with_lane"]

@@ -7,72 +7,27 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic, overload
 
-from minimd.compiled.simd.vector import broadcast, call, is_vector, lane, with_lane
+from minimd.compiled.simd.vector import Vector, broadcast, call, lane, with_lane
 
-FLOAT_OPERATORS = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
-INTEGER_OPERATORS = {operator.add: "add", operator.sub: "sub", operator.mul: "mul"}
+FLOAT_OPERATORS = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}  # methods of IRBuilder
+INTEGER_OPERATORS = {operator.add: "add", operator.sub: "sub", operator.mul: "mul", operator.and_: "and_", operator.or_: "or_"}
 COMPARISONS = {operator.lt: "<", operator.le: "<=", operator.gt: ">", operator.ge: ">=", operator.eq: "==", operator.ne: "!="}
 LANE_BY_LANE = (math.exp, math.log, math.sin, math.cos, math.tanh, math.erf, math.erfc, np.exp, np.log, np.sin, np.cos, np.tanh)
 
 
-def _instruction(names: dict[bool, str], compares: bool = False):
-    """An intrinsic for two vectors of one type: names[is float] is the IRBuilder's method, or the sign of a comparison."""
+def _instruction(of_floats: str, of_integers: str, *sign: str):
+    """An intrinsic for two vectors of one type: IRBuilder's methods for floats and for integers, and the sign of a comparison."""
 
     @intrinsic
     def operation(_context, a, b):
-        is_float = isinstance(a.element, types.Float)
-
-        def generate(context, builder, signature, arguments):
-            if compares:
-                return (builder.fcmp_ordered if is_float else builder.icmp_signed)(names[is_float], *arguments)
-            return getattr(builder, names[is_float])(*arguments)
-
-        return (a.mask if compares else a)(a, b), generate
+        method = of_floats if a.is_float else of_integers
+        return (a.mask if sign else a)(a, b), lambda context, builder, signature, arguments: getattr(builder, method)(*sign, *arguments)
 
     return operation
 
 
-def _bind(function, operation) -> None:
-    """Make a Python operator of two arguments work when one of them is a vector and the other a vector or a number."""
-
-    @overload(function)
-    def of_vectors(a, b):
-        if is_vector(a) and a == b:
-            return lambda a, b: operation(a, b)
-        if is_vector(a) and isinstance(b, types.Number):
-            return lambda a, b: operation(a, broadcast(b, a))
-        if is_vector(b) and isinstance(a, types.Number):
-            return lambda a, b: operation(broadcast(a, b), b)
-        return None
-
-
-for _operator, _name in FLOAT_OPERATORS.items():
-    _bind(_operator, _instruction({True: _name, False: INTEGER_OPERATORS.get(_operator, "")}))
-for _operator, _sign in COMPARISONS.items():
-    _bind(_operator, _instruction({True: _sign, False: _sign}, compares=True))
-_bind(operator.and_, _instruction({False: "and_"}))
-_bind(operator.or_, _instruction({False: "or_"}))
-
-
-@intrinsic
-def _choose(_context, mask, a, b):
-    return a(mask, a, b), lambda context, builder, signature, arguments: builder.select(*arguments)
-
-
-def select(mask, a, b):
-    """Lane by lane: a where the mask is set, b elsewhere; b may be a number. For numbers: a if mask else b."""
-    return a if mask else b
-
-
-@overload(select)
-def _select(mask, a, b):
-    if is_vector(mask):
-        return lambda mask, a, b: _choose(mask, a, broadcast(b, a))
-    return lambda mask, a, b: a if mask else b
-
-
 def _function(name: str):
-    """An intrinsic for one of LLVM's functions whose arguments and result are of one vector type."""
+    """An intrinsic for one of LLVM's functions whose argument and result are of one vector type."""
 
     @intrinsic
     def one(_context, a):
@@ -90,40 +45,60 @@ def fma(_context, a, b, c):
     return a(a, b, c), lambda context, builder, signature, arguments: call(builder, f"llvm.fma.{a.suffix}", arguments[0].type, arguments)
 
 
+@intrinsic
+def _choose(_context, mask, a, b):
+    return a(mask, a, b), lambda context, builder, signature, arguments: builder.select(*arguments)
+
+
+def select(mask, a, b):
+    """Lane by lane: a where the mask is set, b elsewhere; b may be a number. For numbers: a if mask else b."""
+    return a if mask else b
+
+
+@overload(select)
+def _select(mask, a, b):
+    if isinstance(mask, Vector):
+        return lambda mask, a, b: _choose(mask, a, broadcast(b, a))
+    return lambda mask, a, b: a if mask else b
+
+
+def _bind(function, operation) -> None:
+    """Let a Python operator of two arguments do an operation where one of them is a vector and the other a vector or a number."""
+
+    @overload(function)
+    def of_vectors(a, b):
+        if isinstance(a, Vector) and (a == b or isinstance(b, types.Number)):
+            return lambda a, b: operation(a, broadcast(b, a))
+        return (lambda a, b: operation(broadcast(a, b), b)) if isinstance(b, Vector) and isinstance(a, types.Number) else None
+
+
+def _bind_choice(function, beats) -> None:
+    """Let max or min, of a vector and a vector or a number, keep the lane that beats the other."""
+
+    @overload(function)
+    def of_vectors(a, b):
+        if isinstance(a, Vector):
+            return lambda a, b: select(beats(a, b), a, broadcast(b, a))
+        return (lambda a, b: select(beats(b, a), b, broadcast(a, b))) if isinstance(b, Vector) else None
+
+
+for _operator in FLOAT_OPERATORS | INTEGER_OPERATORS:
+    _bind(_operator, _instruction(FLOAT_OPERATORS.get(_operator, ""), INTEGER_OPERATORS.get(_operator, "")))
+for _operator, _sign in COMPARISONS.items():
+    _bind(_operator, _instruction("fcmp_ordered", "icmp_signed", _sign))
+_bind_choice(max, operator.gt)
+_bind_choice(min, operator.lt)
+
+
 @overload(operator.neg)
-def _negative(a):
-    return (lambda a: 0.0 - a) if is_vector(a) else None
-
-
-@overload(math.sqrt)
-@overload(np.sqrt)
-def _sqrt(x):
-    return (lambda x: _square_root(x)) if is_vector(x) else None
-
-
-@overload(abs)
-def _abs(x):
-    return (lambda x: _magnitude(x)) if is_vector(x) else None
-
-
-@overload(max)
-def _larger(a, b):
-    if is_vector(a):
-        return lambda a, b: select(a > b, a, broadcast(b, a))
-    return (lambda a, b: select(b > a, b, broadcast(a, b))) if is_vector(b) else None
-
-
-@overload(min)
-def _smaller(a, b):
-    if is_vector(a):
-        return lambda a, b: select(a < b, a, broadcast(b, a))
-    return (lambda a, b: select(b < a, b, broadcast(a, b))) if is_vector(b) else None
+def _negative(x):
+    return (lambda x: 0.0 - x) if isinstance(x, Vector) else None
 
 
 @overload(operator.pow)
 def _power(x, exponent):
-    """The powers that laws are written with, which the compiler picks where the exponent is a constant; others lane by lane."""
-    if not (is_vector(x) and isinstance(exponent, types.Number)):
+    """The powers that laws are written with; the compiler picks one where the exponent is a constant. Others lane by lane."""
+    if not (isinstance(x, Vector) and isinstance(exponent, types.Number)):
         return None
     lanes = x.lanes
 
@@ -143,13 +118,15 @@ def _power(x, exponent):
     return power
 
 
-def _each_lane(function) -> None:
-    """Let a function of one number act on each lane of a vector."""
+def _bind_one(function, operation=None) -> None:
+    """Let a function of one number act on vectors: by an operation, or lane by lane if there is none."""
 
     @overload(function)
     def of_vector(x):
-        if not is_vector(x):
+        if not isinstance(x, Vector):
             return None
+        if operation:
+            return lambda x: operation(x)
         lanes = x.lanes
 
         def each(x):
@@ -160,5 +137,5 @@ def _each_lane(function) -> None:
         return each
 
 
-for _slow in LANE_BY_LANE:
-    _each_lane(_slow)
+for _one, _operation in {math.sqrt: _square_root, np.sqrt: _square_root, abs: _magnitude, **dict.fromkeys(LANE_BY_LANE)}.items():
+    _bind_one(_one, _operation)

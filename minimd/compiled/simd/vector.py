@@ -1,4 +1,4 @@
-"""The vector type, and how numbers become vectors and vectors numbers."""
+"""The vector type; vectors from numbers and memory, and back."""
 
 from llvmlite import ir
 from numba import types
@@ -14,6 +14,7 @@ class Vector(types.Type):
     def __init__(self, element: types.Integer | types.Float | types.Boolean, lanes: int) -> None:
         self.element, self.lanes = element, lanes
         super().__init__(name=f"Vector({element}, {lanes})")
+        self.is_float = isinstance(element, types.Float)
 
     @property
     def mask(self) -> "Vector":
@@ -22,8 +23,8 @@ class Vector(types.Type):
 
     @property
     def suffix(self) -> str:
-        """How LLVM's intrinsic functions name the type, v8f64 for instance."""
-        return f"v{self.lanes}{'f' if isinstance(self.element, types.Float) else 'i'}{self.element.bitwidth}"  # type: ignore[union-attr]
+        """The name of the type in LLVM's functions, v8f64 for instance."""
+        return f"v{self.lanes}{'f' if self.is_float else 'i'}{self.element.bitwidth}"  # type: ignore[union-attr]
 
 
 @register_model(Vector)
@@ -35,19 +36,18 @@ class VectorModel(models.PrimitiveModel):
         super().__init__(manager, fe_type, ir.VectorType(element, fe_type.lanes))
 
 
-def is_vector(kind: types.Type) -> bool:
-    """True for the Numba type of a vector or a mask."""
-    return isinstance(kind, Vector)
-
-
 @intrinsic
 def broadcast(_context, number, like):
     """A number in all lanes, as a vector of the type of like; a vector of that type is returned as it is."""
-    if is_vector(number):
-        return (like(number, like), lambda context, builder, signature, arguments: arguments[0]) if number == like else None
+    if isinstance(number, Vector) and number != like:
+        return None
 
     def generate(context, builder, signature, arguments):
-        return all_lanes(builder, context.cast(builder, arguments[0], number, like.element), like.lanes)
+        if isinstance(number, Vector):
+            return arguments[0]
+        one = context.cast(builder, arguments[0], number, like.element)
+        empty = ir.Constant(ir.VectorType(one.type, like.lanes), ir.Undefined)
+        return _some_lanes(builder, builder.insert_element(empty, one, INT32(0)), [0] * like.lanes)
 
     return like(number, like), generate
 
@@ -58,8 +58,8 @@ def mask_from_bits(_context, bits, like):
 
     def generate(context, builder, signature, arguments):
         width = ir.IntType(like.lanes)
-        narrow = builder.trunc(arguments[0], width) if bits.bitwidth > like.lanes else arguments[0]
-        return builder.bitcast(narrow, ir.VectorType(ir.IntType(1), like.lanes))
+        bits_of_lanes = builder.trunc(arguments[0], width) if bits.bitwidth > like.lanes else arguments[0]
+        return builder.bitcast(bits_of_lanes, ir.VectorType(ir.IntType(1), like.lanes))
 
     return like.mask(bits, like), generate
 
@@ -67,17 +67,14 @@ def mask_from_bits(_context, bits, like):
 @intrinsic
 def bits_from_mask(_context, mask):
     """A mask as an int64 whose bit k is lane k; zero if no lane is set."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.zext(builder.bitcast(arguments[0], ir.IntType(mask.lanes)), ir.IntType(64))
-
-    return types.int64(mask), generate
+    bits, int64 = ir.IntType(mask.lanes), ir.IntType(64)
+    return types.int64(mask), lambda context, builder, signature, arguments: builder.zext(builder.bitcast(arguments[0], bits), int64)
 
 
 @intrinsic
 def convert(_context, vector, like):
     """A vector of float64, float32 or int32 with the element type of like, a vector or a number of float64 or float32."""
-    element = like.element if is_vector(like) else like
+    element = like.element if isinstance(like, Vector) else like
     kind = Vector(element, vector.lanes)
 
     def generate(context, builder, signature, arguments):
@@ -85,22 +82,22 @@ def convert(_context, vector, like):
             return arguments[0]
         if isinstance(vector.element, types.Integer):
             return builder.sitofp(arguments[0], context.get_value_type(kind))
-        change = builder.fpext if element.bitwidth > vector.element.bitwidth else builder.fptrunc
-        return change(arguments[0], context.get_value_type(kind))
+        resize = builder.fpext if element.bitwidth > vector.element.bitwidth else builder.fptrunc
+        return resize(arguments[0], context.get_value_type(kind))
 
     return kind(vector, like), generate
 
 
 @intrinsic
 def total(_context, vector):
-    """The sum of all lanes: halves are added to each other until one number is left."""
+    """The sum of all lanes: the upper half is added to the lower one until one number is left."""
 
     def generate(context, builder, signature, arguments):
         value, lanes = arguments[0], vector.lanes
         while lanes > 1:
             lanes //= 2
-            halves = [some_lanes(builder, value, range(start, start + lanes)) for start in (0, lanes)]
-            value = (builder.fadd if isinstance(vector.element, types.Float) else builder.add)(*halves)
+            halves = [_some_lanes(builder, value, range(start, start + lanes)) for start in (0, lanes)]
+            value = (builder.fadd if vector.is_float else builder.add)(*halves)
         return builder.extract_element(value, INT32(0))
 
     return vector.element(vector), generate
@@ -117,28 +114,48 @@ def with_lane(_context, vector, k, number):
     """The vector with another number in lane k."""
 
     def generate(context, builder, signature, arguments):
-        value = context.cast(builder, arguments[2], number, vector.element)
-        return builder.insert_element(arguments[0], value, arguments[1])
+        return builder.insert_element(arguments[0], context.cast(builder, arguments[2], number, vector.element), arguments[1])
 
     return vector(vector, k, number), generate
 
 
-# What intrinsics are written with
+@intrinsic(prefer_literal=True)
+def load(_context, array, index, lanes):
+    """`lanes` (a literal) contiguous elements of a one-dimensional array, from index."""
+    kind = Vector(array.dtype, lanes.literal_value)
+
+    def generate(context, builder, signature, arguments):
+        value = builder.load(_pointer_to(context, builder, array, arguments, kind))
+        value.align = array.dtype.bitwidth // 8
+        return value
+
+    return kind(array, types.intp, lanes), generate
 
 
-def some_lanes(builder, value, numbers):
+@intrinsic
+def store(_context, array, index, vector):
+    """Write a vector to contiguous elements of a one-dimensional array, from index."""
+
+    def generate(context, builder, signature, arguments):
+        builder.store(arguments[2], _pointer_to(context, builder, array, arguments, vector)).align = array.dtype.bitwidth // 8
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vector), generate
+
+
+def _some_lanes(builder, value, numbers):
     """Some lanes of a vector, as a shorter or longer one."""
     pattern = ir.Constant(ir.VectorType(INT32, len(numbers)), list(numbers))
     return builder.shuffle_vector(value, ir.Constant(value.type, ir.Undefined), pattern)
-
-
-def all_lanes(builder, number, lanes):
-    """A number in all lanes."""
-    empty = ir.Constant(ir.VectorType(number.type, lanes), ir.Undefined)
-    return some_lanes(builder, builder.insert_element(empty, number, INT32(0)), [0] * lanes)
 
 
 def call(builder, name, result, arguments):
     """Call one of LLVM's functions by name."""
     kind = ir.FunctionType(result, [argument.type for argument in arguments])
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)
+
+
+def _pointer_to(context, builder, kind, arguments, vector):
+    """The address of an element of an array, as that of a vector.  arguments : values of the array, of type kind, and of the index."""
+    data = context.make_array(kind)(context, builder, arguments[0]).data
+    return builder.bitcast(builder.gep(data, [arguments[1]]), context.get_value_type(vector).as_pointer())

@@ -1,4 +1,4 @@
-"""`minimd bench`: which benchmark, how large, and where its outcome goes. Nothing heavy is imported before one runs."""
+"""`minimd bench`: its benchmarks and their options. What they need is imported when one runs."""
 
 import argparse
 from collections.abc import Callable
@@ -10,7 +10,6 @@ from minimd.commands.options import whole_number
 if TYPE_CHECKING:
     from minimd.bench.outcome import Outcome
 
-QUIET = "Let nothing else run meanwhile."
 REPEATS, REPEATS_QUICK = 7, 3
 PEER_NAMES = "lammps, lammps-checked, lammps-shake, lammps-plain, lammps-omp, openmm, ase, asap3"
 
@@ -20,10 +19,7 @@ def add(commands: Any) -> None:
     bench = commands.add_parser("bench", help="time minimd: beside other engines, and run time against error")
     benchmarks = bench.add_subparsers(metavar="benchmark", title="benchmarks", required=True)
     peers = _add(benchmarks, "peers", _peers, "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3")
-    peers.description = (
-        "Time whole runs in minimd and in the other engines that are installed (peers), all in turns. "
-        "Nothing is timed before all have the same energies, at the start and after the first steps."
-    )
+    peers.description = "Time whole runs of minimd and of the installed other engines, in turns, after all have shown the same energies."
     peers.add_argument("--scene", default="melt", help="melt (default), chains (bead-spring), dumbbells (rigid), kob-andersen (minimd alone)")
     peers.add_argument("--cells", type=counts, metavar="N,...", help="sizes: 4 N³ atoms, or nearly (default: 5,10,20,40)")
     peers.add_argument("--threads", type=counts, default=(), metavar="T,...", help="of engines that can use several (default: 1 and all cores)")
@@ -39,11 +35,11 @@ def add(commands: Any) -> None:
 
 def _add(benchmarks: Any, name: str, run: Callable[[argparse.Namespace], "Outcome"], text: str) -> argparse.ArgumentParser:
     """One benchmark, with the options that all have."""
-    parser = benchmarks.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", epilog=QUIET)
+    parser = benchmarks.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", epilog="Let nothing else run meanwhile.")
     parser.add_argument("--quick", action="store_true", help="a few minutes in all: fewer sizes, methods and turns")
     parser.add_argument("--repeats", type=at_least_one, metavar="R", help=f"turns of each engine (default: {REPEATS}, quick {REPEATS_QUICK})")
-    stem = f"bench_{name.replace('-', '_')}"
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help=f"write {stem}.md, .json and .png there, in place of older ones")
+    files = f"bench_{name.replace('-', '_')}.md, .json and .png"
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help=f"write {files} there, in place of older ones")
     parser.set_defaults(command=lambda arguments: _bench(run, arguments))
     return parser
 
@@ -53,8 +49,7 @@ def _bench(run: Callable[[argparse.Namespace], "Outcome"], arguments: argparse.N
 
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
-    if arguments.repeats is None:
-        arguments.repeats = REPEATS_QUICK if arguments.quick else REPEATS
+    arguments.repeats = arguments.repeats or (REPEATS_QUICK if arguments.quick else REPEATS)
     outcome = run(arguments)
     print(markdown(outcome))
     if arguments.out:

@@ -26,8 +26,7 @@ GRADIENT_ACCURACY = 1e-7  # truncation of the central difference, relative to th
 DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ: what the energy fluctuates by without a drift
 MOMENTUM_ALLOWED = 1e-12  # of Σ|mv|: rounding of 1000 steps
 STEPS_COMPARED = 200  # long enough for lists to be built anew
-STEPS_TIMED, TURNS = 200, 3  # half a second a turn on a slow machine
-TASKS_TIMED = 1000
+STEPS_TIMED, TURNS, TASKS_TIMED = 200, 3, 1000  # half a second a turn on a slow machine
 
 Finding = tuple[bool, str]  # whether the test passed, and a sentence
 
@@ -60,8 +59,7 @@ def installation() -> Iterator[str]:
     yield f"needs          {', '.join(f'{name} {version(name)}' for name in DEPENDENCIES)}"
     yield f"processor      {processor_name()}; {available_cores()} of {os.cpu_count()} cores for this process"
     yield f"vectors        {', '.join(vectors) or 'none known'}; code made for {llvmlite.binding.get_host_cpu_name()}"
-    yield f"threads        {available_cores()} by default: minimd has its own thread pool (minimd.compiled.threads) and uses neither OpenMP,"
-    yield f"{CONTINUED}nor TBB, nor Numba's workqueue"
+    yield f"threads        {available_cores()} by default, of minimd's own pool (minimd.compiled.threads): no OpenMP, TBB or workqueue of Numba"
     yield f"peers          {', '.join(found) or 'none (not needed)'}"
 
 
@@ -113,7 +111,7 @@ def same_bits() -> Finding:
     different = [n for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
-        return False, f"positions differ {on}: {' and '.join(map(str, different))} from 1"
+        return False, f"positions differ {on}: those on {' and '.join(map(str, different))} from 1"
     return True, f"positions have the same bits {on}; a task for all threads starts and ends in {_microseconds_of_a_task():.1f} µs"
 
 

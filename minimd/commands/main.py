@@ -19,7 +19,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Expected failures end in one sentence for each problem on standard error.
     """
-    parser = _parser()
+    parser = argparse.ArgumentParser(prog="minimd", description="Molecular dynamics from a scene file, in small.", epilog="Begin with: minimd doctor")
+    parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
+    commands = parser.add_subparsers(metavar="command", title="commands")
+    for command in (run, resume, replay, check, plot, bench, doctor):
+        command.add(commands)
     arguments = parser.parse_args(argv)
     if "command" not in arguments:
         parser.print_help()
@@ -32,15 +36,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         for line in sentence(error).splitlines():
             print(f"minimd: error: {line}", file=sys.stderr)
         return next(code for kind, code in CODES.items() if isinstance(error, kind))
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="minimd", description="Molecular dynamics from a scene file, in small.", epilog="Begin with: minimd doctor")
-    parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
-    commands = parser.add_subparsers(metavar="command", title="commands")
-    for command in (run, resume, replay, check, plot, bench, doctor):
-        command.add(commands)
-    return parser
 
 
 if __name__ == "__main__":

@@ -23,6 +23,8 @@ from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.mdanalysis_writer import quiet
 from minimd.structure.units import ASE
 
+__all__ = ["Diffusion", "RadialDistribution", "RunUniverse", "diffusion_coefficient", "mean_square_displacement", "radial_distribution", "universe"]
+
 Array = NDArray[np.float64]
 VERSION = MDAnalysis.__version__
 RDF_FRAMES, RDF_DISTANCES = 50, 1e7  # at most, so that g(r) takes half a second

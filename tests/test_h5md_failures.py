@@ -183,11 +183,11 @@ def test_files_that_are_no_runs_are_named(tmp_path):
         h5["data"] = [1, 2]
     with pytest.raises(ValueError, match="not written by minimd"):
         read_file(tmp_path / "foreign.h5md")
-    H5MDWriter(tmp_path / "empty.h5md", simulation.engine(), False).close(completed=True)
+    H5MDWriter(tmp_path / "empty.h5md", simulation().engine, False).close(completed=True)
     with pytest.raises(ValueError, match="no frame"):
         read_file(tmp_path / "empty.h5md")
     with pytest.raises(OSError, match=r"nowhere.*cannot be opened"):
-        H5MDWriter(tmp_path / "nowhere" / "a.h5md", simulation.engine(), False)
+        H5MDWriter(tmp_path / "nowhere" / "a.h5md", simulation().engine, False)
 
 
 def test_end_of_a_run_inside_an_except_block_is_the_restart(tmp_path):

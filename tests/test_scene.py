@@ -9,6 +9,7 @@ from scene_texts import ARGON, REDUCED, scene_of
 import minimd as md
 from minimd.files.h5md_writer import read_file
 from minimd.integrators import THERMOSTATS, LangevinBAOAB
+from minimd.integrators.splitting.thermostats import Thermostat
 from minimd.scene import load_scene, run_scene
 from minimd.scene.section import KEY_UNITS
 from minimd.structure.lattice import BASES, constant_from_density, crystal
@@ -171,13 +172,11 @@ class Third(LangevinBAOAB):
         super().__init__(timestep, temperature, strength * friction, seed)
 
 
-class Unusual(LangevinBAOAB):
-    """A thermostat with a parameter that scenes do not know."""
+class Unusual(Third):
+    """A thermostat that no relaxation time determines."""
 
     name = "unusual"
-
-    def __init__(self, timestep, temperature, collision_rate, seed):
-        super().__init__(timestep, temperature, collision_rate, seed)
+    with_relaxation_time = classmethod(Thermostat.with_relaxation_time.__func__)
 
 
 def test_every_registered_thermostat_is_built_from_its_own_parameters(monkeypatch):
@@ -187,10 +186,11 @@ def test_every_registered_thermostat_is_built_from_its_own_parameters(monkeypatc
     assert (method.timestep, method.temperature, method.friction, method.seed) == (0.004, 1.44, 4.0, 3)
 
 
-def test_thermostat_with_a_parameter_that_no_key_gives_is_refused(monkeypatch):
+def test_thermostat_that_cannot_be_made_from_a_relaxation_time_is_refused(monkeypatch):
     monkeypatch.setitem(THERMOSTATS, "unusual", Unusual)
-    with pytest.raises(ValueError, match=r"^scene\.toml: dynamics cannot have method 'unusual': a scene has no key for its collision_rate; run"):
-        scene_of(REDUCED.replace("seed = 3", 'method = "unusual"\nrelaxation_time = 0.5'))
+    scene = scene_of(REDUCED.replace("seed = 3", 'method = "unusual"\nrelaxation_time = 0.5'))
+    with pytest.raises(ValueError, match=r"^scene\.toml: dynamics: unusual has no with_relaxation_time, by which a scene makes it; run it from"):
+        scene.method()
 
 
 @pytest.mark.parametrize(

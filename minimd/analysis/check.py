@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
-from minimd.files.h5md_reader import H5MDContents
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
-from minimd.structure import observables
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.images import images_of_length, lengths_of
+from minimd.structure.observables import absolute_momentum, kinetic_energy, momentum
 from minimd.structure.system import System
 
 SINGLE = 6e-8  # 2⁻²⁴, relative rounding of a velocity to float32, and therefore the largest error of a momentum relative to Σ|mv|
@@ -26,7 +25,7 @@ ENOUGH_FRAMES = 20  # for a diffusion coefficient: its fit then has eight lags
 
 @dataclass(frozen=True)
 class Comparison:
-    """One comparison.  figure : the worst of all frames.  tolerance : its limit.  meaning : what the figure is."""
+    """One comparison.  figure : the worst of all frames, in units of a scale.  tolerance : its limit.  meaning : what is compared, and the scale."""
 
     name: str
     figure: float
@@ -44,7 +43,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class FileCheck:
-    """The outcome of check_file. structure : lines about the liquid. str() is the whole text."""
+    """The outcome of check_file. structure : lines about a periodic liquid. str() is the whole text."""
 
     heading: str
     comparisons: list[Comparison]
@@ -71,29 +70,23 @@ class FileCheck:
 def check_file(path: str | Path) -> FileCheck:
     """Read a minimd file through MDAnalysis, compare stored observables with recomputed ones, and judge what should be constant.
 
-    Stored observables are float64. Velocities come in float32, for which the tolerances allow.
-
-    Raises
-    ------
-    As minimd.mdanalysis.universe.
+    Stored observables are float64. Velocities come in float32, for which the tolerances allow.  Raises as minimd.mdanalysis.universe.
     """
     with universe_of(path) as made:
-        contents, moved, is_free = made.contents, recompute(made), made.contents.conserves_momentum
-        record = Record.of(contents.system.units, len(contents.system), {"step": moved.step, "time": moved.time, **moved.stored})
-        return FileCheck(
-            heading=_heading(Path(path), contents),
-            comparisons=comparisons(moved),
-            report=conservation_report(record, linear=is_free, angular=is_free and not contents.system.cell.is_periodic),
-            structure=liquid(made),
-        )
+        contents, moved, system = made.contents, recompute(made), made.contents.system
+        record, is_free = Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}), contents.conserves_momentum
+        report = conservation_report(record, linear=is_free, angular=is_free and not system.cell.is_periodic)
+        frames = f"{contents.n_frames} frames, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, {system.units.name} units"
+        heading = f"file           {Path(path)}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"
+        return FileCheck(heading, comparisons(moved), report, liquid(made))
 
 
 class Recomputed(NamedTuple):
     """All frames as MDAnalysis gives them, in the units of the simulation.
 
-    step : (T,).  time : (T,).  stored : observables of the file, float64 and uncast, named as in OBSERVED.
+    step, time : (T,).  stored : observables of the file, float64 and uncast, named as in OBSERVED.
     kinetic_energy, momentum, absolute_momentum : (T,), (T, 3), (T,), recomputed from float32 velocities.
-    length_error : (T,), of the worst constrained length, recomputed from float32 positions; see the function of this name.
+    length_error : (T,), by length_error from float32 positions.
     """
 
     step: NDArray[np.int64]
@@ -106,22 +99,19 @@ class Recomputed(NamedTuple):
 
 
 def recompute(run: str | Path | RunUniverse) -> Recomputed:
-    """Stored observables, and energies and momenta recomputed from velocities and masses, of all frames.  run : a file, or its universe.
+    """Stored observables, and energies and momenta recomputed from velocities and masses, of all frames.
 
-    Raises
-    ------
-    As universe.
+    run : a file, or its universe.  Raises as universe.
     """
     with universe_of(run) as made:
         system, masses, rows = made.contents.system.copy(), made.atoms.masses, []
-        units = system.units
+        units, names = system.units, [name for name in OBSERVED if name in made.trajectory.ts.data]
         for ts in made.trajectory:
             v = ts.velocities * np.float64(units.to_picosecond / units.to_angstrom)
-            stored = [np.array(ts.data[name]) for name in OBSERVED if name in ts.data]
-            moments = observables.kinetic_energy(v, masses), observables.momentum(v, masses), observables.absolute_momentum(v, masses)
+            moments = (observable(v, masses) for observable in (kinetic_energy, momentum, absolute_momentum))
             system.positions[:] = ts.positions / np.float64(units.to_angstrom)
+            stored = (np.array(ts.data[name]) for name in names)
             rows.append((ts.data["step"], ts.time / units.to_picosecond, *stored, *moments, length_error(system)))
-        names = [name for name in OBSERVED if name in ts.data]
     step, time, *series = (np.array(column) for column in zip(*rows, strict=True))
     return Recomputed(step, time, dict(zip(names, series, strict=False)), *series[len(names) :])
 
@@ -143,7 +133,7 @@ def comparisons(moved: Recomputed) -> list[Comparison]:
     stored, absolute = moved.stored, moved.absolute_momentum
     parts = stored["potential_energy"] + stored["kinetic_energy"]
     kinetic = _largest(moved.kinetic_energy - stored["kinetic_energy"], stored["kinetic_energy"])
-    not_forward = int(np.count_nonzero(np.diff(moved.step) <= 0))
+    not_later = int(np.count_nonzero(np.diff(moved.step) <= 0))
     lengths = Comparison("lengths", float(moved.length_error.max()), LENGTHS, "recomputed − kept, of the largest coordinate")
     return [
         Comparison("kinetic energy", kinetic, KINETIC, "recomputed − stored, of itself"),
@@ -151,7 +141,7 @@ def comparisons(moved: Recomputed) -> list[Comparison]:
         Comparison("Σ|mv|", _largest(absolute - stored["absolute_momentum"], absolute), SINGLE, "recomputed − stored, of itself"),
         Comparison("total energy", _largest(parts - stored["total_energy"], stored["total_energy"]), EXACT, "potential + kinetic − total, of itself"),
         *([lengths] if "constraint_violation" in stored else []),
-        Comparison("steps", not_forward, EXACT, "frames that are not later than the one before"),
+        Comparison("steps", not_later, EXACT, "frames that are not later than the one before"),
     ]
 
 
@@ -162,21 +152,11 @@ def _largest(differences: NDArray[np.float64], scales: NDArray[np.float64]) -> f
         return float(np.where(sizes == 0.0, 0.0, sizes / scales).max())
 
 
-def _heading(path: Path, contents: H5MDContents) -> str:
-    first, last = contents.record.step[0], contents.record.step[-1]
-    frames = f"{contents.n_frames} frames, steps {first} to {last}, {contents.method}, {contents.system.units.name} units"
-    return f"file           {path}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"
-
-
 def liquid(run: str | Path | RunUniverse) -> list[str]:
     """Lines about a periodic liquid: the first peak of g(r), and D if there are frames enough and the atoms left their places.
 
     Atoms have left them if they moved by half the distance of neighbors within the window of the fit. Empty if not periodic.
-    run : a file, or its universe.
-
-    Raises
-    ------
-    As universe.
+    run : a file, or its universe.  Raises as universe.
     """
     with universe_of(run) as made:
         contents, units = made.contents, made.contents.system.units

@@ -19,12 +19,7 @@ def four_panels() -> tuple[Figure, list[Axes]]:
 
 
 def save(figure: Figure, picture: Path) -> Path:
-    """Write a picture and return its name.
-
-    Raises
-    ------
-    OSError : if it cannot be written.
-    """
+    """Write a picture and return its name.  Raises OSError if it cannot be written."""
     try:
         figure.savefig(picture)
     except OSError as error:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
 from minimd.analysis.picture import four_panels, save
 from minimd.diagnosis.report import drift
@@ -12,6 +13,7 @@ from minimd.files.h5md_reader import H5MDContents
 from minimd.mdanalysis.universes import RunUniverse, mean_square_displacement, radial_distribution, universe_of
 
 ENERGY, TEMPERATURE, MOMENTUM, STRUCTURE, ACCENT = "#1f5fa8", "#c8501e", "#5b3f99", "#1b7f5c", "#222222"
+Array = NDArray[np.float64]
 STYLE: dict[str, Any] = {"lw": 1.1, "solid_joinstyle": "round"}
 
 
@@ -20,9 +22,6 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
 
     Four panels: change of the total energy per atom, temperature, change of the total momentum, and g(r) where the cell is
     periodic in all directions, else the mean-square displacement.
-
-    Parameters
-    ----------
     out : the picture, in a format that matplotlib knows by its suffix; the name of the file with .png if not given.
 
     Raises
@@ -33,7 +32,7 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
     with universe_of(path) as made:
         contents = made.contents
         for draw, panel in zip((_energy, _temperature, _momentum), panels, strict=False):
-            draw(panel, contents)
+            draw(panel, contents.record.time * contents.system.units.to_picosecond, contents)
             panel.set_xlabel(f"time  [{contents.system.units.shown_time}]")
         _structure(panels[3], made)
     for panel in panels:
@@ -43,13 +42,9 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
     return save(figure, Path(path).with_suffix(".png") if out is None else Path(out))
 
 
-def _times(contents: H5MDContents) -> np.ndarray:
-    return contents.record.time * contents.system.units.to_picosecond
-
-
-def _energy(panel: Axes, contents: H5MDContents) -> None:
+def _energy(panel: Axes, times: Array, contents: H5MDContents) -> None:
     """Total energy per atom, minus heat Q if there is a bath, since its start, with the line of its drift."""
-    record, times = contents.record, _times(contents)
+    record = contents.record
     has_bath = "conserved_energy" in record
     energy, name = (record.conserved_energy, "total energy − heat") if has_bath else (record.total_energy, "total energy")
     change, factor = _scaled((energy - energy[0]) / record.n_atoms)
@@ -61,32 +56,28 @@ def _energy(panel: Axes, contents: H5MDContents) -> None:
     panel.legend(frameon=False, fontsize=8, ncols=2, loc="lower right", borderaxespad=0.0)
 
 
-def _temperature(panel: Axes, contents: H5MDContents) -> None:
+def _temperature(panel: Axes, times: Array, contents: H5MDContents) -> None:
     temperature, unit = contents.record.temperature, contents.system.units.temperature.replace("k_B", "$k_B$")
-    panel.plot(_times(contents), temperature, color=TEMPERATURE, **STYLE)
+    panel.plot(times, temperature, color=TEMPERATURE, **STYLE)
     panel.axhline(temperature.mean(), color=ACCENT, lw=1.0, ls="--")
-    panel.set_ylabel(f"T  [{unit}]")
-    panel.set_title(f"temperature   (mean: {temperature.mean():.4g} {unit})")
+    panel.set(ylabel=f"T  [{unit}]", title=f"temperature   (mean: {temperature.mean():.4g} {unit})")
     panel.ticklabel_format(axis="y", useOffset=False)
 
 
-def _momentum(panel: Axes, contents: H5MDContents) -> None:
+def _momentum(panel: Axes, times: Array, contents: H5MDContents) -> None:
     record = contents.record
     changes = np.linalg.norm(record.momentum - record.momentum[0], axis=1) / (record.absolute_momentum.max() or 1.0)
     shown, factor = _scaled(changes)
-    panel.plot(_times(contents), shown, color=MOMENTUM, **STYLE)
-    panel.set_ylabel(f"|P − P₀| / Σ|mv|{f'  [{factor.strip()}]' if factor else ''}")
-    panel.set_title(f"total momentum   (largest change: {changes.max():.1e})")
-    panel.set_ylim(bottom=0.0)
+    panel.plot(times, shown, color=MOMENTUM, **STYLE)
+    label = f"|P − P₀| / Σ|mv|{f'  [{factor.strip()}]' if factor else ''}"
+    panel.set(ylabel=label, title=f"total momentum   (largest change: {changes.max():.1e})", ylim=(0.0, None))
 
 
-def _scaled(values: np.ndarray) -> tuple[np.ndarray, str]:
+def _scaled(values: Array) -> tuple[Array, str]:
     """Values divided by a power of ten, and that power as part of a unit; unchanged if they are zero, or between 0.01 and 1000."""
     size = float(np.abs(values).max())
     power = int(np.floor(np.log10(size))) if 0.0 < size < np.inf else 0
-    if -2 <= power <= 2:
-        return values, ""
-    return values / 10.0**power, f"$10^{{{power}}}$ "
+    return (values, "") if -2 <= power <= 2 else (values / 10.0**power, f"$10^{{{power}}}$ ")
 
 
 def _structure(panel: Axes, made: RunUniverse) -> None:
@@ -96,8 +87,7 @@ def _structure(panel: Axes, made: RunUniverse) -> None:
         r, g = radial_distribution(made)
         panel.axhline(1.0, color="0.7", lw=0.8)
         panel.plot(r, g, color=STRUCTURE, **STYLE)
-        panel.set(xlabel=f"r  [{system.units.length}]", ylabel="g(r)", xlim=(0.0, r[-1]), title="radial distribution, all atoms")
-        panel.set_ylim(bottom=0.0)
+        panel.set(xlabel=f"r  [{system.units.length}]", ylabel="g(r)", xlim=(0.0, r[-1]), ylim=(0.0, None), title="radial distribution, all atoms")
     elif made.contents.n_frames > 1:
         lags, squares = mean_square_displacement(made)
         panel.plot(lags, squares, color=STRUCTURE, **STYLE)

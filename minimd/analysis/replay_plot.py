@@ -17,11 +17,7 @@ WIDE = 50.0  # largest over smallest from which an axis is logarithmic: on a lin
 def plot_replay(rows: Sequence[Any], findings: CrashReport, units: UnitSystem, picture: Path) -> None:
     """Draw energy, distance of the closest pair, largest force and largest speed against the step.
 
-    rows : of a minimd.replay.Replay, one for each step.
-
-    Raises
-    ------
-    OSError : if the picture cannot be written.
+    rows : of a minimd.replay.Replay, one for each step.  Raises OSError if the picture cannot be written.
     """
     figure, panels = four_panels()
     series = {

@@ -55,15 +55,12 @@ def asap(scene: BenchScene, timestep: float) -> OnASE:
     import asap3
     from asap3.md.verlet import VelocityVerlet_Asap
 
-    atoms = _argon(scene)
-    atoms.calc = asap3.LennardJones([ARGON], 1.0, 1.0, rCut=CUTOFF, modified=False, verbose=False)
-    return OnASE("asap3 (serial)", atoms, VelocityVerlet_Asap(atoms, timestep))
-
-
-def _argon(scene: BenchScene) -> Atoms:
-    """ASE's atoms, argon by their atomic number, with the masses of the scene."""
     atoms = atoms_from_system(scene.system)
     masses = atoms.get_masses()
     atoms.numbers[:] = ARGON
     atoms.set_masses(masses)
-    return atoms
+    atoms.calc = asap3.LennardJones([ARGON], 1.0, 1.0, rCut=CUTOFF, modified=False, verbose=False)
+    return OnASE("asap3 (serial)", atoms, VelocityVerlet_Asap(atoms, timestep))
+
+
+ENGINES = {"ase": ASE, "asap3": asap}

@@ -78,8 +78,7 @@ class Minimd:
 
     def run(self, n_steps: int) -> None:
         """See TimedEngine."""
-        files = () if self._trajectory is None else self._trajectory
-        self._simulation.run(n_steps, every=self._every or n_steps, trajectory=files, overwrite=True, progress=False)
+        self._simulation.run(n_steps, every=self._every or n_steps, trajectory=self._trajectory or (), overwrite=True, progress=False)
 
     def course(self, n_steps: int, observations: int) -> tuple[NDArray[np.float64], float]:
         """Total energies at so many observations during a run, and the seconds of the run with them."""
@@ -223,16 +222,10 @@ class Peer(NamedTuple):
     scenes: tuple[str, ...] = ("melt", "chains", "dumbbells")
 
 
-def _ase(scene: BenchScene, _threads: int, timestep: float) -> TimedEngine:
-    from minimd.bench.ase_peers import ASE
+def _on_ase(name: str, scene: BenchScene, _threads: int, timestep: float) -> TimedEngine:
+    from minimd.bench.ase_peers import ENGINES
 
-    return ASE(scene, timestep)
-
-
-def _asap(scene: BenchScene, _threads: int, timestep: float) -> TimedEngine:
-    from minimd.bench.ase_peers import asap
-
-    return asap(scene, timestep)
+    return ENGINES[name](scene, timestep)
 
 
 PEERS = {
@@ -242,8 +235,8 @@ PEERS = {
     "lammps-plain": Peer("lammps", partial(Lammps, suffix="", checked=False)),
     "lammps-omp": Peer("lammps", partial(Lammps, suffix="omp", checked=False), threads="most"),  # OpenMP has one number of threads in a process
     "openmm": Peer("openmm", OpenMM, threads="each"),
-    "ase": Peer("ase", _ase, most_atoms=4000, scenes=("melt",)),  # hundreds of times slower
-    "asap3": Peer("asap3", _asap, scenes=("melt",)),
+    "ase": Peer("ase", partial(_on_ase, "ase"), most_atoms=4000, scenes=("melt",)),  # hundreds of times slower
+    "asap3": Peer("asap3", partial(_on_ase, "asap3"), scenes=("melt",)),
 }
 
 

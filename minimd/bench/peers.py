@@ -86,14 +86,10 @@ class PeersOptions(NamedTuple):
 def run_peers(options: PeersOptions) -> "Peers":
     """Measure size by size; progress goes to standard error.
 
-    Raises
-    ------
-    ValueError : for options that do not fit, or a peer that does not start.
-    DisagreementError : if two engines have different energies at the start or after the first steps.
+    Raises ValueError for options that do not fit, or a peer that does not start.  DisagreementError as check_agreement.
     """
     check_options(options)
-    peers = _peers(options)
-    text = SCENES[options.scene](min(options.cells)).text
+    peers, text = _peers(options), SCENES[options.scene](min(options.cells)).text
     sizes = [_beside_peers(n, options, peers) for n in options.cells]
     return Peers(options.scene, text, options.repeats, tuple(dict.fromkeys(PEERS[name].package for name in peers)), sizes)
 
@@ -111,12 +107,8 @@ class Peers:
 
     def lines(self) -> list[str]:
         """See Outcome."""
-        head = [
-            f"{self.text}.",
-            "",
-            f"Speeds in 10⁶ atom-steps per second, whole runs, lists included, compiling not: median of {self.repeats} turns (least to most).",
-            "All engines take turns in one process; ratios are taken turn by turn.",
-        ]
+        speeds = f"Speeds in 10⁶ atom-steps per second, whole runs, lists included, compiling not: median of {self.repeats} turns (least to most)."
+        head = [f"{self.text}.", "", speeds, "All engines take turns in one process; ratios are taken turn by turn."]
         return head + [line for rows in self.sizes for line in _table(rows)]
 
     def content(self) -> dict[str, Any]:
@@ -209,14 +201,8 @@ def with_memory(row: EngineSpeed, n: int) -> EngineSpeed:
 
 
 def _table(rows: Sequence[EngineSpeed]) -> list[str]:
-    titles: dict[str, type] = {
-        "engine": str,
-        "threads": float,
-        "precision": str,
-        "speed": float,
-        "minimd double, same threads, is faster by": float,
-        "beside minimd double, 1 thread": float,
-    }
+    titles: dict[str, type] = {"engine": str, "threads": float, "precision": str, "speed": float}
+    titles |= {"minimd double, same threads, is faster by": float, "beside minimd double, 1 thread": float}
     cells = []
     for row in rows:
         name = f"**{row.engine}**" if row.is_minimd else row.engine
@@ -229,13 +215,6 @@ def _table(rows: Sequence[EngineSpeed]) -> list[str]:
 
 
 def _as_mapping(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:
-    return {
-        "engine": row.engine,
-        "threads": row.threads,
-        "precision": row.precision,
-        "n_atoms": row.n_atoms,
-        "atom_steps_per_second": summary(row.speeds),
-        "minimd_is_faster_by": summary(faster_than_peer(rows, row)),
-        "beside_minimd_one_thread": summary(beside_one_thread(rows, row)),
-        "bytes_per_atom": row.bytes_per_atom,
-    }
+    kind = {"engine": row.engine, "threads": row.threads, "precision": row.precision, "n_atoms": row.n_atoms, "bytes_per_atom": row.bytes_per_atom}
+    ratios = {"minimd_is_faster_by": faster_than_peer(rows, row), "beside_minimd_one_thread": beside_one_thread(rows, row)}
+    return kind | {name: summary(values) for name, values in {"atom_steps_per_second": row.speeds, **ratios}.items()}

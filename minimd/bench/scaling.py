@@ -49,9 +49,8 @@ class Scaling:
         for size in self.sizes:
             times = [spread(1e9 * size.seconds[t] / size.n_atoms) for t in threads]
             cells.append([str(size.n_atoms), *times, *(spread(size.seconds[1] / size.seconds[t]) for t in threads if t > 1)])
-        memory = [
-            f"Peak memory from 32 000 to {self.memory_atoms} atoms grows by {b:.0f} bytes per atom in {name}." for name, b in self.memory.items()
-        ]
+        growth = f"Peak memory from 32 000 to {self.memory_atoms} atoms grows by"
+        memory = [f"{growth} {number:.0f} bytes per atom in {name}." for name, number in self.memory.items()]
         return [f"The melt, double precision; in turns, median of {self.repeats} (least to most).", "", *table(titles, cells), "", *memory]
 
     def content(self) -> dict[str, Any]:
@@ -74,12 +73,7 @@ class Scaling:
 
 
 def run_scaling(threads: Sequence[int], quick: bool, repeats: int) -> Scaling:
-    """Measure time and memory of the melt.
-
-    Raises
-    ------
-    ValueError : for more threads than cores.
-    """
+    """Measure time and memory of the melt.  Raises ValueError for more threads than cores."""
     if max(threads, default=1) > available_cores():
         raise ValueError(f"--threads {max(threads)} is more than the {available_cores()} cores that this process may use")
     kinds = tuple(dict.fromkeys((1, *(threads or (available_cores(),)))))

@@ -21,10 +21,7 @@ def check_agreement(engines: Sequence[TimedEngine], n_atoms: int) -> None:
     """Make sure that all engines have loaded the same scene and make the same steps. They make some.
 
     The total energy alone does not show a wrong time step, since it is conserved. The potential energy of a crystal that melts does.
-
-    Raises
-    ------
-    DisagreementError : if an engine differs from the first.
+    Raises DisagreementError if an engine differs from the first.
     """
     _compare("potential energy at step 0", [(e, e.potential_energy()) for e in engines], relative=SAME_START)
     for engine in engines:

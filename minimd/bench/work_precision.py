@@ -65,8 +65,7 @@ class Case(NamedTuple):
         """Runs that no other beats both in time and in an error, from the cheapest on."""
         best, answer = np.inf, []
         for point in sorted(self.points, key=lambda p: p.seconds):
-            value = getattr(point, error)
-            if value < best:
+            if (value := getattr(point, error)) < best:
                 best = value
                 answer.append(point)
         return answer
@@ -75,8 +74,7 @@ class Case(NamedTuple):
         """For each power of ten, the cheapest run whose error is at most that."""
         lines = []
         for target in TARGETS:
-            able = [point for point in self.points if getattr(point, error) <= target]
-            if able:
+            if able := [point for point in self.points if getattr(point, error) <= target]:
                 p = min(able, key=lambda p: p.seconds)
                 lines.append(f"for {error} {target:.0e} use {p.method}, Δt = {p.timestep:.3g} {self.unit}, {p.who}: {p.seconds:.3g} s")
         return lines
@@ -88,8 +86,7 @@ class Case(NamedTuple):
         for who in dict.fromkeys(p.who for p in self.points if not p.who.startswith("minimd")):
             ratios = []
             for peer in (p for p in self.points if p.who == who and np.isfinite(getattr(p, error))):
-                able = [p.seconds for p in ours if getattr(p, error) <= getattr(peer, error)]
-                if able:
+                if able := [p.seconds for p in ours if getattr(p, error) <= getattr(peer, error)]:
                     ratios.append(peer.seconds / min(able))
             if ratios:
                 lines.append(f"{who}: {np.median(ratios):.2f} times the time of minimd at equal {error} ({min(ratios):.2f} to {max(ratios):.2f})")
@@ -113,17 +110,16 @@ class WorkPrecision:
                 lines += [f"- {line}" for line in case.advice(error)] + [""]
             lines += [f"- {line}" for line in case.beside()] + [""]
             titles = {"engine": str, "method": str, "Δt": float, "forces per time": float, "seconds": float} | dict.fromkeys(ERRORS, float)
-            cells = [
-                [p.who, p.method, f"{p.timestep:.3g}", f"{p.forces:.0f}", f"{p.seconds:.3g}", *(_number(getattr(p, error)) for error in ERRORS)]
-                for p in case.points
-            ]
+            cells = []
+            for p in case.points:
+                errors = (_number(getattr(p, error)) for error in ERRORS)
+                cells.append([p.who, p.method, f"{p.timestep:.3g}", f"{p.forces:.0f}", f"{p.seconds:.3g}", *errors])
             lines += [*table(titles, cells), ""]
         return lines
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
-        cases = [{"name": c.name, "text": c.text, "points": [_finite(p._asdict()) for p in c.points]} for c in self.cases]
-        return {"cases": cases}
+        return {"cases": [{"name": c.name, "text": c.text, "points": [_finite(p._asdict()) for p in c.points]} for c in self.cases]}
 
     def figure(self) -> "Figure":
         """For each case the oscillation against forces and against seconds, and the distance against seconds; the front is broad and gray."""
@@ -138,12 +134,7 @@ class WorkPrecision:
 
 
 def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkPrecision:
-    """Measure some cases, or all; each run is timed so often, and the least time counts.
-
-    Raises
-    ------
-    ValueError : for an unknown name.
-    """
+    """Measure some cases, or all; each run is timed repeats times, and the least time counts.  Raises ValueError for an unknown name."""
     unknown = [name for name in names if name not in CASES]
     if unknown:
         raise ValueError(f"a scene must be of {', '.join(CASES)}; it is {unknown[0]!r}")

@@ -1,7 +1,7 @@
-"""`minimd bench`: which benchmark, how large, and where its outcome goes. Nothing heavy is imported before one runs."""
+"""`minimd bench`: its benchmarks and their options. What they need is imported when one runs."""
 
 import argparse
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,85 +10,70 @@ from minimd.commands.options import whole_number
 if TYPE_CHECKING:
     from minimd.bench.outcome import Outcome
 
-QUIET = "Let nothing else run meanwhile."
 REPEATS, REPEATS_QUICK = 7, 3
+at_least_one = partial(whole_number, least=1)
 PEER_NAMES = "lammps, lammps-checked, lammps-shake, lammps-plain, lammps-omp, openmm, ase, asap3"
 
 
 def add(commands: Any) -> None:
     """Add the command, with all benchmarks and their options, to the subparsers of `minimd`."""
-    bench = commands.add_parser("bench", help="time minimd: beside other engines, and run time against error")
-    benchmarks = bench.add_subparsers(metavar="benchmark", title="benchmarks", required=True)
-    peers = _add(benchmarks, "peers", _peers, "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3")
-    peers.description = (
-        "Time whole runs in minimd and in the other engines that are installed (peers), all in turns. "
-        "Nothing is timed before all have the same energies, at the start and after the first steps."
-    )
+    parser = commands.add_parser("bench", help="time minimd: beside other engines, and run time against error")
+    benchmarks = parser.add_subparsers(metavar="benchmark", title="benchmarks", required=True)
+    peers = _add(benchmarks, "peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3")
+    peers.description = "Time whole runs of minimd and of the installed other engines, in turns, after all have shown the same energies."
     peers.add_argument("--scene", default="melt", help="melt (default), chains (bead-spring), dumbbells (rigid), kob-andersen (minimd alone)")
     peers.add_argument("--cells", type=counts, metavar="N,...", help="sizes: 4 N³ atoms, or nearly (default: 5,10,20,40)")
     peers.add_argument("--threads", type=counts, default=(), metavar="T,...", help="of engines that can use several (default: 1 and all cores)")
     peers.add_argument("--precision", type=words, default=("double",), metavar="P,...", help="of minimd: double (default), mixed")
     peers.add_argument("--peers", type=words, default=(), metavar="NAME,...", help=f"{PEER_NAMES}, or none (default: those installed)")
-    errors = _add(benchmarks, "work-precision", _work_precision, "run time against error: every method, time step and precision")
+    errors = _add(benchmarks, "work-precision", "run time against error: every method, time step and precision")
     errors.add_argument("scenes", nargs="*", metavar="SCENE", help="argon, argon-smooth, chains, dumbbells, kepler (default: all)")
-    scene = _add(benchmarks, "scene", _scene, "what each ingredient of a scene costs, and that an absent one costs nothing")
+    scene = _add(benchmarks, "scene", "what each ingredient of a scene costs, and that an absent one costs nothing")
     scene.add_argument("--cells", type=at_least_one, default=10, metavar="N", help="size: 4 N³ atoms (default: 10)")
-    scaling = _add(benchmarks, "scaling", _scaling, "time and memory against the number of atoms and threads")
+    scaling = _add(benchmarks, "scaling", "time and memory against the number of atoms and threads")
     scaling.add_argument("--threads", type=counts, default=(), metavar="T,...", help="default: 1 and all cores")
 
 
-def _add(benchmarks: Any, name: str, run: Callable[[argparse.Namespace], "Outcome"], text: str) -> argparse.ArgumentParser:
+def _add(benchmarks: Any, name: str, text: str) -> argparse.ArgumentParser:
     """One benchmark, with the options that all have."""
-    parser = benchmarks.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", epilog=QUIET)
+    parser = benchmarks.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", epilog="Let nothing else run meanwhile.")
     parser.add_argument("--quick", action="store_true", help="a few minutes in all: fewer sizes, methods and turns")
     parser.add_argument("--repeats", type=at_least_one, metavar="R", help=f"turns of each engine (default: {REPEATS}, quick {REPEATS_QUICK})")
-    stem = f"bench_{name.replace('-', '_')}"
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help=f"write {stem}.md, .json and .png there, in place of older ones")
-    parser.set_defaults(command=lambda arguments: _bench(run, arguments))
+    files = f"bench_{name.replace('-', '_')}.md, .json and .png"
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help=f"write {files} there, in place of older ones")
+    parser.set_defaults(command=lambda arguments: bench(name, arguments))
     return parser
 
 
-def _bench(run: Callable[[argparse.Namespace], "Outcome"], arguments: argparse.Namespace) -> None:
+def bench(name: str, arguments: argparse.Namespace) -> None:
+    """Run a benchmark, print its outcome and write it.  Raises as the benchmark."""
     from minimd.bench.outcome import markdown, write
 
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
-    if arguments.repeats is None:
-        arguments.repeats = REPEATS_QUICK if arguments.quick else REPEATS
-    outcome = run(arguments)
+    outcome = _outcome(name, arguments, arguments.repeats or (REPEATS_QUICK if arguments.quick else REPEATS))
     print(markdown(outcome))
     if arguments.out:
         write(outcome, arguments.out)
 
 
-def _peers(arguments: argparse.Namespace) -> "Outcome":
-    from minimd.bench.peers import PeersOptions, run_peers
+def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
+    if name == "peers":
+        from minimd.bench.peers import PeersOptions, run_peers
 
-    cells = arguments.cells or ((5, 10) if arguments.quick else (5, 10, 20, 40))
-    return run_peers(PeersOptions(arguments.scene, cells, arguments.threads, arguments.precision, arguments.peers, arguments.repeats))
+        cells = given.cells or ((5, 10) if given.quick else (5, 10, 20, 40))
+        return run_peers(PeersOptions(given.scene, cells, given.threads, given.precision, given.peers, repeats))
+    if name == "work-precision":
+        from minimd.bench.work_precision import run_work_precision
 
+        return run_work_precision(given.scenes, given.quick, repeats)
+    if name == "scene":
+        from minimd.bench.ingredients import run_ingredients
 
-def _work_precision(arguments: argparse.Namespace) -> "Outcome":
-    from minimd.bench.work_precision import run_work_precision
-
-    return run_work_precision(arguments.scenes, arguments.quick, arguments.repeats)
-
-
-def _scene(arguments: argparse.Namespace) -> "Outcome":
-    from minimd.bench.ingredients import run_ingredients
-
-    return run_ingredients(arguments.cells, arguments.repeats)
-
-
-def _scaling(arguments: argparse.Namespace) -> "Outcome":
+        return run_ingredients(given.cells, repeats)
     from minimd.bench.scaling import run_scaling
 
-    return run_scaling(arguments.threads, arguments.quick, arguments.repeats)
-
-
-def at_least_one(text: str) -> int:
-    """A whole number from 1 on."""
-    return whole_number(text, 1)
+    return run_scaling(given.threads, given.quick, repeats)
 
 
 def counts(text: str) -> tuple[int, ...]:

@@ -1,15 +1,14 @@
 """`minimd check`: check the file of a run for its conservation laws."""
 
 import argparse
-from pathlib import Path
 from typing import Any
+
+from minimd.commands.options import add_command
 
 
 def add(commands: Any) -> None:
     """Add the command to the subparsers of `minimd`."""
-    parser = commands.add_parser("check", help="check a run for its conservation laws")
-    parser.add_argument("file", type=Path, help="trajectory (.h5md)")
-    parser.set_defaults(command=check)
+    add_command(commands, check, "check a run for its conservation laws", ("file", "trajectory (.h5md)"))
 
 
 def check(arguments: argparse.Namespace) -> bool:

@@ -1,4 +1,4 @@
-"""`minimd doctor`: what machine this is, and whether minimd computes physics on it."""
+"""`minimd doctor`: describes the machine, and tests whether minimd computes correctly on it."""
 
 import os
 import platform
@@ -26,10 +26,9 @@ GRADIENT_ACCURACY = 1e-7  # truncation of the central difference, relative to th
 DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ: what the energy fluctuates by without a drift
 MOMENTUM_ALLOWED = 1e-12  # of Σ|mv|: rounding of 1000 steps
 STEPS_COMPARED = 200  # long enough for lists to be built anew
-STEPS_TIMED, TURNS = 200, 3  # half a second a turn on a slow machine
-TASKS_TIMED = 1000
+STEPS_TIMED, TURNS, TASKS_TIMED = 200, 3, 1000  # half a second a turn on a slow machine
 
-Finding = tuple[bool, str]  # whether it is as it should be, and a sentence
+Finding = tuple[bool, str]  # whether the test passed, and a sentence
 
 
 def add(commands: Any) -> None:
@@ -38,16 +37,16 @@ def add(commands: Any) -> None:
 
 
 def examine(tell: Callable[[str], None] = print) -> bool:
-    """Tell about machine and installation, test the physics; True if everything is as it should be."""
+    """Describe machine and installation, test the physics; True if all tests pass."""
     for line in installation():
         tell(line)
-    good = True
+    passed = []
     for name, test in TESTS.items():
         fine, sentence = test()
-        good = good and fine
+        passed.append(fine)
         tell(f"{name:<14} {'OK' if fine else 'FAILED'}  {sentence}")
-    tell("minimd works here" if good else "minimd does NOT work here: see the lines that say FAILED")
-    return good
+    tell("minimd works here" if all(passed) else "minimd does NOT work here: see the lines that say FAILED")
+    return all(passed)
 
 
 def installation() -> Iterator[str]:
@@ -60,26 +59,25 @@ def installation() -> Iterator[str]:
     yield f"needs          {', '.join(f'{name} {version(name)}' for name in DEPENDENCIES)}"
     yield f"processor      {processor_name()}; {available_cores()} of {os.cpu_count()} cores for this process"
     yield f"vectors        {', '.join(vectors) or 'none known'}; code made for {llvmlite.binding.get_host_cpu_name()}"
-    yield f"threads        {available_cores()} by default: minimd has its own thread pool (minimd.compiled.threads) and uses neither OpenMP,"
-    yield f"{CONTINUED}nor TBB, nor Numba's workqueue"
+    yield f"threads        {available_cores()} by default, of minimd's own pool (minimd.compiled.threads): no OpenMP, TBB or workqueue of Numba"
     yield f"peers          {', '.join(found) or 'none (not needed)'}"
 
 
 def cache() -> Finding:
-    """Whether the next process will find the compiled kernels again."""
+    """Whether compiled kernels can be stored for the next process."""
     folder, fine = compiling.cache_folder(), os.access(compiling.cache_folder(), os.W_OK)
     return fine, f"{folder}{'' if fine else ' cannot be written; set NUMBA_CACHE_DIR'}"
 
 
 def known_energy() -> Finding:
-    """Two atoms at 2^(1/6) σ: u = −ε and no force, by the law itself."""
+    """Two atoms at r = 2^(1/6) σ, the minimum of the Lennard-Jones law: u = −ε and no force."""
     found = md.evaluate(md.System([[0.0, 0.0, 0.0], [2.0 ** (1 / 6), 0.0, 0.0]]), md.LennardJones(1.0, 1.0))
     error = max(abs(found.potential_energy + 1.0), float(np.abs(found.forces).max()))
     return error < 1e-12, f"Lennard-Jones pair at its minimum: {found.potential_energy:.12f} ε (exact: -1)"
 
 
 def gradient() -> Finding:
-    """F = −∂U/∂x for one coordinate of each of a few atoms, by central differences."""
+    """F = −∂U/∂x for one coordinate of every seventh atom, with ∂U/∂x ≈ (U(x + d) − U(x − d)) / 2d."""
     system, potential = _liquid(3), md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
     system.positions[:] += np.random.default_rng(1).normal(0.0, 0.05, system.positions.shape)
     forces, start, worst = md.evaluate(system, potential).forces, system.positions.copy(), 0.0
@@ -107,18 +105,18 @@ def conservation() -> Finding:
 
 
 def same_bits() -> Finding:
-    """Whether a run of the liquid is the same, to the last bit, on different numbers of threads; what a task for several threads costs."""
+    """Whether a run of the liquid has the same positions, to the last bit, on several numbers of threads; and the time of a task for all threads."""
     numbers = sorted({1, 2, available_cores()})
-    ends = [_moved(threads, STEPS_COMPARED).positions for threads in numbers]
+    ends = [_moved(threads).positions for threads in numbers]
     different = [n for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
-        return False, f"positions differ {on}: {' and '.join(map(str, different))} from 1"
+        return False, f"positions differ {on}: those on {' and '.join(map(str, different))} from 1"
     return True, f"positions have the same bits {on}; a task for all threads starts and ends in {_microseconds_of_a_task():.1f} µs"
 
 
 def _microseconds_of_a_task() -> float:
-    """A task of two shares and no work, on all cores; the median."""
+    """Median time of a task of two shares without work, on all cores [µs]."""
     pool, times = thread_pool(available_cores()), [perf_counter()]
     for _ in range(TASKS_TIMED):
         pool.run(_nothing, 2)
@@ -137,8 +135,8 @@ def _nothing(me, task, n):
 
 
 def speed() -> Finding:
-    """Atom-steps per second of the liquid on one thread and on all cores, compiled before; the best of some turns."""
-    simulations, seconds = [_moved(1, STEPS_COMPARED), _moved(None, STEPS_COMPARED)], np.empty((TURNS, 2))
+    """Atom-steps per second of the liquid on one thread and on all cores, the best of some turns, without compilation."""
+    simulations, seconds = [_moved(1), _moved(None)], np.empty((TURNS, 2))
     for turn, k in np.ndindex(TURNS, 2):
         started = perf_counter()
         simulations[k].run(STEPS_TIMED, every=STEPS_TIMED, progress=False)
@@ -151,11 +149,11 @@ def speed() -> Finding:
     )
 
 
-def _moved(threads: int | None, n_steps: int) -> md.Simulation:
-    """The liquid of 4000 atoms after some steps, on a number of threads; all cores if None."""
+def _moved(threads: int | None) -> md.Simulation:
+    """The liquid of 4000 atoms after some steps on a number of threads; all cores if None."""
     simulation = md.Simulation(_liquid(10), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002), threads=threads)
     simulation.set_temperature(1.44, seed=1)
-    simulation.run(n_steps, every=n_steps, progress=False)
+    simulation.run(STEPS_COMPARED, every=STEPS_COMPARED, progress=False)
     return simulation
 
 
@@ -165,11 +163,4 @@ def _liquid(n_cells: int) -> md.System:
     return md.System(positions, cell=edges)
 
 
-TESTS: dict[str, Callable[[], Finding]] = {
-    "cache folder": cache,
-    "known energy": known_energy,
-    "forces": gradient,
-    "dynamics": conservation,
-    "threads": same_bits,
-    "speed": speed,
-}
+TESTS = {"cache folder": cache, "known energy": known_energy, "forces": gradient, "dynamics": conservation, "threads": same_bits, "speed": speed}

@@ -1,25 +1,31 @@
-"""Options that several commands have."""
+"""What several commands share: how they are added, options, silence."""
 
 import argparse
-import contextlib
 import io
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from pathlib import Path
 from typing import Any
 
-
-def add_quiet(parser: argparse.ArgumentParser) -> None:
-    """--quiet."""
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-
-
-def add_steps(parser: argparse.ArgumentParser, text: str) -> None:
-    """--steps N."""
-    parser.add_argument("--steps", type=whole_number, metavar="N", help=text)
+OPTIONS: dict[str, dict[str, Any]] = {  # of several commands, as argparse takes them
+    "--overwrite": {"action": "store_true", "help": "replace files that exist"},
+    "--quiet": {"action": "store_true", "help": "print nothing but errors"},
+    "--scene": {"metavar": "TOML", "help": "take the potentials from this scene file, instead of the one stored in the run"},
+}
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
-    """--scene TOML."""
-    parser.add_argument("--scene", metavar="TOML", help="take the potentials from this scene file, instead of the one stored in the run")
+def add_command(commands: Any, run: Callable[..., Any], text: str, file: tuple[str, str], *shared: str, **more: Any) -> argparse.ArgumentParser:
+    """Add a command, named after the function that runs it, to the subparsers of `minimd`.
+
+    text : its help.  file : name and help of the argument that it needs.  shared : options of OPTIONS.  more : as argparse takes them.
+    """
+    parser: argparse.ArgumentParser = commands.add_parser(run.__name__, help=text, **more)
+    parser.add_argument(file[0], type=Path, help=file[1])
+    for name in shared:
+        parser.add_argument(name, **OPTIONS[name])
+    parser.set_defaults(command=run)
+    return parser
 
 
 def scene_of(arguments: argparse.Namespace) -> Any:
@@ -29,13 +35,10 @@ def scene_of(arguments: argparse.Namespace) -> Any:
     return None if arguments.scene is None else load_scene(arguments.scene)
 
 
-@contextlib.contextmanager
+@contextmanager
 def silence(quiet: bool) -> Iterator[None]:
     """Swallow what is printed on both streams, if quiet; errors are printed after it."""
-    with contextlib.ExitStack() as stack:
-        if quiet:
-            stack.enter_context(contextlib.redirect_stdout(io.StringIO()))
-            stack.enter_context(contextlib.redirect_stderr(io.StringIO()))
+    with redirect_stdout(io.StringIO() if quiet else sys.stdout), redirect_stderr(io.StringIO() if quiet else sys.stderr):
         yield
 
 

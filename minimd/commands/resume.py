@@ -1,21 +1,17 @@
 """`minimd resume`: go on with the run in an H5MD file."""
 
 import argparse
-from pathlib import Path
 from typing import Any
 
-from minimd.commands.options import add_quiet, add_scene, add_steps, scene_of, silence
+from minimd.commands.options import add_command, scene_of, silence, whole_number
 from minimd.commands.run import tell_next
 
 
 def add(commands: Any) -> None:
     """Add the command to the subparsers of `minimd`."""
-    parser = commands.add_parser("resume", help="go on with a run", description="Continue the run in an H5MD file and append to it.")
-    parser.add_argument("file", type=Path, help="trajectory (.h5md) of a run from a scene file")
-    add_steps(parser, "how many more steps; up to the end of the scene if not given")
-    add_scene(parser)
-    add_quiet(parser)
-    parser.set_defaults(command=resume)
+    text, file = "Continue the run in an H5MD file and append to it.", ("file", "trajectory (.h5md) of a run from a scene file")
+    parser = add_command(commands, resume, "go on with a run", file, "--scene", "--quiet", description=text)
+    parser.add_argument("--steps", type=whole_number, metavar="N", help="how many more steps; up to the end of the scene if not given")
 
 
 def resume(arguments: argparse.Namespace) -> None:

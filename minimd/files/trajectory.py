@@ -1,6 +1,6 @@
 """Trajectory files: which writer a suffix means, and that all are closed whatever happens."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Protocol
@@ -76,14 +76,14 @@ def _close_of(writer: Writer) -> Callable[..., None]:
     return close
 
 
-def checked_output(path: str | Path, overwrite: bool) -> Path:
-    """The path, if a new file can be written there; nothing is left by trying.
+def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
+    """The path, if a new file with one of the suffixes can be written there; nothing is left by trying.
 
     Raises as open_trajectories.
     """
     file = Path(path)
-    if file.suffix.lower() not in FORMATS:
-        raise ValueError(f"the suffix of a trajectory must be one of {', '.join(FORMATS)}; the file is {str(file)!r}")
+    if file.suffix.lower() not in suffixes:
+        raise ValueError(f"the suffix of a trajectory must be one of {', '.join(suffixes)}; the file is {str(file)!r}")
     if file.exists() and not overwrite:
         raise FileExistsError(f"output {str(file)!r} exists; choose another name, or pass overwrite=True")
     if not file.absolute().parent.is_dir():

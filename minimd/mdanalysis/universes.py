@@ -23,6 +23,9 @@ from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.mdanalysis_writer import quiet
 from minimd.structure.units import ASE
 
+__all__ = ["Diffusion", "RadialDistribution", "RunUniverse", "diffusion_coefficient", "mean_square_displacement", "radial_distribution", "universe"]
+
+Array = NDArray[np.float64]
 VERSION = MDAnalysis.__version__
 RDF_FRAMES, RDF_DISTANCES = 50, 1e7  # at most, so that g(r) takes half a second
 MSD_FRAMES, MSD_ATOMS = 200, 400  # at most
@@ -36,6 +39,9 @@ class RunUniverse(MDAnalysis.Universe):
     contents: H5MDContents
 
 
+Run = str | Path | RunUniverse
+
+
 def universe(path: str | Path, contents: H5MDContents | None = None) -> RunUniverse:
     """A minimd file as an MDAnalysis universe: masses, types, names, elements where labels are symbols, bonds, all frames.
 
@@ -46,7 +52,7 @@ def universe(path: str | Path, contents: H5MDContents | None = None) -> RunUnive
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as minimd.files.h5md_writer.read_file.
+    FileNotFoundError, OSError, ValueError : as minimd.files.h5md_reader.read_file.
     """
     contents = contents or read_file(path)
     system, labels = contents.system, [str(label) for label in contents.system.species]
@@ -65,29 +71,27 @@ def universe(path: str | Path, contents: H5MDContents | None = None) -> RunUnive
 
 
 @contextmanager
-def universe_of(run: str | Path | RunUniverse) -> Iterator[RunUniverse]:
+def universe_of(run: Run) -> Iterator[RunUniverse]:
     """The universe of a run: one that is given stays open, that of a file is closed at the end.  Raises as universe."""
-    if isinstance(run, RunUniverse):
-        yield run
-        return
-    made = universe(run)
+    made = run if isinstance(run, RunUniverse) else universe(run)
     try:
         yield made
     finally:
-        made.trajectory.close()
+        if made is not run:
+            made.trajectory.close()
 
 
 class RadialDistribution(NamedTuple):
     """g(r) of all atoms.  r : (B,) [length of the file].  g : (B,) dimensionless."""
 
-    r: NDArray[np.float64]
-    g: NDArray[np.float64]
+    r: Array
+    g: Array
 
 
-def radial_distribution(run: str | Path | RunUniverse, n_bins: int = 200) -> RadialDistribution:
+def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
     """g(r) by MDAnalysis' InterRDF, up to half the smallest height of the cell, from evenly chosen frames and atoms.
 
-    Bonded pairs count like all others. Distances are measured from some atoms to all if all would take too long.
+    Bonded pairs count like all others. If distances between all atoms would take too long, they are measured from some of them to all.
     run : a file, or its universe.
 
     Raises
@@ -129,7 +133,7 @@ def _every(made: MDAnalysis.Universe, n_atoms: float) -> MDAnalysis.AtomGroup:
 
 @dataclass(frozen=True)
 class Diffusion:
-    """Self-diffusion by Einstein's relation ⟨|r(t) − r(0)|²⟩ → 6 D t. str() is the sentence for people.
+    """Self-diffusion by Einstein's relation ⟨|r(t) − r(0)|²⟩ → 6 D t. str() is one line about it.
 
     Attributes
     ----------
@@ -140,8 +144,8 @@ class Diffusion:
     coefficient: float
     cm2_per_s: float | None
     window: tuple[float, float]
-    lags: NDArray[np.float64]
-    displacements: NDArray[np.float64]
+    lags: Array
+    displacements: Array
 
     def __str__(self) -> str:
         unit, time = ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")
@@ -149,14 +153,14 @@ class Diffusion:
         return f"D = {self.coefficient:.4g} {unit}{absolute}, from lags of {self.window[0]:.4g} to {self.window[1]:.4g} {time}"
 
 
-def mean_square_displacement(run: str | Path | RunUniverse) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def mean_square_displacement(run: Run) -> tuple[Array, Array]:
     """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
 
     Frames and atoms are evenly chosen where there are many.  run : a file, or its universe.
 
     Raises
     ------
-    ValueError : if there is one frame only.  And as universe.
+    ValueError : if there is only one frame.  And as universe.
     """
     with universe_of(run) as made, quiet():
         if len(made.trajectory) < 2:
@@ -165,7 +169,7 @@ def mean_square_displacement(run: str | Path | RunUniverse) -> tuple[NDArray[np.
     return np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.timeseries)
 
 
-def diffusion_coefficient(run: str | Path | RunUniverse, window: tuple[float, float] | None = None) -> Diffusion:
+def diffusion_coefficient(run: Run, window: tuple[float, float] | None = None) -> Diffusion:
     """D from the mean-square displacement, a straight line fitted within a window of lags.
 
     run : a file, or its universe.  window : [ps, or τ]; from a tenth to half of the duration if not given.

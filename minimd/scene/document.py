@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,8 +25,6 @@ from minimd.structure.system import System
 class Scene:
     """A checked scene file.
 
-    Attributes
-    ----------
     path : the file; paths of structure files are relative to its folder.  text : of the file.
     sections : its content, checked, in the units of the engine.
     """
@@ -41,11 +39,9 @@ class Scene:
         return units.SYSTEMS[self.sections.units]
 
     def system(self) -> System:
-        """The atoms at the start of the scene, with their constraints.
+        """The atoms at the start, with their constraints.
 
-        Raises
-        ------
-        ValueError, OSError : naming the file, for a structure that cannot be read or is impossible, or for impossible constraints.
+        Raises ValueError, OSError, naming the file, for a structure that cannot be read or is impossible, or for impossible constraints.
         """
         with _blamed_on(f"{self.path}: structure"):
             system = self._from_lattice() if self.sections.structure.file is None else self._from_file()
@@ -67,11 +63,11 @@ class Scene:
     def simulation(self, system: System | None = None) -> Simulation:
         """The simulation at its start, with velocities drawn at the temperature of the scene, if it names one.
 
-        system : a state to go on from, instead of the structure of the scene; it keeps its velocities, and its constraints unless the
+        system : a state to go on from, with its velocities, instead of the structure of the scene; it keeps its constraints unless the
             scene names others.
         """
-        dynamics = self.sections.dynamics
-        start, potentials, method = self.system() if system is None else self._constrained(system.copy()), self.potentials(), self.method()
+        dynamics, start = self.sections.dynamics, self.system() if system is None else self._constrained(system.copy())
+        potentials, method = self.potentials(), self.method()
         with _blamed_on(str(self.path)):
             simulation = Simulation(start, potentials, method, threads=dynamics.threads, precision=dynamics.precision)
         if self.sections.output.shadow_energy:
@@ -82,29 +78,30 @@ class Scene:
             simulation.set_temperature(dynamics.temperature, dynamics.seed)
         return simulation
 
-    def trajectories(self) -> list[Path]:
-        """The trajectory files, relative to the current folder."""
-        named = self.sections.output.trajectory
-        several = [self.path.stem + ".h5md"] if named is None else [named] if isinstance(named, str) else named
+    def trajectories(self, instead: Path | None = None) -> list[Path]:
+        """The trajectory files, relative to the current folder.  instead : one file in place of those of the scene."""
+        named = self.sections.output.trajectory if instead is None else instead
+        several = [self.path.stem + ".h5md"] if named is None else named if isinstance(named, list) else [named]
         return [Path(name) for name in several]
+
+    def named_outputs(self, instead: Path | None = None) -> list[Path]:
+        """Files that must not exist, unless they may be replaced: the trajectories, and the picture if the scene names it itself."""
+        plot = self.sections.output.plot
+        return self.trajectories(instead) + ([Path(plot)] if isinstance(plot, str) and instead is None else [])
 
     def plot_name(self, trajectories: list[Path], *, beside: bool = False) -> Path | None:
         """The picture that the scene asks for; None if it asks for none.
 
-        beside : the trajectories replace those of the scene. The picture is then named after them, and None where it cannot be drawn.
-
-        Raises
-        ------
-        ValueError : if no trajectory ends in .h5md, from which a picture is drawn, unless beside.
+        beside : the trajectories replace those of the scene. The picture is then named after them, or None if none ends in .h5md.
+        Raises ValueError if none ends in .h5md, from which a picture is drawn, unless beside.
         """
-        plot, drawn = self.sections.output.plot, [file for file in trajectories if file.suffix.lower() == ".h5md"]
+        plot, drawn = self.sections.output.plot, h5md_files(trajectories)
         if plot is False or (beside and not drawn):
             return None
         if not drawn:
             raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = {list(map(str, trajectories))}")
-        if isinstance(plot, str):
-            return drawn[0].with_suffix(Path(plot).suffix) if beside else Path(plot)
-        return drawn[0].with_suffix(".png")
+        picture = Path(plot) if isinstance(plot, str) else drawn[0].with_suffix(".png")
+        return drawn[0].with_suffix(picture.suffix) if beside else picture
 
     def _constrained(self, system: System) -> System:
         """A system with the constraints of the scene."""
@@ -115,32 +112,30 @@ class Scene:
         return system
 
     def _from_lattice(self) -> System:
-        structure, unit_system = self.sections.structure, self.units
-        lattice, element, mass = structure.lattice or "", structure.element, 1.0
-        if unit_system is units.ASE:
+        structure, lattice, element = self.sections.structure, self.sections.structure.lattice or "", self.sections.structure.element
+        mass = 1.0
+        if self.units is units.ASE:
             from minimd.files.structure_file import atomic_mass
 
             mass = atomic_mass(element or "")
         edge = structure.lattice_constant or constant_from_density(lattice, structure.density or 0.0, mass)
         positions, edges = crystal(lattice, structure.repeat or [], edge)
         species = structure.species or (element and [element] * len(positions))
-        return System(positions, masses=mass, cell=edges, pbc=structure.pbc, species=species, bonds=structure.bonds, units=unit_system)
+        return System(positions, masses=mass, cell=edges, pbc=structure.pbc, species=species, bonds=structure.bonds, units=self.units)
 
     def _from_file(self) -> System:
-        structure, reduced = self.sections.structure, self.units is units.LJ
         from minimd.files.structure_file import system_from_file
 
+        structure = self.sections.structure
         read = system_from_file(self.path.parent / (structure.file or ""), structure.cell, structure.pbc)
-        return System(
-            read.positions,
-            masses=None if reduced else read.masses,
-            velocities=None if reduced else read.velocities,
-            cell=read.cell,
-            species=structure.species or read.species,
-            bonds=structure.bonds,
-            units=self.units,
-            constraints=read.constraints,
-        )
+        masses, velocities = (None, None) if self.units is units.LJ else (read.masses, read.velocities)
+        kept: dict[str, Any] = {"cell": read.cell, "species": structure.species or read.species, "constraints": read.constraints}
+        return System(read.positions, masses=masses, velocities=velocities, bonds=structure.bonds, units=self.units, **kept)
+
+
+def h5md_files(files: Iterable[Path]) -> list[Path]:
+    """Those of some files that end in .h5md, which minimd can resume, check and plot."""
+    return [file for file in files if file.suffix.lower() == ".h5md"]
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -163,12 +158,7 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def parse_scene(text: str, path: Path) -> Scene:
-    """Check the text of a scene file.  path : its name in messages; paths of structure files are relative to its folder.
-
-    Raises
-    ------
-    ValueError : as load_scene.
-    """
+    """Check the text of a scene file.  path : as of Scene.  Raises ValueError as load_scene."""
     try:
         reading = Reading(tomllib.loads(text))
         return Scene(path, text, SceneSections.model_validate(reading.document, context=reading))
@@ -185,5 +175,5 @@ def _blamed_on(place: str) -> Iterator[None]:
     """Begin the message of an error with the place in the scene that has caused it."""
     try:
         yield
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, NotImplementedError) as error:
         raise ValueError(f"{place}: {error}") from None

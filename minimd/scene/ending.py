@@ -6,51 +6,45 @@ from pathlib import Path
 from time import time
 
 from minimd.files.h5md_reader import read_file
-from minimd.structure.errors import ConstraintError, NonFiniteError
+from minimd.files.h5md_writer import annotate
+from minimd.scene.document import Scene, h5md_files
+from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
 
 CLOCK = 1.0  # s, the coarsest time stamps of a file system
 
 
 @contextmanager
-def kept(files: Sequence[Path], end: int) -> Iterator[None]:
-    """If a run fails, add to the message which of its files were written and are kept; after Ctrl-C also the command that goes on.
+def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = "") -> Iterator[None]:
+    """If a run fails, store the scene in its crash file, so that it can be replayed, and add to the message which files are kept.
 
-    end : the step at which the run was to end.
+    files : of the run; a preparation has none.  end : the step at which the run was to end, for the command that goes on after Ctrl-C.
+    where : words about what was interrupted, if needed.
     """
     begun = time() - CLOCK
     try:
         yield
     except (KeyboardInterrupt, NonFiniteError, ConstraintError, OSError) as error:
+        if isinstance(error, NonFiniteError | ConstraintError) and error.file is not None:
+            store(scene, error.file)
         written = [file for file in files if file.is_file() and file.stat().st_size and file.stat().st_mtime > begun]
-        if not written:
+        interrupted = isinstance(error, KeyboardInterrupt)
+        if not written and not interrupted:
             raise
-        message = f"{_words(error)}; what was written before is kept in {', '.join(map(str, written))}"
-        hint = _how_to_go_on(written, end) if isinstance(error, KeyboardInterrupt) else ""
-        failure = type(error)(message + hint)
+        ending = f"; what was written before is kept in {', '.join(map(str, written))}" if written else f"{where}; nothing was written"
+        failure = type(error)(sentence(error) + ending + (_how_to_go_on(written, end) if interrupted else ""))
         failure.__dict__.update(error.__dict__)  # such as the crash report
         raise failure from None
 
 
-@contextmanager
-def nothing_written(where: str = "") -> Iterator[None]:
-    """If a preparation is interrupted, add to the message that nothing was written.  where : words about what was interrupted, if needed."""
-    try:
-        yield
-    except KeyboardInterrupt as error:
-        raise KeyboardInterrupt(f"{_words(error)}{where}; nothing was written") from None
+def store(scene: Scene, file: Path) -> None:
+    """Store a scene in an H5MD file, if that can be written; a full disk is reported by the next frame."""
+    with suppress(OSError, ValueError):
+        annotate(file, title=scene.sections.title or None, scene=scene.text)
 
 
 def _how_to_go_on(written: Sequence[Path], end: int) -> str:
-    for file in written:
-        if file.suffix.lower() == ".h5md":
-            with suppress(OSError, ValueError):
-                left = end - read_file(file).step
-                return f"; resume with: minimd resume {file} --steps {left}" if left > 0 else ""
+    for file in h5md_files(written):
+        with suppress(OSError, ValueError):
+            left = end - read_file(file).step
+            return f"; resume with: minimd resume {file} --steps {left}" if left > 0 else ""
     return ""
-
-
-def _words(error: BaseException) -> str:
-    """The message of an error, without the number that errors of the operating system have."""
-    if isinstance(error, OSError) and error.strerror is not None:
-        return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
-    return str(error) or "interrupted"

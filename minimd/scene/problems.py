@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from minimd.scene.section import UNKNOWN, Reading, Section
+from minimd.scene.section import UNKNOWN, Keys, Reading
 
 PLAIN = {  # pydantic's words: ours
     "Input should be": "must be",
@@ -40,11 +40,11 @@ def problems(reading: Reading, error: ValidationError) -> list[str]:
 def _told(details: Any, reading: Reading) -> tuple[str, str]:
     """The path of a problem, and the sentence about it."""
     loc, kind = details["loc"], details["type"]
-    place, value, section = _written(loc, reading)
+    place, value, known = _written(loc, reading)
     if kind == "extra_forbidden":
         return f"{place}.{loc[-1]}", _about_key(loc, reading)
     if kind == "missing":
-        keys = list(section.keys_of(str(loc[-1]), reading.units)) if section else [str(loc[-1])]
+        keys = [key for key, (name, _) in known.items() if name == loc[-1]] or [str(loc[-1])]
         path = f"{place}.{keys[0]}".removeprefix(".")
         return path, " or ".join([f"{path} is missing; give it", *keys[1:]])
     if kind == "union_tag_not_found":
@@ -62,8 +62,8 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
 
 def _about_key(loc: tuple, reading: Reading) -> str:
     """The sentence about a key that a section does not have, or has in another unit already."""
-    place, table, section = _written(loc, reading)
-    key, keys = loc[-1].removeprefix(UNKNOWN), section.keys(reading.units) if section else {}
+    place, table, keys = _written(loc, reading)
+    key = loc[-1].removeprefix(UNKNOWN)
     if key in keys:
         return f"{place} has {key!r} beside the same quantity in another unit; give one of them"
     near = _near(loc, reading)[0]
@@ -73,27 +73,23 @@ def _about_key(loc: tuple, reading: Reading) -> str:
 
 def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:
     """The key that was probably meant by an unknown one, and its field."""
-    section, key = _written(loc, reading)[2], loc[-1].removeprefix(UNKNOWN)
-    keys = section.keys(reading.units) if section else {}
+    keys, key = _written(loc, reading)[2], loc[-1].removeprefix(UNKNOWN)
     stem = key.rpartition("_")[0] or key
     near = [one for one, (name, _) in keys.items() if name in (key, stem)] or get_close_matches(key, keys, n=1)
     return (near[0], keys[near[0]][0]) if near else (None, None)
 
 
-def _written(loc: tuple, reading: Reading) -> tuple[str, Any, type[Section] | None]:
-    """Path, value and section class at one of pydantic's locations, as far as the file has it, with the keys and values of the file."""
-    path, node, section = "", reading.document, reading.sections.get(id(reading.document))
+def _written(loc: tuple, reading: Reading) -> tuple[str, Any, Keys]:
+    """Path and value at one of pydantic's locations, as they stand in the file as far as it goes, and the keys allowed there."""
+    path, node = "", reading.document
     for step in loc:
         if isinstance(node, list) and isinstance(step, int):
             path, node = f"{path}[{step}]", node[step]
         elif isinstance(node, dict):
-            keys = section.keys_of(step, reading.units) if section and step in section.model_fields else [step]
-            key = next((key for key in keys if key in node), None)
-            if key is None:
-                continue
-            path, node = f"{path}.{key}".removeprefix("."), node[key]
-        section = reading.sections.get(id(node))
-    return path, node, section
+            keys = [key for key, (name, _) in reading.keys(node).items() if name == step] or [step]
+            if key := next((key for key in keys if key in node), None):
+                path, node = f"{path}.{key}".removeprefix("."), node[key]
+    return path, node, reading.keys(node)
 
 
 def _joined(sentences: list[str]) -> str:

@@ -1,22 +1,22 @@
 """Running a scene from start to report, with a line about each thing that is done."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from minimd.files.crash_file import crash_file_place
-from minimd.files.h5md_reader import H5MDContents, read_file
-from minimd.files.h5md_writer import H5MDWriter, annotate
-from minimd.files.trajectory import checked_output
+from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_writer import H5MDWriter
+from minimd.files.trajectory import FORMATS, checked_output
 from minimd.potentials import PairPotential
-from minimd.scene.document import Scene, parse_scene
-from minimd.scene.ending import kept, nothing_written
-from minimd.simulation.simulation import Observer, Simulation
-from minimd.structure import units
+from minimd.scene.document import Scene, h5md_files, parse_scene
+from minimd.scene.ending import kept, store
+from minimd.scene.sections import PLOT_SUFFIXES
+from minimd.simulation.simulation import Simulation
 from minimd.structure.constraints import FixedAtoms
-from minimd.structure.errors import ConstraintError, NonFiniteError
+from minimd.structure.system import System
+from minimd.structure.units import UnitSystem
 
 Tell = Callable[[str], None]
 
@@ -43,39 +43,37 @@ def run_scene(
     ------
     ValueError, OSError : for what cannot be built or written.  NonFiniteError, KeyboardInterrupt : as Simulation.run.
     """
-    dynamics, output = scene.sections.dynamics, scene.sections.output
-    files = scene.trajectories() if trajectory is None else [trajectory]
+    output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
+    files = scene.trajectories(trajectory)
     picture = scene.plot_name(files, beside=trajectory is not None)
-    n_steps = dynamics.steps if steps is None else steps
-    check_outputs(files, picture if isinstance(output.plot, str) and trajectory is None else None, overwrite)
+    for file in scene.named_outputs(trajectory):
+        checked_output(file, overwrite, FORMATS if file in files else PLOT_SUFFIXES)
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
-    place = crash_file_place(True, files)
-    with scene_kept(scene):
-        minimize(scene, simulation, progress, tell)
-        equilibrate(scene, simulation, progress, tell, place)
-    with kept(files, n_steps), scene_kept(scene):
+    minimize(scene, simulation, progress, tell)
+    equilibrate(scene, simulation, progress, tell, crash_file_place(True, files))
+
+    def keep_scene(run: Simulation) -> None:
+        """At the first frame, so that even a killed run can be resumed."""
+        for file in h5md_files(files) if run.step == 0 else ():
+            store(scene, file)
+
+    with kept(scene, files, n_steps):
         simulation.run(
-            n_steps,
-            every=output.every,
-            trajectory=files,
-            store_forces=output.forces,
-            overwrite=overwrite,
-            observers=[_scene_keeper(scene, files)],
-            progress=progress,
-            crash_report=place or False,
+            n_steps, every=output.every, trajectory=files, store_forces=output.forces, overwrite=overwrite, observers=[keep_scene], progress=progress
         )
     tell(str(simulation.report()))
+    drawn = []
     if picture is not None and picture.exists() and not overwrite:
         tell(f"not drawn      {picture} exists and is kept; draw with: minimd plot")
     elif picture is not None:
         from minimd.analysis.plot import plot_file
 
         tell(f"drawing        {picture} ...")
-        with kept(files, n_steps):
-            files = [*files, plot_file(next(file for file in files if file.suffix.lower() == ".h5md"), picture)]
-    tell(f"written        {', '.join(map(str, files))}")
+        with kept(scene, files, n_steps):
+            drawn = [plot_file(h5md_files(files)[0], picture)]
+    tell(f"written        {', '.join(map(str, [*files, *drawn]))}")
     return simulation
 
 
@@ -97,22 +95,28 @@ def resume_run(
     ValueError, OSError : for a file that cannot be continued, or has no scene.
     NonFiniteError, KeyboardInterrupt : as Simulation.run.
     """
-    contents = read_file(file)
-    if scene is None and not contents.scene:
+    path, contents = Path(file), read_file(file)
+    stored = parse_scene(contents.scene, path) if contents.scene else None
+    scene = scene or stored
+    if scene is None:
         raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; name the scene file with --scene")
-    scene = scene or parse_scene(contents.scene, Path(file))
-    steps = _steps_left(contents, scene, file) if steps is None else steps
-    if contents.scene and (other := differences(parse_scene(contents.scene, Path(file)), scene)):
+    end = scene.sections.dynamics.steps if steps is None else contents.step + steps
+    if steps is None and end <= contents.step:
+        raise ValueError(
+            f"the run in {str(file)!r} has reached the end of its scene: it stands at step {contents.step}, dynamics.steps = {end}; "
+            f"give the number of further steps with --steps"
+        )
+    if stored is not None and (other := differences(stored, scene)):
         tell(f"NOTE           {', '.join(other)} differ from those of the run so far: its energies before and after are not comparable")
     simulation = scene.simulation(contents.system)
     simulation.step, simulation.time, simulation.reservoir_energy = contents.step, contents.time, contents.reservoir_energy
-    for line in description(scene, simulation, steps):
+    for line in description(scene, simulation, end - contents.step):
         tell(line)
     tell(f"resumed        at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames")
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories of the scene stay as they are")
-    with kept([Path(file)], contents.step + steps), scene_kept(scene):
-        _run_and_append(Path(file), simulation, steps, scene.sections.output.every, progress)
+    with kept(scene, [path], end):
+        _run_and_append(path, simulation, end - contents.step, scene.sections.output.every, progress)
     tell(str(simulation.report()))
     tell(f"written        {file}")
     return simulation
@@ -135,57 +139,12 @@ def _run_and_append(file: Path, simulation: Simulation, steps: int, every: int, 
         writer.close(completed)
 
 
-def _steps_left(contents: H5MDContents, scene: Scene, file: str | Path) -> int:
-    """Steps from the restart to the end of the scene.  Raises ValueError if there are none."""
-    left = scene.sections.dynamics.steps - contents.step
-    if left <= 0:
-        raise ValueError(
-            f"the run in {str(file)!r} has reached the end of its scene: it stands at step {contents.step}, dynamics.steps = "
-            f"{scene.sections.dynamics.steps}; give the number of further steps with --steps"
-        )
-    return left
-
-
-def _scene_keeper(scene: Scene, files: Sequence[Path]) -> Observer:
-    """An observer that stores the scene in its H5MD files at the first frame, so that even a killed run can be resumed."""
-
-    def keep_scene(run: Simulation) -> None:
-        for file in files if run.step == 0 else ():
-            if file.suffix.lower() == ".h5md":
-                with suppress(OSError):  # the next frame reports a full disk
-                    annotate(file, title=scene.sections.title or None, scene=scene.text)
-
-    return keep_scene
-
-
-@contextmanager
-def scene_kept(scene: Scene) -> Iterator[None]:
-    """Store the scene in the crash file of a run that fails, so that the run can be replayed."""
-    try:
-        yield
-    except (NonFiniteError, ConstraintError) as error:
-        if error.file is not None:
-            with suppress(OSError, ValueError):  # the failure itself is reported
-                annotate(error.file, title=scene.sections.title or None, scene=scene.text)
-        raise
-
-
-def check_outputs(trajectories: Sequence[Path], picture: Path | None, overwrite: bool) -> None:
-    """Refuse what cannot be written.  Raises ValueError, OSError as trajectory.checked_output."""
-    for file in trajectories:
-        checked_output(file, overwrite)
-    if picture is not None and picture.exists() and not overwrite:
-        raise FileExistsError(f"output {str(picture)!r} exists; choose another name, or pass overwrite=True")
-    if picture is not None and not picture.absolute().parent.is_dir():
-        raise FileNotFoundError(f"output folder {str(picture.absolute().parent)!r} does not exist; make it first")
-
-
 def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:
     """Move the atoms to a minimum, if the scene asks for it."""
     plan, dynamics = scene.sections.minimization, scene.sections.dynamics
     if plan is None:
         return
-    with nothing_written():
+    with kept(scene):
         found = simulation.minimize(**plan.model_dump(), progress=progress)
     if dynamics.temperature is not None:
         simulation.set_temperature(dynamics.temperature, dynamics.seed)  # anew: rigid bonds have turned
@@ -199,32 +158,26 @@ def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tel
     if plan is None or target is None or plan.steps == 0:  # SceneSections has checked that there is a target
         return
     tell(f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {plan.rescale_every}")
-    with nothing_written(" of the equilibration"):
+    with kept(scene, where=" of the equilibration"):
         simulation.equilibrate(plan.steps, target, every=plan.rescale_every, progress=progress, crash_report=crash_report)
 
 
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:
     """Lines about what has been built and will be run."""
-    dynamics, shown = scene.sections.dynamics, scene.units.shown
+    dynamics, units, system = scene.sections.dynamics, scene.units, simulation.system
+    bonds = f"; {len(system.bonds)} bonds" if len(system.bonds) else ""
+    species = ", ".join(f"{n} {name}" for n, name in zip(np.bincount(system.species_index), system.species_names, strict=True))
     relaxation = dynamics.relaxation_time
-    bath = f", bath at {dynamics.temperature:g} {scene.units.temperature}, relaxation time {shown(relaxation)}" if relaxation else ""
+    bath = f", bath at {dynamics.temperature:g} {units.temperature}, relaxation time {units.shown(relaxation)}" if relaxation else ""
     return [
         f"scene          {scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""),
-        f"system         {_atoms(simulation)}",
-        f"cell           {_cell(simulation)}",
+        f"system         {len(system)} atoms ({species}){bonds}",
+        f"cell           {_cell(system)}",
         *([f"constraints    {_constraints(simulation)}"] if simulation.constraints else []),
-        *(f"potential      {_potential(potential, scene.units)}" for potential in scene.potentials()),
-        f"method         {dynamics.method}, timestep {shown(dynamics.timestep)}{bath}",
-        f"run            {n_steps} steps = {shown(n_steps * dynamics.timestep)}, observed every {scene.sections.output.every}",
+        *(f"potential      {_potential(potential, units)}" for potential in scene.potentials()),
+        f"method         {dynamics.method}, timestep {units.shown(dynamics.timestep)}{bath}",
+        f"run            {n_steps} steps = {units.shown(n_steps * dynamics.timestep)}, observed every {scene.sections.output.every}",
     ]
-
-
-def _atoms(simulation: Simulation) -> str:
-    system = simulation.system
-    counts = np.bincount(system.species_index)
-    names = ", ".join(f"{count} {name}" for name, count in zip(system.species_names, counts, strict=True))
-    bonds = f"; {len(system.bonds)} bonds" if len(system.bonds) else ""
-    return f"{len(system)} atoms ({names}){bonds}"
 
 
 def _constraints(simulation: Simulation) -> str:
@@ -233,17 +186,15 @@ def _constraints(simulation: Simulation) -> str:
     return f"{', '.join(lengths + fixed)}; {simulation.n_dof} degrees of freedom"
 
 
-def _cell(simulation: Simulation) -> str:
-    system = simulation.system
+def _cell(system: System) -> str:
     if not system.cell.is_periodic:
         return "none, open in all directions"
-    lengths = np.linalg.norm(system.cell.vectors, axis=1)
-    periodic = " ".join(axis for axis, is_periodic in zip("abc", system.cell.pbc, strict=True) if is_periodic)
-    return f"{' × '.join(f'{length:.4g}' for length in lengths)} {system.units.length}, periodic along {periodic}"
+    lengths = " × ".join(f"{length:.4g}" for length in np.linalg.norm(system.cell.vectors, axis=1))
+    return f"{lengths} {system.units.length}, periodic along {' '.join(np.array(list('abc'))[system.cell.pbc])}"
 
 
-def _potential(potential: object, unit_system: units.UnitSystem) -> str:
+def _potential(potential: object, units: UnitSystem) -> str:
     name = type(potential).__name__
     if not isinstance(potential, PairPotential):
         return name
-    return f"{name}, " + ("no cutoff" if np.isinf(potential.cutoff) else f"cutoff {potential.cutoff:g} {unit_system.length}, {potential.truncation}")
+    return f"{name}, " + ("no cutoff" if np.isinf(potential.cutoff) else f"cutoff {potential.cutoff:g} {units.length}, {potential.truncation}")

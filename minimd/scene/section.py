@@ -4,7 +4,7 @@ A key that holds a quantity ends in its unit, as timestep_fs does. The field is 
 units of the engine.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -29,6 +29,7 @@ KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension:
         "angle": {"_degree": DEGREE},
     },
 }
+Keys = dict[str, tuple[str, float | None]]  # key: its field, and the factor that it puts on its numbers, None for no quantity
 UNKNOWN = "?"  # stands before a key that its section does not have
 
 
@@ -48,6 +49,11 @@ class Reading:
         """The unit system of the document; ASE if it names none that exists."""
         return "LJ" if self.document.get("units") == "LJ" else "ASE"
 
+    def keys(self, table: Any) -> Keys:
+        """The keys that a table of the document may have; none if it was read as no section."""
+        section = self.sections.get(id(table))
+        return section.keys(self.units) if section else {}
+
 
 def reading_of(info: ValidationInfo) -> Reading:
     """The context of a validation."""
@@ -60,20 +66,19 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
     @classmethod
-    def keys_of(cls, name: str, units: str) -> dict[str, float | None]:
-        """The keys under which a field may be written, and the factor that each puts on its numbers; None for no quantity."""
-        dimension = next((mark for mark in cls.model_fields[name].metadata if isinstance(mark, Dimension)), None)
-        return {name: None} if dimension is None else {name + ending: size for ending, size in KEY_UNITS[units][dimension].items()}
-
-    @classmethod
-    def keys(cls, units: str) -> dict[str, tuple[str, float | None]]:
-        """All keys of the section: the field of each, and the factor that it puts on its numbers."""
-        return {key: (name, size) for name in cls.model_fields for key, size in cls.keys_of(name, units).items()}
+    def keys(cls, units: str) -> Keys:
+        """All keys that the section may have."""
+        keys: Keys = {}
+        for name, info in cls.model_fields.items():
+            dimension = next((mark for mark in info.metadata if isinstance(mark, Dimension)), None)
+            endings: Mapping[str, float | None] = {"": None} if dimension is None else KEY_UNITS[units][dimension]
+            keys |= {name + ending: (name, size) for ending, size in endings.items()}
+        return keys
 
     @classmethod
     def key(cls, name: str, info: ValidationInfo) -> str:
         """The first key under which a field may be written in the document that is being read."""
-        return next(iter(cls.keys_of(name, reading_of(info).units)))
+        return next(key for key, (meant, _) in cls.keys(reading_of(info).units).items() if meant == name)
 
     @model_validator(mode="before")
     @classmethod

@@ -1,23 +1,22 @@
 """What may stand in a scene file: one class for each section, one line for each key."""
 
-import inspect
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones
-from minimd.potentials.pair import MIXING
+from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.scene.section import Dimension, Section, one_of, reading_of
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
-METHODS: Mapping[str, type[Splitting]] = ChainMap[str, Any](THERMOSTATS, SPLITTINGS)
+METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 
 Three = Field(min_length=3, max_length=3)
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
@@ -44,20 +43,17 @@ class StructureSection(Section):
     def _is_complete(self, info: ValidationInfo) -> Self:
         if (self.file is None) == (self.lattice is None):
             raise ValueError("must have either file or lattice")
+        forbidden = ("cell",) if self.file is None else ("element", "repeat", "density", "lattice_constant")
+        for name in forbidden:
+            if getattr(self, name) is not None:
+                raise ValueError(f"cannot have {name} beside {'lattice' if self.file is None else 'file'}")
         if self.file is not None:
-            self._forbid("file", "element", "repeat", "density", "lattice_constant")
             return self
-        self._forbid("lattice", "cell")
         if self.repeat is None or (self.element is None and reading_of(info).units == "ASE"):
             raise ValueError("must have repeat beside lattice" if self.repeat is None else "must have element beside lattice")
         if (self.density is None) == (self.lattice_constant is None):
             raise ValueError(f"must have either {self.key('density', info)} or {self.key('lattice_constant', info)} beside lattice")
         return self
-
-    def _forbid(self, origin: str, *others: str) -> None:
-        for name in others:
-            if getattr(self, name) is not None:
-                raise ValueError(f"cannot have {name} beside {origin}")
 
 
 class ConstraintsSection(Section):
@@ -137,18 +133,10 @@ class LennardJonesSection(Section):
 
     def potential(self) -> LennardJones:
         """The potential that the section describes."""
-        by_species: dict[str | int, tuple[float, float]] = {name: (s.epsilon, s.sigma) for name, s in (self.species or {}).items()}
-        return LennardJones(
-            by_species if self.epsilon is None else self.epsilon,
-            self.sigma,
-            self.cutoff,
-            self.truncation,
-            mixing=self.mixing,
-            pairs={(pair.species[0], pair.species[1]): (pair.epsilon, pair.sigma) for pair in self.pairs},
-            switch_start=self.switch_start,
-            bonded_scale=self.bonded_scale,
-            tail_correction=self.tail_correction,
-        )
+        by_species: dict[Label, tuple[float, float]] = {name: (one.epsilon, one.sigma) for name, one in (self.species or {}).items()}
+        pairs: ByPairOfLabels = {(one.species[0], one.species[1]): (one.epsilon, one.sigma) for one in self.pairs}
+        others = self.model_dump(include={"sigma", "cutoff", "truncation", "mixing", "switch_start", "bonded_scale", "tail_correction"})
+        return LennardJones(by_species if self.epsilon is None else self.epsilon, pairs=pairs, **others)
 
 
 class HarmonicBondSection(Section):
@@ -178,10 +166,7 @@ class HarmonicAngleSection(Section):
 
 
 class DynamicsSection(Section):
-    """[dynamics]: method and length of the run. Without a temperature the velocities stay as they are.
-
-    A thermostat gets what its constructor asks for, by name: timestep, temperature, relaxation_time or friction = 1/relaxation_time, seed.
-    """
+    """[dynamics]: method and length of the run. Without a temperature the velocities stay as they are."""
 
     method: Annotated[str, one_of(METHODS)] = "velocity-verlet"
     timestep: Annotated[Positive, Dimension("time")]
@@ -194,29 +179,19 @@ class DynamicsSection(Section):
 
     @model_validator(mode="after")
     def _fits_its_method(self, info: ValidationInfo) -> Self:
-        given, wanted = self._parameters(), inspect.signature(METHODS[self.method]).parameters
-        needed = [name for name, parameter in wanted.items() if parameter.default is parameter.empty]
-        unknown = [name for name in needed if name not in given]
-        if unknown:
-            raise ValueError(f"cannot have method {self.method!r}: a scene has no key for its {' and '.join(unknown)}; run it from a script")
-        missing = [self.key("relaxation_time" if name == "friction" else name, info) for name in needed if given[name] is None]
-        if missing:
+        missing = [self.key(name, info) for name in ("temperature", "relaxation_time") if getattr(self, name) is None]
+        if self.method in THERMOSTATS and missing:
             raise ValueError(f"must have {' and '.join(missing)} beside method {self.method!r}")
-        if self.relaxation_time is not None and not {"relaxation_time", "friction"} & wanted.keys():
+        if self.method not in THERMOSTATS and self.relaxation_time is not None:
             key = self.key("relaxation_time", info)
             raise ValueError(f"cannot have {key} beside method {self.method!r}, which takes no relaxation time; {', '.join(THERMOSTATS)} do")
         return self
 
     def integrator(self) -> Splitting:
         """The method with its time step; a thermostat with its bath."""
-        method, given = METHODS[self.method], self._parameters()
-        return method(**{name: given[name] for name in inspect.signature(method).parameters if given.get(name) is not None})
-
-    def _parameters(self) -> dict[str, Any]:
-        """What the constructor of a method may ask for, by the name of its parameter; None for what the scene does not give."""
-        time = self.relaxation_time
-        bath = {"temperature": self.temperature, "relaxation_time": time, "friction": None if time is None else 1.0 / time, "seed": self.seed}
-        return {"timestep": self.timestep, **bath}
+        if self.method in THERMOSTATS:
+            return THERMOSTATS[self.method].with_relaxation_time(self.timestep, self.temperature, self.relaxation_time, self.seed)
+        return SPLITTINGS[self.method](self.timestep)
 
 
 class MinimizationSection(Section):
@@ -268,13 +243,9 @@ class SceneSections(Section):
     output: OutputSection = OutputSection.model_construct()
 
     @model_validator(mode="after")
-    def _can_equilibrate(self, info: ValidationInfo) -> Self:
+    def _fits_together(self, info: ValidationInfo) -> Self:
         if self.equilibration is not None and self.dynamics.temperature is None:
             raise ValueError(f"equilibration needs dynamics.{DynamicsSection.key('temperature', info)}, the temperature of the first velocities")
-        return self
-
-    @model_validator(mode="after")
-    def _has_the_bonds_it_makes_rigid(self) -> Self:
         if self.constraints is not None and self.constraints.pairs == "bonds" and not self.structure.bonds:
             raise ValueError('constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs')
         return self

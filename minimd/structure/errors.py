@@ -1,5 +1,6 @@
-"""The exceptions of failed physics, the one that ends an interrupted computation, and the check of counts."""
+"""The exceptions of failed physics, the one that ends an interrupted computation, the message of an error, and the check of counts."""
 
+import os
 from numbers import Integral
 from typing import Any
 
@@ -35,6 +36,13 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, message: str, result: Any = None) -> None:
         super().__init__(message)
         self.result = result
+
+
+def sentence(error: BaseException) -> str:
+    """The message of an error, with the name of its file but without the number that errors of the operating system have."""
+    if isinstance(error, OSError) and error.strerror is not None:
+        return error.strerror if error.filename is None else f"{os.fsdecode(error.filename)}: {error.strerror}"
+    return str(error) or ("interrupted" if isinstance(error, KeyboardInterrupt) else type(error).__name__)
 
 
 def checked_count(name: str, value: Any, least: int = 1) -> int:

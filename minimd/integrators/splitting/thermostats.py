@@ -60,7 +60,7 @@ class Thermostat(Splitting):
         ----------
         relaxation_time : τ > 0 [time].  Others : see Thermostat.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{cls.name} has no with_relaxation_time, by which a scene makes it; run it from a script")
 
     @classmethod
     def on(cls, problem: Problem) -> Step:

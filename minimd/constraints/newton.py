@@ -124,13 +124,12 @@ def restore_lengths(atoms, components, bonds, c, memory):
 
 
 def drift_with(restore_lengths):
-    """The drift of components of any shape, given a solver that restores their lengths afterwards, such as restore_lengths below."""
+    """The drift of components of any shape, given a solver that restores their lengths afterwards, such as restore_lengths."""
 
     @inlined
-    def drift_components(first, last, atoms, components, bonds, duration, memory):
-        """Drift of components first to last − 1.  Atoms, Components, Bonds, [time], Memory."""
-        s, total = memory.s, memory.total
-        most = 0
+    def drift_components(first, last, atoms, components, bonds, memory, duration):
+        """Drift of components first to last − 1.  Atoms, Components, Bonds, Memory, [time]."""
+        s, total, most = memory.s, memory.total, 0
         for c in range(first, last):
             start, end = components.starts[c], components.starts[c + 1]
             find_separations(atoms.positions, bonds, start, end, s)
@@ -147,7 +146,7 @@ def drift_with(restore_lengths):
 
 
 @inlined
-def project_components(first, last, atoms, components, bonds, targets, memory):
+def project_components(first, last, atoms, components, bonds, memory, targets):
     """As project_pairs, for components of any shape; projected twice, to remove the rounding of the first projection.
 
     memory.total holds the multipliers. Returns 1, or −1 − the constraint that depends on others.

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from minimd.integrators.dae.hessenberg import Hessenberg3
 from minimd.integrators.method import Array
-from minimd.integrators.ode.differences import central_differences, forward_differences
-from minimd.integrators.ode.functions import Function, taking
+from minimd.integrators.ode.functions import Function, central_differences, forward_differences, taking
 from minimd.integrators.ode.newton import Newton, Solver
 
 __all__ = ["Mechanical"]

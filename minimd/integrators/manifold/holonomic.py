@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, Step
-from minimd.integrators.ode.differences import central_differences
-from minimd.integrators.ode.functions import Function
+from minimd.integrators.ode.functions import Function, central_differences
 from minimd.integrators.ode.newton import Newton, Solver
 from minimd.integrators.ode.partitioned import SecondOrder, push
 from minimd.integrators.splitting.order_conditions import nystrom_order

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, Problem
-from minimd.integrators.ode.differences import central_differences
-from minimd.integrators.ode.functions import Field, Function, argument_names
+from minimd.integrators.ode.functions import Field, Function, argument_names, central_differences
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.problems import FirstOrder
 from minimd.structure.errors import ConvergenceError

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array
-from minimd.integrators.ode.solution import Solution
+from minimd.integrators.ode.drivers import Solution
 from minimd.structure.errors import checked_count
 
 __all__ = ["stormer_summed", "stormer_two_step"]

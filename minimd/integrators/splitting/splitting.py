@@ -15,7 +15,7 @@ from minimd.compiled.kernels import kernel
 from minimd.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.state import State, Surroundings
-from minimd.integrators.splitting.substeps import Kick, Substeps, Thermalize, is_palindrome, merged
+from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize, is_palindrome, merged
 
 __all__ = ["Splitting"]
 
@@ -53,11 +53,9 @@ class SplitProblem(Protocol):
 
     def sequence_step(self, substeps: Substeps) -> Step:
         """The step that applies these substeps."""
-        ...
 
     def sequence_order(self, substeps: Substeps) -> int:
         """Order of that step on this problem."""
-        ...
 
 
 class Splitting(Method):
@@ -68,9 +66,7 @@ class Splitting(Method):
     positions have moved since. With constraints every drift is projected. Velocities are projected at the end of a block only,
     because a constrained drift does not depend on the component that a projection removes.
 
-    Parameters
-    ----------
-    timestep : Δt [time], finite and not zero; a negative one runs time backwards.
+    Parameters, Raises : as Method.
 
     Attributes of each method
     -------------------------
@@ -82,10 +78,6 @@ class Splitting(Method):
     -----------------------------
     order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).  stages : force evaluations per step of a long run.
     is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1, then also reversible.  is_symplectic : true without a bath.
-
-    Raises
-    ------
-    ValueError : if the time step is zero or not finite.
     """
 
     substeps: ClassVar[Substeps]
@@ -111,12 +103,7 @@ class Splitting(Method):
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """The step on a problem with q and v.
-
-        Raises
-        ------
-        TypeError : for a problem without q and v.
-        """
+        """The step on a problem with q and v.  Raises TypeError for other problems."""
         if not isinstance(problem, SplitProblem):
             raise TypeError(f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}")
         return problem.sequence_step(cls.sequence())
@@ -138,7 +125,8 @@ class Splitting(Method):
         ConstraintError : if a length cannot be kept.  ValueError : from a thermostat without a bath.
         """
         around = Surroundings() if surroundings is None else surroundings
-        opening, body, between, closing = self._merged() if around.constraints is None or isinstance(self.substeps[0], Kick) else self._unmerged()
+        first = self.substeps[0]
+        opening, body, between, closing = self._merged(isinstance(first, Kick) or (around.constraints is None and isinstance(first, Drift)))
         for step in range(1, n_steps + 1):
             is_last = step == n_steps or around.stop_requested
             substeps = (opening if step == 1 else ()) + body + (closing if is_last else between)
@@ -168,14 +156,10 @@ class Splitting(Method):
         """Contact with the bath over a duration: what a substep Thermalize does. Methods without a bath have no such substep."""
         raise NotImplementedError(f"{self.name} has no thermostat")
 
-    def _unmerged(self) -> tuple[Substeps, ...]:
-        """The row as it stands: with constraints two drifts in a row are not one."""
-        return self.opening, self.substeps, (), self.closing
-
-    def _merged(self) -> tuple[Substeps, ...]:
-        """The row as substeps before, in, between and after the steps, with equal neighbors made one."""
+    def _merged(self, may_merge: bool) -> tuple[Substeps, ...]:
+        """The row as substeps before, in, between and after the steps. Two contacts with a bath, and two constrained drifts, are not one."""
         first, last = self.substeps[0], self.substeps[-1]
-        if len(self.substeps) == 1 or type(first) is not type(last) or isinstance(first, Thermalize):  # noise is not merged
+        if len(self.substeps) == 1 or type(first) is not type(last) or not may_merge:
             return self.opening, self.substeps, (), self.closing
         merged = type(first)(first.coefficient + last.coefficient)
         return (*self.opening, first), self.substeps[1:-1], (merged,), (last, *self.closing)

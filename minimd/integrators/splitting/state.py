@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+
+from minimd.constraints.solver import ConstraintSolver
+from minimd.integrators.method import Array
 
 __all__ = ["Bath", "State", "Surroundings"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass
@@ -52,25 +51,15 @@ class Bath:
     energy: float = 0.0
 
 
-class Constraints(Protocol):
-    """Lengths that are kept; see minimd.constraints.ConstraintSolver."""
-
-    def drift(self, positions: Array, velocities: Array, duration: float) -> None:
-        """A drift that keeps the lengths, (N, 3) both, in place."""
-
-    def project_velocities(self, velocities: Array, positions: Array) -> None:
-        """Take from velocities, in place, what would change a length. (N, 3) both."""
-
-
 @dataclass
 class Surroundings:
     """What acts on a state beside the forces.
 
-    constraints : lengths that drifts keep, or None.  bath : of a thermostat, or None.
+    constraints : of lengths that drifts keep, or None.  bath : of a thermostat, or None.
     stop_requested : set it to True to end a run of steps after the present one.
     """
 
-    constraints: Constraints | None = None
+    constraints: ConstraintSolver | None = None
     bath: Bath | None = None
     stop_requested: bool = False
 

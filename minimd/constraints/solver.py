@@ -127,10 +127,8 @@ class ConstraintSolver:
         """ConstraintError with the larger violation: closed forms fail before they move atoms, iterations afterwards."""
         i, j = self.pairs[constraint]
         off = max(self.violation(positions)[constraint], self.violation(positions + duration * velocities)[constraint])
-        what = "drift" if duration else "velocity projection"
-        error = ConstraintError(
-            f"constraint {constraint} (atoms {i}-{j}) cannot be kept in a {what} of {duration:g}: it is off by {off:.1e} of its length squared"
-        )
+        what = f"{'drift' if duration else 'velocity projection'} of {duration:g}"
+        error = ConstraintError(f"constraint {constraint} (atoms {i}-{j}) cannot be kept in a {what}: it is off by {off:.1e} of its length squared")
         error.atoms = int(i), int(j)
         raise error
 

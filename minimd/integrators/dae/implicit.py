@@ -105,9 +105,8 @@ class Implicit(DifferentialAlgebraic):
         of_slope, of_state = self._pencil(t, y, slope)
         self.index = pencil_index(of_slope, -of_state, RANK)
         if self.index > HIGHEST_INDEX:
-            raise ValueError(
-                f"the index must be at most {HIGHEST_INDEX}; that of F_y′ y′ + F_y y at the start is {self.index}. Differentiate constraints"
-            )
+            found = f"that of F_y′ y′ + F_y y at the start is {self.index}"
+            raise ValueError(f"the index must be at most {HIGHEST_INDEX}; {found}. Differentiate constraints")
         if self.index > 1:
             unit = unit_of_time(np.append(y, size), slope)
             y, slope = self._solved(t, y, [slope, *np.zeros((self.index - 1, y.size))], mobility, unit, size)
@@ -121,8 +120,7 @@ class Implicit(DifferentialAlgebraic):
     def _levels_around(self, t: float, y: Array, slope: Array) -> Array:
         """The larger levels of those at the start and at a random point near it, where no derivative vanishes by chance."""
         aside = 0.01 * (np.abs(y).max() or 1.0) * np.random.default_rng(0).uniform(0.5, 1.0, y.size)
-        there, near = _levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope))
-        return np.maximum(there, near)
+        return np.maximum(_levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope)))
 
     def _solved(self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float) -> tuple[Array, Array]:
         """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).
@@ -138,7 +136,14 @@ class Implicit(DifferentialAlgebraic):
             return moved, x[is_free.sum() :].reshape(order, -1) / scales[:, None]
 
         def array(x: Array) -> Array:
-            return self._derivative_array(t, *taken(x), unit)
+            """F and its time derivatives along y + ε y′ + ε²/2 y″ + …, with time in this unit."""
+            moved, derivatives = taken(x)
+            states = [moved, *derivatives]
+
+            def path(e: float) -> Array:
+                return self.residual(t + e, _taylor(states, e), _taylor(states[1:], e))
+
+            return np.concatenate([path(0.0), *(unit**k * time_derivative(path, k, unit) for k in range(1, order))])
 
         guess = np.concatenate([y[is_free] / mobility[is_free], *(scale * derivative for scale, derivative in zip(scales, jet, strict=True))])
         step, dependent = (CENTRAL, RANK) if order == 1 else (WIDE, NOISY_RANK)
@@ -153,19 +158,9 @@ class Implicit(DifferentialAlgebraic):
         k = int(np.argmax(np.abs(left) - allowed))
         if not abs(left[k]) <= allowed[k]:
             order, equation = divmod(k, self._slope.size)
-            raise ValueError(
-                f"the start violates F(t, y, y′) = 0: {ORDINALS[order]}equation {equation} stays at {left[k] / unit**order:.2e} at t = {t:g}, "
-                "whatever y′ and the variables without one are; give consistent values, or take them from problem.corrected(start, t0)"
-            )
-
-    def _derivative_array(self, t: float, y: Array, jet: Array, unit: float) -> Array:
-        """F and its time derivatives along y + ε y′ + ε²/2 y″ + …, with time in this unit."""
-
-        def path(e: float) -> Array:
-            states = [y, *jet]
-            return self.residual(t + e, _taylor(states, e), _taylor(states[1:], e))
-
-        return np.concatenate([path(0.0), *(unit**k * time_derivative(path, k, unit) for k in range(1, len(jet)))])
+            raise ValueError(f"the start violates F(t, y, y′) = 0: {ORDINALS[order]}equation {equation} stays at {left[k] / unit**order:.2e} "
+                             f"at t = {t:g}, whatever y′ and the variables without one are; "
+                             "give consistent values, or take them from problem.corrected(start, t0)")  # fmt: skip
 
 
 def _taylor(coefficients: list[Array], e: float) -> Array:

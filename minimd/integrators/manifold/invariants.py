@@ -10,7 +10,7 @@ Differential Equations and Differential-Algebraic Equations (1998), 9.2. Project
 from collections.abc import Callable
 from math import isfinite
 from numbers import Real
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,8 +50,6 @@ class Invariants:
     def through(self, y: Array, shape: Shape = None) -> "Manifold":
         """The manifold g = value, or g = g(y) if no value was given.
 
-        Parameters
-        ----------
         y : (n,) state.  shape : of q and v, None for problems without them.
 
         Raises
@@ -67,8 +65,7 @@ class Manifold:
     """{y : g(y) = value}. value : (m,)."""
 
     def __init__(self, invariants: Invariants, shape: Shape, value: Array) -> None:
-        self.value = value
-        self._invariants, self._shape = invariants, shape
+        self.value, self._invariants, self._shape = value, invariants, shape
 
     def defect(self, y: Array) -> Array:
         """(m,) g(y) − value."""
@@ -83,19 +80,15 @@ class Manifold:
     def frame(self, y: Array) -> tuple[Array, Array]:
         """Gᵀ = Q R: (n, m) orthonormal directions Q that span the gradients, and upper triangular (m, m) R.
 
-        Raises
-        ------
-        ConvergenceError : where the gradients of the invariants are not independent.
+        Raises ConvergenceError where the gradients of the invariants are not independent.
         """
         gradients = self.jacobian(y).T
         q, r = np.linalg.qr(gradients)
         sines = np.abs(np.diagonal(r)) / np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
         if not np.all(sines > PARALLEL):
             k = int(np.argmin(sines > PARALLEL))
-            raise ConvergenceError(
-                f"invariant {k} is not independent: its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of those before it; "
-                "the Jacobian of invariants must have full rank"
-            )
+            raise ConvergenceError(f"invariant {k} is not independent: its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of those "
+                                   "before it; the Jacobian of invariants must have full rank")  # fmt: skip
         return q, r
 
     def check(self, y: Array) -> None:
@@ -118,50 +111,37 @@ def check_invariants(invariants: Invariants) -> None:
         raise TypeError(f"invariants must be Invariants(g), with a function g(y) or g(q, v); got {invariants!r}")
 
 
-class Correction(Protocol):
-    """A term that is added to y′."""
-
-    def begin(self, y: Array, shape: Shape) -> None:
-        """Prepare for a run from this start."""
-        ...
-
-    def __call__(self, y: Array) -> Array:
-        """(n,) the term."""
-        ...
+Correction = Callable[[Array], Array]  # (n,) a term that is added to y′, of the state
 
 
-def corrected(problem: Problem, correction: Correction) -> "CorrectedPartitioned | CorrectedFirstOrder":
+def corrected(problem: Problem, correction: Correction, begin: Callable[[Array, Shape], None]) -> "CorrectedPartitioned | CorrectedFirstOrder":
     """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
 
-    Raises
-    ------
-    TypeError : for problems of other kinds.
+    begin : called with the start of each run and the shape of q and v.  Raises TypeError for problems of other kinds.
     """
     if isinstance(problem, Partitioned):
-        return CorrectedPartitioned(problem, correction)
+        return CorrectedPartitioned(problem, correction, begin)
     if isinstance(problem, FirstOrder):
-        return CorrectedFirstOrder(problem, correction)
+        return CorrectedFirstOrder(problem, correction, begin)
     raise TypeError(f"y′ can be corrected in SecondOrder, Partitioned and FirstOrder problems; got {type(problem).__name__}")
 
 
 class CorrectedPartitioned(Partitioned):
     """q′ = g + c_q, v′ = f + c_v with a correction c(q, v)."""
 
-    def __init__(self, problem: Partitioned, correction: Correction) -> None:
-        def g(t: float, q: Array, v: Array) -> Array:
-            return problem.g(t, q, v) + correction(_joined(q, v))[: q.size]
+    def __init__(self, problem: Partitioned, correction: Correction, begin: Callable[[Array, Shape], None]) -> None:
+        def of(q: Array, v: Array) -> Array:
+            return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
 
-        def f(t: float, q: Array, v: Array) -> Array:
-            return problem.f(t, q, v) + correction(_joined(q, v))[q.size :]
-
+        g, f = (lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size]), (lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :])
         super().__init__(g, f, solver=problem.solver)
-        self._problem, self._correction, self.shape = problem, correction, problem.shape
+        self._problem, self._correction, self._begin, self.shape = problem, correction, begin, problem.shape
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state of length 2n."""
         y = self._problem.begin(start)
         self.shape = self._problem.shape
-        self._correction.begin(y, self.shape)
+        self._begin(y, self.shape)
         return y
 
     def field(self, t: float, y: Array) -> Array:
@@ -172,14 +152,14 @@ class CorrectedPartitioned(Partitioned):
 class CorrectedFirstOrder(FirstOrder):
     """y′ = f + c(y)."""
 
-    def __init__(self, problem: FirstOrder, correction: Correction) -> None:
+    def __init__(self, problem: FirstOrder, correction: Correction, begin: Callable[[Array, Shape], None]) -> None:
         super().__init__(lambda t, y: problem.field(t, y) + correction(y), solver=problem.solver)
-        self._problem, self._correction = problem, correction
+        self._problem, self._begin = problem, begin
 
     def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:
         """The start as a state of length n."""
         y = self._problem.begin(start)
-        self._correction.begin(y, None)
+        self._begin(y, None)
         return y
 
 
@@ -203,30 +183,21 @@ def stabilized(problem: Problem, invariants: Invariants, gamma: float) -> Correc
     check_invariants(invariants)
     if not (isinstance(gamma, Real) and isfinite(gamma) and gamma > 0.0):
         raise ValueError(f"gamma must be positive and finite; gamma = {gamma!r}")
-    return corrected(problem, Stabilization(invariants, float(gamma)))
+    manifold: Manifold
 
+    def begin(y: Array, shape: Shape) -> None:
+        nonlocal manifold
+        manifold = invariants.through(y, shape)
 
-class Stabilization:
-    """−γ F(y) (g(y) − g₀)."""
-
-    def __init__(self, invariants: Invariants, gamma: float) -> None:
-        self._invariants, self._gamma = invariants, gamma
-
-    def begin(self, y: Array, shape: Shape) -> None:
-        """g₀ is g of the start, unless given."""
-        self._manifold = self._invariants.through(y, shape)
-
-    def __call__(self, y: Array) -> Array:
+    def correction(y: Array) -> Array:
         """−γ Gᵀ (G Gᵀ)⁻¹ (g − g₀) = −γ Q R⁻ᵀ (g − g₀)."""
-        defect = self._manifold.defect(y)
+        defect = manifold.defect(y)
         if not defect.any():
             return np.zeros(y.size)
-        q, r = self._manifold.frame(y)
-        return -self._gamma * (q @ np.linalg.solve(r.T, defect))
+        q, r = manifold.frame(y)
+        return -float(gamma) * (q @ np.linalg.solve(r.T, defect))
 
-
-def _joined(q: Array, v: Array) -> Array:
-    return np.concatenate([q.reshape(-1), v.reshape(-1)])
+    return corrected(problem, correction, begin)
 
 
 def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
@@ -240,8 +211,8 @@ def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
     def of_halves(y: Array, shape: Shape) -> Array:
         if shape is None:
             raise TypeError(f"{name} takes q and v, but the problem has none; write it as a function of y")
-        n = y.size // 2
-        return field(0.0, y[:n].reshape(shape), y[n:].reshape(shape))
+        q, v = np.split(y, 2)
+        return field(0.0, q.reshape(shape), v.reshape(shape))
 
     return of_halves
 

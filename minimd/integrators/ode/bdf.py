@@ -46,8 +46,7 @@ class BDFStep:
     """One step, which must continue from the state that the last one returned."""
 
     def __init__(self, problem: Problem, k: int) -> None:
-        self._k = k
-        self._problem, self._equations = problem, StageEquations(problem)
+        self._k, self._problem, self._equations = k, problem, StageEquations(problem)
         self._start = StageStep(problem, radau_iia(k))
         self._states: deque[Array] = deque(maxlen=k)  # the newest first
         self._steps: deque[float] = deque(maxlen=k - 1)  # lengths of the steps between them
@@ -59,12 +58,7 @@ class BDFStep:
         return self._start.nfev + self._equations.nfev
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
-        """y(t+h).
-
-        Raises
-        ------
-        TypeError : if y is not the last state, and k > 1.
-        """
+        """y(t+h).  Raises TypeError if y is not the last state, and k > 1."""
         if not self._states or self._k == 1:
             self._states.appendleft(y)
         if self._states[0] is not y:

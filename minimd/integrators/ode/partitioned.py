@@ -126,18 +126,14 @@ class SequenceStep:
     """Kicks and drifts in turn; the force at the end of a step is that at the start of the next."""
 
     def __init__(self, problem: Partitioned, substeps: Substeps) -> None:
-        self.nfev = 0
-        self._problem = problem
+        self.nfev, self._problem = 0, problem
         self._substeps = [(isinstance(substep, Kick), substep.coefficient) for substep in substeps]
-        self._drifts_with_v = problem.g_is_v
         self._known: tuple[Array | None, Array | None] = None, None
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
         problem, n = self._problem, y.size // 2
-        known, force = self._known
-        if known is not y:
-            force = None
+        force = self._known[1] if self._known[0] is y else None
         y = y.copy()
         q, v = y[:n], y[n:]
         q_shaped, v_shaped = (q, v) if len(problem.shape) == 1 else problem.halves(y)
@@ -149,7 +145,7 @@ class SequenceStep:
                     self.nfev += 1
                 push(v, duration, force)
             else:
-                push(q, duration, v if self._drifts_with_v else problem.g(t, q_shaped, v_shaped))
+                push(q, duration, v if problem.g_is_v else problem.g(t, q_shaped, v_shaped))
                 t += duration
                 force = None
         self._known = y, force
@@ -160,8 +156,7 @@ class EulerStep:
     """Symplectic Euler methods in turn; each implicit equation is solved to rounding, from its explicit guess."""
 
     def __init__(self, problem: Partitioned, substeps: Substeps) -> None:
-        self.nfev = 0
-        self._problem = problem
+        self.nfev, self._problem = 0, problem
         self._factors = [(kind, weight, problem.solver.iteration()) for kind, weight in euler_factors(substeps)]
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
@@ -181,8 +176,7 @@ class EulerStep:
         return np.concatenate([q, v])
 
     def _value(self, field: Field, t: float, q: Array, v: Array) -> Array:
-        self.nfev += field is self._problem.f
-        shape = self._problem.shape
+        self.nfev, shape = self.nfev + (field is self._problem.f), self._problem.shape
         return field(t, q.reshape(shape), v.reshape(shape))
 
     def _solved(self, field: Field, jacobian: Field | None, unknown: str, state: tuple[float, Array, Array], duration: float, iteration) -> Array:
@@ -196,13 +190,8 @@ class EulerStep:
         guess = x0 + duration * self._value(field, *state)
         if unknown not in field.takes:
             return guess
-        return iteration.solve(
-            lambda x: x - (x0 + duration * self._value(field, *place(x))),
-            guess,
-            None if jacobian is None else lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size),
-            key=duration,
-            scale=np.abs(x0).max(),
-        )
+        slope = None if jacobian is None else lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)
+        return iteration.solve(lambda x: x - (x0 + duration * self._value(field, *place(x))), guess, slope, duration, np.abs(x0).max())
 
 
 def euler_factors(substeps: Substeps) -> list[tuple[type[Substep], float]]:

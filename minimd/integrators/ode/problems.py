@@ -1,9 +1,5 @@
 """Problems whose state is one array: y′ = f(t, y), and the differential-algebraic F(t, y, y′) = 0.
 
-    index 1   y′ = f(t, y, z)       0 = g(t, y, z)                     g_z regular
-    index 2   y′ = f(t, y, z)       0 = g(t, y)                        g_y f_z regular
-    index 3   y′ = f(t, y, z)       z′ = k(t, y, z, u)    0 = g(t, y)  g_y f_z k_u regular
-
 The index is how often equations must be differentiated until they determine y′. Constraints that appear on the way are
 hidden, and a start must obey them too. E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic Systems
 by Runge-Kutta Methods (1989); E. Hairer, G. Wanner, Solving ODEs II (1996), VI and VII.

@@ -10,6 +10,7 @@ E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic
 E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -167,41 +168,32 @@ class RungeKutta(Method):
         return cls.tableau.stage_order
 
 
-class StageStep:
+class StageStep(StageEquations):
     """One step with a tableau. The slopes of a step, extrapolated as a polynomial, are the first guess for the next."""
 
     def __init__(self, problem: Problem, tableau: Tableau) -> None:
-        self._problem, self._tableau = problem, tableau
-        self._equations = StageEquations(problem)
+        super().__init__(problem)
+        self._tableau = tableau
         self._coefficients = np.linalg.inv(np.vander(tableau.nodes))  # of the polynomial through values at the nodes
         self._known: tuple[Array | None, Array | float] = None, 0.0  # last state, and its rounding error
         self._last: tuple[float, float, Array] | None = None  # time, length and slopes of the last step
 
-    @property
-    def nfev(self) -> int:
-        """Evaluations of the right-hand side."""
-        return self._equations.nfev
-
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
         known, lost = self._known
-        slopes = self._slopes(t, y, h)
+        slopes = self._all_slopes(t, y, h)
         increment = h * (self._tableau.weights @ slopes) + (lost if known is y else 0.0)
         y_new = y + increment
         self._known, self._last = (y_new, increment - (y_new - y)), (t, h, slopes)
         return y_new
 
-    def _slopes(self, t: float, y: Array, h: float) -> Array:
+    def _all_slopes(self, t: float, y: Array, h: float) -> Array:
         """(s, n) slopes of all stages; from the guess y′ for all of them if there is no other, or if the other one fails."""
-        tableau = self._tableau
-        times, weights = t + tableau.nodes * h, h * tableau.beta
-        guess = self._extrapolated(t, h)
+        times, weights, guess = t + self._tableau.nodes * h, h * self._tableau.beta, self._extrapolated(t, h)
         if guess is not None:
-            try:
-                return self._equations.slopes(times, y, weights, guess, h)
-            except ConvergenceError:
-                pass
-        return self._equations.slopes(times, y, weights, np.tile(self._problem.field(t, y), (times.size, 1)), h)
+            with suppress(ConvergenceError):
+                return self.slopes(times, y, weights, guess, h)
+        return self.slopes(times, y, weights, np.tile(self._problem.field(t, y), (times.size, 1)), h)
 
     def _extrapolated(self, t: float, h: float) -> Array | None:
         """The slopes of the last step as a polynomial, at the stages of this one; None if these are far."""
@@ -228,12 +220,11 @@ def _radau(s: int, stages: str) -> type[RungeKutta]:
     return _method(f"RadauIIA{s}", doc, f"radau-iia-{s}", radau_iia(s), "B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5")
 
 
-EULER = "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."
-
 GaussLegendre1 = _gauss_legendre(1, "one stage, the implicit midpoint rule")
 GaussLegendre2 = _gauss_legendre(2, "two stages")
 GaussLegendre3 = _gauss_legendre(3, "three stages")
 GaussLegendre4 = _gauss_legendre(4, "four stages")
+EULER = "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."
 ImplicitEuler = _method("ImplicitEuler", EULER, "implicit-euler", radau_iia(1), "E. Hairer, G. Wanner, Solving ODEs II (1996), IV.3")
 RadauIIA2 = _radau(2, "two stages")
 RadauIIA3 = _radau(3, "three stages")

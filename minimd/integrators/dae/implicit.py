@@ -51,9 +51,7 @@ class Implicit(DifferentialAlgebraic):
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is then its y′.
 
-        Raises
-        ------
-        ValueError : if F, or a time derivative of it, cannot be zero there; if the index is above 3, or solutions are not unique.
+        Raises ValueError if F, or a time derivative of it, cannot be zero there; if the index is above 3, or solutions are not unique.
         """
         y, slope = self._begun(start, t0)
         return self._consistent(t0, y, slope, np.where(self._is_algebraic(t0, y, slope), 1.0, 0.0))

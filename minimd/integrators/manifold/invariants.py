@@ -51,21 +51,26 @@ class Invariants:
         """The manifold g = value, or g = g(y) if no value was given.
 
         y : (n,) state.  shape : of q and v, None for problems without them.
-
-        Raises
-        ------
-        ValueError : if the numbers of values, derivatives and unknowns do not fit, or values are not finite.
+        Raises ValueError if the numbers of values, derivatives and unknowns do not fit, or values are not finite.
         """
-        manifold = Manifold(self, shape, self.g(y, shape) if self.value is None else self.value)
-        manifold.check(y)
-        return manifold
+        return Manifold(self, y, shape)
 
 
 class Manifold:
-    """{y : g(y) = value}. value : (m,)."""
+    """{y : g(y) = value}. value : (m,).  Arguments and errors : see Invariants.through."""
 
-    def __init__(self, invariants: Invariants, shape: Shape, value: Array) -> None:
-        self.value, self._invariants, self._shape = value, invariants, shape
+    def __init__(self, invariants: Invariants, y: Array, shape: Shape) -> None:
+        answer, given = invariants.g(y, shape), invariants.jacobian
+        self.value = answer if invariants.value is None else invariants.value
+        self._invariants, self._shape = invariants, shape
+        if answer.size != self.value.size:
+            raise ValueError(f"value must have one number per invariant; g has {answer.size}, value has {self.value.size}")
+        if not 0 < answer.size < y.size:
+            raise ValueError(f"there must be fewer invariants than unknowns, and at least one; got {answer.size} of {y.size}")
+        if not (np.isfinite(answer).all() and np.isfinite(self.value).all()):
+            raise ValueError(f"g and its value must be finite at the start; g = {_shown(answer)}, value = {_shown(self.value)}")
+        if given is not None and (size := given(y, shape).size) != answer.size * y.size:
+            raise ValueError(f"jacobian must have {answer.size} × {y.size} numbers, ∂g/∂y; got {size}")
 
     def defect(self, y: Array) -> Array:
         """(m,) g(y) − value."""
@@ -90,19 +95,6 @@ class Manifold:
             raise ConvergenceError(f"invariant {k} is not independent: its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of those "
                                    "before it; the Jacobian of invariants must have full rank")  # fmt: skip
         return q, r
-
-    def check(self, y: Array) -> None:
-        """ValueError unless g, value and G(y) fit each other and the state."""
-        answer = self._invariants.g(y, self._shape)
-        if answer.size != self.value.size:
-            raise ValueError(f"value must have one number per invariant; g has {answer.size}, value has {self.value.size}")
-        if not 0 < answer.size < y.size:
-            raise ValueError(f"there must be fewer invariants than unknowns, and at least one; got {answer.size} of {y.size}")
-        if not (np.isfinite(answer).all() and np.isfinite(self.value).all()):
-            raise ValueError(f"g and its value must be finite at the start; g = {_shown(answer)}, value = {_shown(self.value)}")
-        given = self._invariants.jacobian
-        if given is not None and given(y, self._shape).size != answer.size * y.size:
-            raise ValueError(f"jacobian must have {answer.size} × {y.size} numbers, ∂g/∂y; got {given(y, self._shape).size}")
 
 
 def check_invariants(invariants: Invariants) -> None:
@@ -211,8 +203,8 @@ def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
     def of_halves(y: Array, shape: Shape) -> Array:
         if shape is None:
             raise TypeError(f"{name} takes q and v, but the problem has none; write it as a function of y")
-        q, v = np.split(y, 2)
-        return field(0.0, q.reshape(shape), v.reshape(shape))
+        n = y.size // 2
+        return field(0.0, y[:n].reshape(shape), y[n:].reshape(shape))
 
     return of_halves
 

@@ -156,9 +156,7 @@ class IndexTwo(Hessenberg2):
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start of the problem itself, (q, v) or y, as a state.
 
-        Raises
-        ------
-        ValueError : if it is not on the manifold of given values, or if the gradients of the invariants are not independent.
+        Raises ValueError if it is not on the manifold of given values, or if the gradients of the invariants are not independent.
         """
         y = self._problem.begin(start)
         self._manifold = self._invariants.through(y, self._problem.shape)

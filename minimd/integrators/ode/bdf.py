@@ -25,8 +25,6 @@ __all__ = ["BDF1", "BDF2", "BDF3", "BDF4", "BDF5"]
 class BDF(Method):
     """A backward differentiation formula. With k ≥ 2 it is not a one-step method: run_steps and run_until can use it, run_adaptive cannot.
 
-    Attributes of each method
-    -------------------------
     n_past : number k of past states, and order; at most 5, because BDF6 is A(α)-stable only up to α = 18°.
     """
 

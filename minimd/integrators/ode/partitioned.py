@@ -60,9 +60,7 @@ class Partitioned:
     def begin(self, start: tuple[ArrayLike, ArrayLike], t0: float = 0.0) -> Array:
         """(q, v) as one state of length 2n.
 
-        Raises
-        ------
-        ValueError : if q and v do not have the same shape, or a value is not finite; from g and f, if their answers have another shape.
+        Raises ValueError if q and v do not have the same shape, or a value is not finite; from g and f, if their answers have another shape.
         """
         if not isinstance(start, (tuple, list, np.ndarray)) or len(start) != 2:
             raise ValueError(f"the start must be a pair, (q, v); got {start!r}")

@@ -34,9 +34,7 @@ class FirstOrder:
     def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:
         """The start as a state of length n.
 
-        Raises
-        ------
-        ValueError : if it is not an array of one dimension, or a value is not finite; from f, if its answers have another shape.
+        Raises ValueError if it is not an array of one dimension, or a value is not finite; from f, if its answers have another shape.
         """
         y = np.array(start, dtype=float)
         if y.ndim != 1 or y.size == 0:

@@ -27,8 +27,6 @@ __all__ = ["GaussLegendre1", "GaussLegendre2", "GaussLegendre3", "GaussLegendre4
            "Tableau", "collocation", "gauss", "radau_iia"]  # fmt: skip
 
 FARTHEST = 3.0  # times the last step: how far its slopes are extrapolated at most
-
-
 TABLEAU_ROUNDING = 1e-13  # of sums of a few products of coefficients of order one
 HIGHEST_ORDER = 10  # conditions are evaluated up to this order
 
@@ -133,12 +131,7 @@ def _lagrange_integrals(nodes: Array, end: float) -> Array:
 
 
 class RungeKutta(Method):
-    """An implicit Runge-Kutta method, given by its tableau.
-
-    Attributes of each method
-    -------------------------
-    tableau : Tableau. Order, symmetry and symplecticity are computed from it.
-    """
+    """An implicit Runge-Kutta method, given by its tableau : Tableau. Order, symmetry and symplecticity are computed from it."""
 
     tableau: ClassVar[Tableau]
     is_explicit = False
@@ -151,9 +144,7 @@ class RungeKutta(Method):
     def on(cls, problem: Problem) -> Step:
         """The step on any problem; those of index 3 need a method whose last stage is the next state.
 
-        Raises
-        ------
-        TypeError : for Gauss-Legendre methods on problems of index 3, where errors of the multipliers do not shrink with the time step.
+        Raises TypeError for Gauss-Legendre methods on problems of index 3, where errors of the multipliers do not shrink with the time step.
         """
         if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
             raise TypeError(f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers stay wrong however short "

@@ -39,7 +39,10 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
             raise TypeError(f"parts must be methods, such as VelocityVerlet, or flows, such as Kick(0.5); got {part!r}")
         _refuse_bath(part)
     if weights is None:
-        weights = _equal_weights(parts)
+        n_methods = sum(isinstance(part, type) for part in parts)
+        if 0 < n_methods < len(parts):
+            raise TypeError("methods and flows are composed with weights only: the fraction of the time step for each part")
+        weights = [1.0 / n_methods if n_methods else 1.0] * len(parts)
     if len(weights) != len(parts) or not parts:
         raise ValueError(f"there must be at least one part, and as many weights; got {len(parts)} parts, {len(weights)} weights")
     sequences = [scaled(part.sequence() if isinstance(part, type) else (part,), weight) for part, weight in zip(parts, weights, strict=True)]
@@ -61,13 +64,6 @@ def adjoint(method: type[Splitting]) -> type[Splitting]:
 def _refuse_bath(part: Part) -> None:
     if isinstance(part, type) and part.is_thermostat:
         raise TypeError(f"{part.name} has a bath: its steps have no inverse and no parts that last for a fraction of them")
-
-
-def _equal_weights(parts: Sequence[Part]) -> list[float]:
-    n_methods = sum(isinstance(part, type) for part in parts)
-    if 0 < n_methods < len(parts):
-        raise TypeError("methods and flows are composed with weights only: the fraction of the time step for each part")
-    return [1.0 / n_methods if n_methods else 1.0] * len(parts)
 
 
 def _method(name: str, substeps: Substeps, source: str) -> type[Splitting]:

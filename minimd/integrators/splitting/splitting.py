@@ -9,13 +9,13 @@ equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integra
 
 from collections.abc import Callable
 from inspect import signature
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar
 
 from minimd.compiled.kernels import kernel
 from minimd.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.state import State, Surroundings
-from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize, is_palindrome, merged
+from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize, is_palindrome, mechanical, merged
 
 __all__ = ["Splitting"]
 
@@ -43,19 +43,8 @@ def drift(positions, velocities, duration):
 
 def stages(method: "type[Splitting]") -> int:
     """Force evaluations per step of a long run: groups of kicks with no drift between them, the last and the first kick being one group."""
-    kicks = [isinstance(substep, Kick) for substep in merged(substep for substep in method.substeps if not isinstance(substep, Thermalize))]
+    kicks = [isinstance(substep, Kick) for substep in merged(mechanical(method.substeps))]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
-
-
-@runtime_checkable
-class SplitProblem(Protocol):
-    """A problem with q and v, which can be kicked and drifted."""
-
-    def sequence_step(self, substeps: Substeps) -> Step:
-        """The step that applies these substeps."""
-
-    def sequence_order(self, substeps: Substeps) -> int:
-        """Order of that step on this problem."""
 
 
 class Splitting(Method):
@@ -103,15 +92,15 @@ class Splitting(Method):
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """The step on a problem with q and v.  Raises TypeError for other problems."""
-        if not isinstance(problem, SplitProblem):
+        """The step on a problem with q and v, see Partitioned.sequence_step.  Raises TypeError for other problems."""
+        if not hasattr(problem, "sequence_step"):
             raise TypeError(f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}")
         return problem.sequence_step(cls.sequence())
 
     @classmethod
     def order_on(cls, problem: Problem) -> int:
         """See Method."""
-        return problem.sequence_order(cls.sequence()) if isinstance(problem, SplitProblem) else cls.order
+        return problem.sequence_order(cls.sequence()) if hasattr(problem, "sequence_order") else cls.order
 
     def advance(
         self, state: State, compute_forces: ComputeForces, n_steps: int, with_energy: bool = True, surroundings: Surroundings | None = None

@@ -46,6 +46,11 @@ def merged(substeps: Iterable[Substep]) -> Substeps:
     return tuple(sequence)
 
 
+def mechanical(substeps: Iterable[Substep]) -> Substeps:
+    """The kicks and drifts alone."""
+    return tuple(substep for substep in substeps if not isinstance(substep, Thermalize))
+
+
 def scaled(substeps: Iterable[Substep], weight: float) -> Substeps:
     """The same substeps over weight · Δt instead of Δt."""
     return tuple(type(substep)(weight * substep.coefficient) for substep in substeps)

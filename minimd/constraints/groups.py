@@ -14,10 +14,9 @@ from minimd.compiled.kernels import shared_kernel
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take, thread_pool
 from minimd.constraints.graph import Floats, Graph, Ints, graph_of
 from minimd.constraints.linear_triatomic import DriftLinear, ProjectLinear
-from minimd.constraints.newton import DriftComponents, Memory, ProjectComponents, dependent_constraint
+from minimd.constraints.networks import DriftComponents, Memory, ProjectComponents, SweepDrift, SweepVelocities, dependent_constraint
 from minimd.constraints.pairs import DriftPairs, ProjectPairs
 from minimd.constraints.settle import DriftTriangles
-from minimd.constraints.shake import SweepDrift, SweepVelocities
 from minimd.constraints.vectors import Atoms, Bonds, Molecules
 
 STRAIGHT = 1e-9  # relative: a triangle whose longest side is the sum of the others to this accuracy is a line; files give some nine digits

@@ -3,8 +3,8 @@
 bonds that share no atom   closed form                      pairs
 three atoms in a line      closed form                      linear_triatomic
 triangles such as water    closed form                      settle
-everything else            Newton within an envelope        newton
-solver="shake"             sweeps, for all but the lines    shake
+everything else            Newton within an envelope        networks
+solver="shake"             sweeps, for all but the lines    networks
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from minimd.compiled.machine import EPS
 from minimd.constraints.graph import Floats, Ints
 from minimd.constraints.groups import groups_of
-from minimd.constraints.newton import drift_some
+from minimd.constraints.vectors import drift_some
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.errors import ConstraintError
 

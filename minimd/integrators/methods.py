@@ -14,7 +14,7 @@ class MethodTable(dict[str, type[Method]]):
     """Methods by name; print it to read what each of them is."""
 
     def __str__(self) -> str:
-        rows = [("name", "order", "stages", "symmetric", "symplectic", "explicit", "source")]
+        rows: list[tuple[str, ...]] = [("name", "order", "stages", "symmetric", "symplectic", "explicit", "source")]
         for method in self.values():
             answers = (method.is_symmetric, method.is_symplectic, method.is_explicit)
             rows.append((method.name, str(method.order), str(method.stages), *("yes" if answer else "no" for answer in answers), method.source))

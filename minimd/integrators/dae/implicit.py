@@ -53,20 +53,14 @@ class Implicit(DifferentialAlgebraic):
 
         Raises ValueError if F, or a time derivative of it, cannot be zero there; if the index is above 3, or solutions are not unique.
         """
-        y, slope = self._begun(start, t0)
-        return self._consistent(t0, y, slope, np.where(self._is_algebraic(t0, y, slope), 1.0, 0.0))
+        return self._consistent(start, t0, 0.0)
 
     def corrected(self, start: Any, t0: float = 0.0) -> Array:
         """A consistent state near the start, where variables whose derivative occurs in F move only if they must."""
         try:
             return self.begin(start, t0)
         except ValueError:
-            y, slope = self._begun(start, t0)
-            return self._consistent(t0, y, slope, np.where(self._is_algebraic(t0, y, slope), 1.0, RELUCTANT))
-
-    def _is_algebraic(self, t: float, y: Array, slope: Array) -> Array:
-        derivatives = np.abs(self.slope_jacobian(t, y, slope))
-        return np.asarray(derivatives.max(axis=0) <= ABSENT * derivatives.max())
+            return self._consistent(start, t0, RELUCTANT)
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """F(t, y, y′)."""
@@ -96,8 +90,11 @@ class Implicit(DifferentialAlgebraic):
         self._slope = slope
         return y, slope
 
-    def _consistent(self, t: float, y: Array, slope: Array, mobility: Array) -> Array:
-        """y, after solving F = 0 and its derivatives up to the index minus one."""
+    def _consistent(self, start: Any, t: float, mobility_of_others: float) -> Array:
+        """y, after solving F = 0 and its derivatives up to the index minus one.  mobility_of_others : than variables without a derivative in F."""
+        y, slope = self._begun(start, t)
+        derivatives = np.abs(self.slope_jacobian(t, y, slope))
+        mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, mobility_of_others)
         size = float(np.abs(y).max())
         y, slope = self._solved(t, y, [slope], mobility, 1.0, size)
         of_slope, of_state = self._pencil(t, y, slope)

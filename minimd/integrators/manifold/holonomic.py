@@ -111,6 +111,8 @@ class Holonomic(SecondOrder):
 class RattleStep(SequenceStep):
     """One step of a splitting on a Holonomic problem."""
 
+    _problem: Holonomic
+
     def __init__(self, problem: Holonomic, substeps: Substeps) -> None:
         super().__init__(problem, substeps)
         self._iteration = problem.solver.iteration()

@@ -22,7 +22,9 @@ from minimd.structure.errors import ConvergenceError, checked_count
 
 __all__ = ["FixedPoint", "Newton"]
 
-Residual, Jacobian, Sizes = Callable[[Array], Array], Callable[[Array], Array] | None, Array | float
+Residual = Callable[[Array], Array]
+Jacobian = Callable[[Array], Array] | None
+Sizes = Array | float
 SLOW = 0.3  # the Jacobian is renewed if a correction is more than this part of the one before
 NEAR = 16.0 * EPS  # corrections, relative to the unknowns, that are taken for rounding once they shrink slowly
 STALLED = 0.5  # corrections that shrink by less than this factor with a new Jacobian no longer shrink

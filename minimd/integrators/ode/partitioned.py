@@ -16,17 +16,21 @@ it moves with q. A sequence whose order p holds for all separable problems has t
 R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995); E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), III.3.3, VI.3.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.compiled.kernels import kernel
 from minimd.integrators.method import Array, Step
 from minimd.integrators.ode.functions import Field, Function, check_finite
-from minimd.integrators.ode.newton import Newton, Solver, checked_solver
+from minimd.integrators.ode.newton import Iteration, Newton, Solver, checked_solver
 from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps
 
 __all__ = ["Partitioned", "SecondOrder"]
+
+Place = Callable[[Array], tuple[float, Array, Array]]
 
 
 class Partitioned:
@@ -164,12 +168,12 @@ class EulerStep:
         for kind, weight, iteration in self._factors:
             duration = weight * h
             if kind is Kick:
-                v = self._solved(problem.f, problem.f_v, "v", (t, q, v), duration, iteration)
+                v = self._solved(problem.f, problem.f_v, "v", v, lambda x: (t, q, x), duration, iteration)
                 q = q + duration * self._value(problem.g, t, q, v)
                 t += duration
             else:
                 t += duration
-                q = self._solved(problem.g, problem.g_q, "q", (t, q, v), duration, iteration)
+                q = self._solved(problem.g, problem.g_q, "q", q, lambda x: (t, x, v), duration, iteration)
                 v = v + duration * self._value(problem.f, t, q, v)
         return np.concatenate([q, v])
 
@@ -177,15 +181,9 @@ class EulerStep:
         self.nfev, shape = self.nfev + (field is self._problem.f), self._problem.shape
         return field(t, q.reshape(shape), v.reshape(shape))
 
-    def _solved(self, field: Field, jacobian: Field | None, unknown: str, state: tuple[float, Array, Array], duration: float, iteration) -> Array:
-        """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one stands still."""
-        t, q, v = state
-        x0 = q if unknown == "q" else v
-
-        def place(x: Array) -> tuple[float, Array, Array]:
-            return (t, x, v) if unknown == "q" else (t, q, x)
-
-        guess = x0 + duration * self._value(field, *state)
+    def _solved(self, field: Field, jacobian: Field | None, unknown: str, x0: Array, place: Place, duration: float, iteration: Iteration) -> Array:
+        """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one stands still.  place : (t, q, v) with this x."""
+        guess = x0 + duration * self._value(field, *place(x0))
         if unknown not in field.takes:
             return guess
         slope = None if jacobian is None else lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)

@@ -22,7 +22,8 @@ from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_co
 
 __all__ = ["DensityControl", "run_reversible"]
 
-Rate, Start = Callable[[float, Array, Array], float], tuple[ArrayLike, ArrayLike]
+Rate = Callable[[float, Array, Array], float]
+Start = tuple[ArrayLike, ArrayLike]
 EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), so that steps are proportional to the free-fall time
 DIFFERENCE = 1e-5  # of the time in which q changes by its size: truncation and rounding of d ln |f|/dt are then alike, 1e-10
 

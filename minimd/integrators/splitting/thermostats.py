@@ -55,7 +55,7 @@ class Thermostat(Splitting):
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
         """The thermostat whose bath has this relaxation time, τ > 0 [time]: all that a scene file says of it.  Others : see Thermostat."""
-        return cls(timestep, temperature, relaxation_time, seed)
+        return cls(timestep, temperature, relaxation_time, seed)  # type: ignore[call-arg, arg-type] # those that are made have it
 
     @classmethod
     def on(cls, problem: Problem) -> Step:

@@ -14,7 +14,7 @@ from minimd.structure.images import images_of_length, nearest_images
 from minimd.structure.observables import degrees_of_freedom
 from minimd.structure.system import System
 
-TOLD = 1e-8  # relative violations of a start above which its projection is told by a warning; files of single precision have more
+TOLD = 1e-8  # relative violations above which the projection of a start is reported by a warning; files of single precision have more
 
 
 class ConstraintSet:
@@ -28,18 +28,17 @@ class ConstraintSet:
 
     def __init__(self, system: System, constraints: Constraint | Sequence[Constraint], threads: int = 1) -> None:
         given = list(constraints) if isinstance(constraints, Sequence) else [constraints]
-        for constraint in given:
-            if not isinstance(constraint, (DistanceConstraints, FixedAtoms)):
-                raise TypeError(f"constraints must be DistanceConstraints or FixedAtoms; got {constraint!r}")
-        distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
-        if len(distances) > 1:
-            raise ValueError("all pairs must be given in one DistanceConstraints: those that share atoms are solved together")
-        self._threads, self._cell = threads, system.cell  # the cell for which the images of bonds were found
         self.inverse_masses = 1.0 / system.masses
         for constraint in given:
             if isinstance(constraint, FixedAtoms):
                 constraint.check_size(len(system))
                 self.inverse_masses[constraint.atoms] = 0.0
+            elif not isinstance(constraint, DistanceConstraints):
+                raise TypeError(f"constraints must be DistanceConstraints or FixedAtoms; got {constraint!r}")
+        distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
+        if len(distances) > 1:
+            raise ValueError("all pairs must be given in one DistanceConstraints: those that share atoms are solved together")
+        self._threads, self._cell = threads, system.cell  # the cell for which the images of bonds were found
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self.kept: tuple[Any, ...] = (FixedAtoms(self.inverse_masses == 0.0),) if self.n_fixed else ()
         self.bonds, self.n_constraints = None, 0
@@ -88,7 +87,7 @@ class ConstraintSet:
             self.bonds.project_velocities(velocities, positions)
 
     def begin(self, system: System) -> None:
-        """Project positions and velocities that violate a constraint, with a warning that tells by how much."""
+        """Project positions and velocities that violate a constraint, with a warning that says by how much."""
         self.fit(system)
         system.velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is None:

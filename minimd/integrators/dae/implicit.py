@@ -23,7 +23,7 @@ __all__ = ["Implicit", "pencil_index"]
 ABSENT = 1e-12  # relative to the largest ∂F/∂y′: smaller ones count as zero
 RANK, NOISY_RANK = 1e-7, 1e-4  # relative singular values that count as zero, of matrices from differences and from differences of differences
 PENCIL_RANK = 1e-10  # singular values of scaled matrices below this are rounding
-RELUCTANT = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others
+LEAST_MOBILITY = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others
 SOLVED, NEGLIGIBLE = 1e-7, 1e-12  # what may be left of an equation, relative to its terms and to its largest variable
 HIGHEST_INDEX = 3
 ORDINALS = ("", "the first time derivative of ", "the second time derivative of ")
@@ -43,10 +43,9 @@ class Implicit(DifferentialAlgebraic):
     def __init__(self, F: Function, F_y: Function | None = None, F_slope: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008, N803
         super().__init__(solver)
         names = "t", "y", "slope"
-        self._F = taking(F, names, "F")
+        self._F, self._slope = taking(F, names, "F"), np.zeros(0)
         self._F_y = F_y if F_y is None else taking(F_y, names, "F_y")
         self._F_slope = F_slope if F_slope is None else taking(F_slope, names, "F_slope")
-        self._slope = np.zeros(0)
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is then its y′.
@@ -60,7 +59,7 @@ class Implicit(DifferentialAlgebraic):
         try:
             return self.begin(start, t0)
         except ValueError:
-            return self._consistent(start, t0, RELUCTANT)
+            return self._consistent(start, t0, LEAST_MOBILITY)
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """F(t, y, y′)."""
@@ -90,11 +89,11 @@ class Implicit(DifferentialAlgebraic):
         self._slope = slope
         return y, slope
 
-    def _consistent(self, start: Any, t: float, mobility_of_others: float) -> Array:
-        """y, after solving F = 0 and its derivatives up to the index minus one.  mobility_of_others : than variables without a derivative in F."""
+    def _consistent(self, start: Any, t: float, least: float) -> Array:
+        """y, after solving F = 0 and its derivatives up to the index minus one.  least : mobility of variables whose derivative occurs in F."""
         y, slope = self._begun(start, t)
         derivatives = np.abs(self.slope_jacobian(t, y, slope))
-        mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, mobility_of_others)
+        mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, least)
         size = float(np.abs(y).max())
         y, slope = self._solved(t, y, [slope], mobility, 1.0, size)
         of_slope, of_state = self._pencil(t, y, slope)

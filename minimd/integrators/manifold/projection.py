@@ -77,7 +77,7 @@ def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type
 
 
 class ManifoldStep:
-    """A step that begins and ends on the manifold through the first state of the run.  is_symmetric : if that of the method is."""
+    """A step that begins and ends on the manifold through the first state of the run.  is_symmetric : whether it keeps the symmetry of the method."""
 
     is_symmetric = True
 

@@ -100,7 +100,7 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
 
 
 def check_ahead(t0: float, t_end: float) -> None:
-    """ValueError unless there is time to go."""
+    """ValueError unless both times are finite, and differ."""
     if not (isfinite(t0) and isfinite(t_end) and t0 != t_end):
         raise ValueError(f"t0 and t_end must be finite and differ; t0 = {t0!r}, t_end = {t_end!r}")
 
@@ -120,7 +120,7 @@ def _fixed(problem: Problem, method: Method, start: Any, t0: float, steps: Itera
             y = step(t, y, h)
             t = t0 + n * method.timestep
             if (n - 1) % every != 0:
-                del times[-1], states[-1]  # only the last state is kept whatever its number
+                del times[-1], states[-1]  # it was the last one, and its number is no multiple of every
             times.append(t)
             states.append(y)
     except ConvergenceError as reason:

@@ -81,7 +81,7 @@ class Newton:
 class FixedPoint(Newton):
     """Fixed-point iteration x ← φ(x), without a Jacobian; it converges for short steps only.  Parameters, Raises : as for Newton."""
 
-    slow = 1.0  # nothing but more iterations helps
+    slow = 1.0  # there is no Jacobian to renew
 
     def __init__(self, max_iterations: int = 200, small: float = SMALL) -> None:
         super().__init__(max_iterations, small)

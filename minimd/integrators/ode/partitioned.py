@@ -182,7 +182,7 @@ class EulerStep:
         return field(t, q.reshape(shape), v.reshape(shape))
 
     def _solved(self, field: Field, jacobian: Field | None, unknown: str, x0: Array, place: Place, duration: float, iteration: Iteration) -> Array:
-        """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one stands still.  place : (t, q, v) with this x."""
+        """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.  place : (t, q, v) with this x."""
         guess = x0 + duration * self._value(field, *place(x0))
         if unknown not in field.takes:
             return guess

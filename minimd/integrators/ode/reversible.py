@@ -107,7 +107,7 @@ class _Path:
                 n += 1
                 change = self._advance(t_end, change)
                 if (n - 1) % every != 0:
-                    del self.kept[-1]  # only the last state is kept whatever its number
+                    del self.kept[-1]  # it was the last one, and its number is no multiple of every
                 self.kept.append((self.t, self.y, self.rho))
         except (ConvergenceError, NonFiniteError) as reason:
             error = type(reason)(f"step {n} from t = {self.t:g}: {reason}; reduce the timestep ({self.epsilon:g})")

@@ -44,7 +44,7 @@ def stability_limit(substeps: Substeps) -> float:
     start = 0.0
     for end in edges:
         if abs(np.trace(propagation(substeps, np.sqrt(0.5 * (start + end))))) - 2.0 > ROUNDING:
-            return float(np.sqrt(start))
+            break
         start = end
     return float(np.sqrt(start))
 

@@ -1,7 +1,7 @@
 """Splitting methods: the flows of the two halves of H = T(p) + V(q), composed as a sequence of substeps.
 
-    drift  φ[1]:  r(t+cΔt) = r(t) + cΔt v            velocities stand still
-    kick   φ[2]:  v(t+cΔt) = v(t) + cΔt F(r)/m       positions stand still
+    drift  φ[1]:  r(t+cΔt) = r(t) + cΔt v            velocities are constant
+    kick   φ[2]:  v(t+cΔt) = v(t) + cΔt F(r)/m       positions are constant
 
 Each half is solved exactly, so every composition is symplectic and conserves total momentum. It is reversible if the sequence
 equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.

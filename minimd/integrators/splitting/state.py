@@ -35,7 +35,7 @@ class State:
 
 @dataclass
 class Bath:
-    """What a thermostat knows of the system it is in contact with, and what it has given to it.
+    """What a thermostat needs to know of its system, and the energy that it has given to it.
 
     k_B : [energy/temperature].  n_dof : degrees of freedom that share the kinetic energy.
     conserves_momentum : whether the total momentum is a constant; the motion of the center of mass is then no degree of freedom.
@@ -55,7 +55,7 @@ class Bath:
 class Surroundings:
     """What acts on a state beside the forces.
 
-    constraints : of lengths that drifts keep, or None.  bath : of a thermostat, or None.
+    constraints : solver of the lengths that drifts keep, or None.  bath : of a thermostat, or None.
     stop_requested : set it to True to end a run of steps after the present one.
     """
 
@@ -64,6 +64,6 @@ class Surroundings:
     stop_requested: bool = False
 
     def project(self, state: State) -> None:
-        """Take from the velocities what would change a length."""
+        """Velocities projected so that they change no length that is kept, in place."""
         if self.constraints is not None:
             self.constraints.project_velocities(state.velocities, state.positions)

@@ -26,7 +26,7 @@ class Kick:
 
 @dataclass(frozen=True, slots=True)
 class Thermalize:
-    """Contact with a bath over coefficient · Δt: velocities change at random, positions stand still. See thermostats."""
+    """Contact with a bath over coefficient · Δt: velocities change at random, positions are constant. See thermostats."""
 
     coefficient: float
 

@@ -38,8 +38,6 @@ class Thermostat(Splitting):
     ValueError : for a time step that is not positive, a temperature or a rate below zero, or a seed out of range.
     """
 
-    temperature: float
-    seed: int
     is_symmetric = is_symplectic = False
     is_thermostat = True
     order = 2
@@ -55,7 +53,7 @@ class Thermostat(Splitting):
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
         """The thermostat whose bath has this relaxation time, τ > 0 [time]: all that a scene file says of it.  Others : see Thermostat."""
-        return cls(timestep, temperature, relaxation_time, seed)  # type: ignore[call-arg, arg-type] # those that are made have it
+        return cls(timestep, temperature, relaxation_time, seed)  # type: ignore[call-arg, arg-type]
 
     @classmethod
     def on(cls, problem: Problem) -> Step:

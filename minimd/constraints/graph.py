@@ -45,8 +45,8 @@ class Graph(NamedTuple):
     components: Components
 
 
-def graph_of(pairs: Ints, inverse_masses: Floats) -> Graph:
-    """The graph of (K, 2) pairs of atoms, with (N,) 1/mass; zero for atoms that are held fixed."""
+def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
+    """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for atoms that are held fixed.  ids : (K,) numbers of the pairs."""
     from scipy.sparse import coo_array  # loaded only if there are constraints
     from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
@@ -63,12 +63,13 @@ def graph_of(pairs: Ints, inverse_masses: Floats) -> Graph:
     label = component[bodies[order, 0]]
     starts = np.flatnonzero(np.diff(label, prepend=-1, append=label[-1] + 1))
     matrix = coupled.tocsr()[order][:, order].tocoo()
-    return _enveloped(pairs, inverse_masses, order, starts, matrix)
+    first, second = np.ascontiguousarray(pairs[order, 0]), np.ascontiguousarray(pairs[order, 1])
+    return Graph(ids[order], first, second, _enveloped(pairs[order], inverse_masses, starts, matrix))
 
 
-def _enveloped(pairs: Ints, inverse_masses: Floats, order: Ints, starts: Ints, matrix: Any) -> Graph:
-    """The graph with the envelope of the lower triangle and the atoms of each component."""
-    k = np.arange(order.size)
+def _enveloped(pairs: Ints, inverse_masses: Floats, starts: Ints, matrix: Any) -> Components:
+    """The envelope of the lower triangle, and the atoms of each component.  pairs : in the order of the matrix."""
+    k = np.arange(len(pairs))
     row, column = matrix.coords
     lowest = k.copy()
     np.minimum.at(lowest, row, np.minimum(column, row))
@@ -76,9 +77,7 @@ def _enveloped(pairs: Ints, inverse_masses: Floats, order: Ints, starts: Ints, m
     coupling = np.zeros(begins[-1])
     below = column <= row
     coupling[begins[row[below]] + column[below] - lowest[row[below]]] = matrix.data[below]
-    sorted_pairs = pairs[order]
-    moving = [np.unique(sorted_pairs[a:b][inverse_masses[sorted_pairs[a:b]] > 0.0]) for a, b in pairwise(starts)]
+    moving = [np.unique(pairs[a:b][inverse_masses[pairs[a:b]] > 0.0]) for a, b in pairwise(starts)]
     atom_starts = np.concatenate([[0], np.cumsum([atoms.size for atoms in moving])])
     atoms = np.concatenate(moving) if moving else np.empty(0, dtype=np.int64)
-    first, second = np.ascontiguousarray(sorted_pairs[:, 0]), np.ascontiguousarray(sorted_pairs[:, 1])
-    return Graph(order, first, second, Components(starts, atoms, atom_starts, begins, lowest, coupling))
+    return Components(starts, atoms, atom_starts, begins, lowest, coupling)

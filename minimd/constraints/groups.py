@@ -1,39 +1,82 @@
-"""Groups of constraints of one shape, each with the solver that suits it."""
+"""Groups of constraints of one shape, each with the solver that suits it, on several threads: no two components have an atom in common.
 
-from typing import Any, Protocol
+A solver is a function solver(first, last, *arguments) that treats components first to last − 1. It is named by a marker, a
+NamedTuple class that type_of(solver) ties to it, so that the next process finds the compiled kernel in the cache.
+"""
+
+from typing import Any
 
 import numpy as np
+from numba.core import types
+from numba.extending import overload
 
+from minimd.compiled.kernels import shared_kernel
+from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take, thread_pool
 from minimd.constraints.graph import Floats, Graph, Ints, graph_of
 from minimd.constraints.linear_triatomic import DriftLinear, ProjectLinear
-from minimd.constraints.newton import DriftComponents, Memory, ProjectComponents, dependent_constraint
+from minimd.constraints.networks import DriftComponents, Memory, ProjectComponents, SweepDrift, SweepVelocities, dependent_constraint
 from minimd.constraints.pairs import DriftPairs, ProjectPairs
-from minimd.constraints.parallel import SolverPool
 from minimd.constraints.settle import DriftTriangles
-from minimd.constraints.shake import SweepDrift, SweepVelocities
-from minimd.constraints.vectors import Bonds, Molecules
+from minimd.constraints.vectors import Atoms, Bonds, Molecules
 
 STRAIGHT = 1e-9  # relative: a triangle whose longest side is the sum of the others to this accuracy is a line; files give some nine digits
+CONSTRAINTS_IN_A_CHUNK = 500  # at least, some ten microseconds of work: more than it takes to wake a thread
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
 
-class AllConstraints(Protocol):
-    """All distance constraints of a system, in the order of the user: attributes of ConstraintSolver."""
+class SolverPool:
+    """Runs solvers on the components of a group, cut into chunks whose number follows from the constraints alone, on several threads."""
 
-    pairs: Ints
-    lengths: Floats
-    offsets: Floats
-    inverse_masses: Floats
-    tolerance: float
-    threads: int
+    def __init__(self, n_components: int, n_constraints: int, most_threads: int) -> None:
+        self.n_components, n_chunks = n_components, max(1, min(n_components, n_constraints // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS))
+        self._threads: ThreadPool = thread_pool(min(most_threads, n_chunks))
+        self._answers = np.zeros(n_chunks, dtype=np.int64)
+
+    def run(self, solver: tuple, atoms: tuple, *arguments: Any) -> int:
+        """The worst answer of a solver: that of the first components that failed, negative, or else the largest.
+
+        atoms : the fields of Atoms, of which compiled code makes one: a plain tuple is a microsecond faster to pass.
+        """
+        self._threads.run(run_chunks, self._answers, solver, self.n_components, atoms, arguments)
+        failed = self._answers[self._answers < 0]
+        return int(failed[0] if failed.size else self._answers.max())
+
+
+@shared_kernel
+def run_chunks(me, task, answers, solver, n, atoms, arguments):
+    """answers[k] = what the solver returns for the k-th chunk of n components."""
+    n_chunks = answers.size
+    phase = begin(me, task)
+    chunk = take(me, phase, n_chunks)
+    while chunk >= 0:
+        answers[chunk] = solve_some(solver, chunk * n // n_chunks, (chunk + 1) * n // n_chunks, Atoms(*atoms), arguments)
+        chunk = finish_and_take(me, phase, n_chunks)
+    barrier(me, phase)
+
+
+def solve_some(solver, first, last, atoms, arguments):
+    """The answer of the solver that a marker names, for components first to last − 1."""
+    return type(solver).formula.py_func(first, last, atoms, *arguments)
+
+
+@overload(solve_some)
+def _solve_some(solver, first, last, atoms, arguments):
+    if not isinstance(solver, types.BaseNamedTuple):
+        return None
+    function = solver.instance_class.formula
+    return lambda solver, first, last, atoms, arguments: function(first, last, atoms, *arguments)
 
 
 class Networks:
-    """Components of any shape. order : (K,) which constraints of the user.  multipliers : (K,), of the last projection."""
+    """Components of any shape.  every : the ConstraintSolver of all.  order : (K,) which of its constraints.  multipliers : (K,), last ones.
 
-    shape = "networks"
+    Other shapes drift with other solvers: drifter is the marker of one, known is what it is given beside atoms, n_each the number of
+    constraints of one molecule, where it counts molecules.
+    """
 
-    def __init__(self, every: AllConstraints, graph: Graph, positions: Floats) -> None:
+    shape, drifter, n_each = "networks", DriftComponents(), 1
+
+    def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
         self.order, self.graph, self.masses = graph.order, graph, every.inverse_masses
         self.n_constraints = graph.order.size
         offsets = np.ascontiguousarray(every.offsets[graph.order])
@@ -42,6 +85,7 @@ class Networks:
         k, n = graph.order.size, graph.components.coupling.size
         self.memory = Memory(np.empty((k, 3)), np.empty((k, 3)), np.empty(k), np.empty(k), np.empty(n), np.empty(n))
         self.multipliers = self.memory.total
+        self.known: tuple = graph.components, self.bonds, self.memory
         self.check(positions)
 
     def check(self, positions: Floats) -> None:
@@ -53,21 +97,22 @@ class Networks:
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
         """Drift of the atoms of the group. Returns a number of iterations, or −1 − the constraint, within the group, that cannot be kept."""
-        return self.pool.run(DriftComponents(), (positions, velocities, self.masses), self.graph.components, self.bonds, duration, self.memory)
+        answer = self.pool.run(self.drifter, (positions, velocities, self.masses), *self.known, duration)
+        return answer if answer >= 0 else self.n_each * (answer + 1) - 1  # the first constraint of the molecule
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """r_ij · x_ij = targets for the vectors x. Returns as drift."""
-        return self.pool.run(ProjectComponents(), (positions, vectors, self.masses), self.graph.components, self.bonds, targets, self.memory)
+        return self.pool.run(ProjectComponents(), (positions, vectors, self.masses), self.graph.components, self.bonds, self.memory, targets)
 
 
 class Pairs(Networks):
     """Bonds that share no atom."""
 
-    shape = "bonds of their own"
+    shape, drifter = "bonds of their own", DriftPairs()
 
-    def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
-        """See Networks."""
-        return self.pool.run(DriftPairs(), (positions, velocities, self.masses), self.bonds, duration)
+    def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
+        super().__init__(every, graph, positions)
+        self.known = (self.bonds,)
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """See Networks."""
@@ -77,11 +122,7 @@ class Pairs(Networks):
 class Sweeps(Networks):
     """Components of any shape, by SHAKE and RATTLE."""
 
-    shape = "networks, by sweeps"
-
-    def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
-        """See Networks."""
-        return self.pool.run(SweepDrift(), (positions, velocities, self.masses), self.graph.components, self.bonds, duration, self.memory)
+    shape, drifter = "networks, by sweeps", SweepDrift()
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """See Networks; by sweeps, as RATTLE does, if all targets are zero."""
@@ -93,57 +134,47 @@ class Sweeps(Networks):
 class Triangles(Networks):
     """Triangles with two equal sides whose outer atoms have equal masses: water."""
 
-    shape = "triangles"
+    shape, drifter, n_each = "triangles", DriftTriangles(), 3
 
-    def __init__(self, every: AllConstraints, graph: Graph, positions: Floats) -> None:
+    def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
         super().__init__(every, graph, positions)
         lengths2 = self.bonds.lengths2
         base = _equal_sides(graph, graph.components.starts[:-1], lengths2, self.masses)
         corners, arms, sides = _corners(graph, base, self.bonds.offsets)
-        self.molecules = Molecules(corners, arms, np.sqrt(np.column_stack([lengths2[sides[:, 0]], lengths2[base]])))
-
-    def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
-        """See Networks."""
-        answer = self.pool.run(DriftTriangles(), (positions, velocities, self.masses), self.molecules, duration)
-        return answer if answer > 0 else 3 * answer + 2  # the first constraint of the triangle
+        self.known = (Molecules(corners, arms, np.sqrt(np.column_stack([lengths2[sides[:, 0]], lengths2[base]]))),)
 
 
 class LinearTriatomics(Networks):
     """Three atoms in a line with three constraints: the distance of the outer ones is kept, and the place of the middle one between them."""
 
-    shape = "linear molecules"
+    shape, drifter, n_each = "linear molecules", DriftLinear(), 3
 
-    def __init__(self, every: AllConstraints, graph: Graph, positions: Floats) -> None:
+    def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
         super().__init__(every, graph, positions)
         self.n_constraints = 4 * (graph.order.size // 3)
-        lengths2 = self.bonds.lengths2
-        self.ends = _longest(graph, lengths2)
+        lengths2, sides = self.bonds.lengths2, graph.components.starts[:-1, None] + np.arange(3)
+        self.ends = np.take_along_axis(sides, np.argmax(lengths2[sides], axis=1)[:, None], axis=1)[:, 0]  # the longest side of each
         corners, arms, sides = _corners(graph, self.ends, self.bonds.offsets)
         offsets = np.stack([-arms[:, 0], arms[:, 1] - arms[:, 0]], axis=1)
         beta = np.sqrt(lengths2[sides[:, 0]] / lengths2[self.ends])
         shapes = np.column_stack([1.0 - beta, beta, lengths2[self.ends]])
-        self.molecules = Molecules(corners[:, [1, 0, 2]], offsets, shapes)  # the middle atom is the corner opposite the longest side
+        self.known = (Molecules(corners[:, [1, 0, 2]], offsets, shapes),)  # the middle atom is the corner opposite the longest side
 
     def check(self, positions: Floats) -> None:
         """Nothing: their constraints depend on each other, and their solver takes this into account."""
 
-    def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
-        """See Networks."""
-        answer = self.pool.run(DriftLinear(), (positions, velocities, self.masses), self.molecules, duration)
-        return answer if answer > 0 else 3 * answer + 2
-
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """See Networks."""
         multipliers = np.empty(len(self.ends))
-        answer = self.pool.run(ProjectLinear(), (positions, vectors, self.masses), self.molecules, targets[self.ends], multipliers)
+        answer = self.pool.run(ProjectLinear(), (positions, vectors, self.masses), *self.known, targets[self.ends], multipliers)
         self.multipliers[:] = 0.0
         self.multipliers[self.ends] = multipliers
         return answer
 
 
-def groups_of(every: AllConstraints, positions: Floats, solver: str) -> list[Any]:
+def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
     """All constraints, sorted by shape.  solver : as for DistanceConstraints."""
-    graph = graph_of(every.pairs, every.inverse_masses)
+    graph = graph_of(every.pairs, every.inverse_masses, np.arange(len(every.pairs)))
     kinds = np.full(graph.order.size, Sweeps if solver == "shake" else Networks, dtype=object)
     sizes = np.diff(graph.components.starts)
     if solver == "auto":
@@ -154,12 +185,9 @@ def groups_of(every: AllConstraints, positions: Floats, solver: str) -> list[Any
     lengths2 = every.lengths[graph.order] ** 2
     for start, kind in zip(starts, _kinds_of_triangles(graph, starts, lengths2, every.inverse_masses, solver), strict=True):
         kinds[start : start + 3] = kind or kinds[start]
-    return [_group(kind, every, graph.order[kinds == kind], positions) for kind in dict.fromkeys(kinds)]
-
-
-def _group(kind: type[Networks], every: AllConstraints, ids: Ints, positions: Floats) -> Networks:
-    graph = graph_of(every.pairs[ids], every.inverse_masses)
-    return kind(every, graph._replace(order=ids[graph.order]), positions)
+    members = [(kind, graph.order[kinds == kind]) for kind in dict.fromkeys(kinds)]
+    graphs = [graph_of(every.pairs[ids], every.inverse_masses, ids) for _, ids in members]
+    return [kind(every, part, positions) for (kind, _), part in zip(members, graphs, strict=True)]
 
 
 def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats, solver: str) -> list[type[Networks] | None]:
@@ -168,20 +196,13 @@ def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Floats, inverse_ma
     excess = 2.0 * lengths.max(axis=1, initial=0.0) - lengths.sum(axis=1)
     if (excess > STRAIGHT * lengths.sum(axis=1)).any():
         k = starts[np.argmax(excess)]
-        raise ValueError(
-            f"lengths of the triangle of constraints {graph.order[k : k + 3].tolist()} contradict each other: one is more than the others together"
-        )
+        sides = graph.order[k : k + 3].tolist()
+        raise ValueError(f"lengths of the triangle of constraints {sides} contradict each other: one is more than the others together")
     is_straight = excess >= -STRAIGHT * lengths.sum(axis=1)
     base = _equal_sides(graph, starts, lengths2, inverse_masses)
     moves = [(inverse_masses[graph.first[s : s + 3]] > 0.0).all() and (inverse_masses[graph.second[s : s + 3]] > 0.0).all() for s in starts]
     water = (base >= 0) & np.array(moves, dtype=bool) & (solver == "auto")
     return [LinearTriatomics if straight else Triangles if settles else None for straight, settles in zip(is_straight, water, strict=True)]
-
-
-def _longest(graph: Graph, lengths2: Floats) -> Ints:
-    """The longest constraint of each triangle."""
-    sides = graph.components.starts[:-1, None] + np.arange(3)
-    return np.take_along_axis(sides, np.argmax(lengths2[sides], axis=1)[:, None], axis=1)[:, 0]
 
 
 def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats) -> Ints:

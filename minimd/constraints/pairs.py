@@ -10,7 +10,7 @@ from collections import namedtuple
 from math import sqrt
 
 from minimd.compiled.kernels import inlined, type_of
-from minimd.constraints.vectors import NOTHING, add_opposite, dot, separation
+from minimd.constraints.vectors import NOTHING, add_opposite, dot, moved, separation
 
 
 @inlined
@@ -20,13 +20,9 @@ def drift_pairs(start, end, atoms, bonds, duration):
     for k in range(start, end):
         i, j = bonds.first[k], bonds.second[k]
         s = separation(positions, i, j, bonds.offsets[k])
-        px = s[0] + duration * (velocities[j, 0] - velocities[i, 0])
-        py = s[1] + duration * (velocities[j, 1] - velocities[i, 1])
-        pz = s[2] + duration * (velocities[j, 2] - velocities[i, 2])
+        p = moved(s, velocities, i, j, duration)
         w = inverse_masses[i] + inverse_masses[j]
-        a = w * w * (s[0] * s[0] + s[1] * s[1] + s[2] * s[2])
-        b = w * (px * s[0] + py * s[1] + pz * s[2])
-        c = px * px + py * py + pz * pz - bonds.lengths2[k]
+        a, b, c = w * w * dot(s, s), w * dot(p, s), dot(p, p) - bonds.lengths2[k]
         discriminant = b * b - a * c
         if not (discriminant >= 0.0 and b > 0.0):
             return NOTHING - k

@@ -19,17 +19,7 @@ from collections import namedtuple
 from math import sqrt
 
 from minimd.compiled.kernels import inlined, type_of
-from minimd.constraints.vectors import NOTHING, combined, cross, dot, separation, unit
-
-
-@inlined
-def moved(s, velocities, i, j, duration):
-    """s + Δt (v_j − v_i), a separation after the drift."""
-    return (
-        s[0] + duration * (velocities[j, 0] - velocities[i, 0]),
-        s[1] + duration * (velocities[j, 1] - velocities[i, 1]),
-        s[2] + duration * (velocities[j, 2] - velocities[i, 2]),
-    )
+from minimd.constraints.vectors import NOTHING, combined, cross, dot, moved, separation, unit
 
 
 @inlined

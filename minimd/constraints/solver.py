@@ -3,8 +3,8 @@
 bonds that share no atom   closed form                      pairs
 three atoms in a line      closed form                      linear_triatomic
 triangles such as water    closed form                      settle
-everything else            Newton within an envelope        newton
-solver="shake"             sweeps, for all but the lines    shake
+everything else            Newton within an envelope        networks
+solver="shake"             sweeps, for all but the lines    networks
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from minimd.compiled.machine import EPS
 from minimd.constraints.graph import Floats, Ints
 from minimd.constraints.groups import groups_of
-from minimd.constraints.newton import drift_some
+from minimd.constraints.vectors import drift_some
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.errors import ConstraintError
 
@@ -127,10 +127,8 @@ class ConstraintSolver:
         """ConstraintError with the larger violation: closed forms fail before they move atoms, iterations afterwards."""
         i, j = self.pairs[constraint]
         off = max(self.violation(positions)[constraint], self.violation(positions + duration * velocities)[constraint])
-        what = "drift" if duration else "velocity projection"
-        error = ConstraintError(
-            f"constraint {constraint} (atoms {i}-{j}) cannot be kept in a {what} of {duration:g}: it is off by {off:.1e} of its length squared"
-        )
+        what = f"{'drift' if duration else 'velocity projection'} of {duration:g}"
+        error = ConstraintError(f"constraint {constraint} (atoms {i}-{j}) cannot be kept in a {what}: it is off by {off:.1e} of its length squared")
         error.atoms = int(i), int(j)
         raise error
 

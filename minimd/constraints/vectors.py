@@ -44,6 +44,16 @@ def separation(positions, i, j, offset):
 
 
 @inlined
+def moved(s, velocities, i, j, duration):
+    """s + Δt (v_j − v_i), a separation after the drift."""
+    return (
+        s[0] + duration * (velocities[j, 0] - velocities[i, 0]),
+        s[1] + duration * (velocities[j, 1] - velocities[i, 1]),
+        s[2] + duration * (velocities[j, 2] - velocities[i, 2]),
+    )
+
+
+@inlined
 def dot(a, b):
     """a · b of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

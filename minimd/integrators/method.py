@@ -16,27 +16,20 @@ Array = NDArray[np.float64]
 class Problem(Protocol):
     """y′ = f(t, y) or F(t, y, y′) = 0, given a start. States are one-dimensional arrays.
 
-    solver : Newton() or FixedPoint(), for implicit steps.
+    solver : Newton() or FixedPoint(), for implicit steps.  shape : of q and of v, None for problems without them.
     """
 
     solver: Any
-
-    @property
-    def shape(self) -> tuple[int, ...] | None:
-        """Shape of q and of v, None for problems without them."""
-        ...
+    shape: Any
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start at time t0 as a state; shapes are checked and remembered."""
-        ...
 
     def field(self, t: float, y: Array) -> Array:
         """y′."""
-        ...
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """F(t, y, y′), zero on a solution; y′ − f(t, y) if the problem is explicit."""
-        ...
 
 
 class Step(Protocol):
@@ -48,11 +41,9 @@ class Step(Protocol):
     @property
     def nfev(self) -> int:
         """Evaluations of the right-hand side so far."""
-        ...
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h) from y(t); h may be negative."""
-        ...
 
 
 class ClassProperty:
@@ -103,12 +94,7 @@ class Method:
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """The step of this method on a problem that has been given its start.
-
-        Raises
-        ------
-        TypeError : if the method cannot be used on problems of this kind.
-        """
+        """The step of this method on a problem that has been given its start.  Raises TypeError if it cannot be used on such problems."""
         raise NotImplementedError
 
     @classmethod

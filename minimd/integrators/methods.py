@@ -14,15 +14,12 @@ class MethodTable(dict[str, type[Method]]):
     """Methods by name; print it to read what each of them is."""
 
     def __str__(self) -> str:
-        rows = [("name", "order", "stages", "symmetric", "symplectic", "explicit", "source"), *map(_entries, self.values())]
+        rows: list[tuple[str, ...]] = [("name", "order", "stages", "symmetric", "symplectic", "explicit", "source")]
+        for method in self.values():
+            answers = (method.is_symmetric, method.is_symplectic, method.is_explicit)
+            rows.append((method.name, str(method.order), str(method.stages), *("yes" if answer else "no" for answer in answers), method.source))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return "\n".join("  ".join(entry.ljust(width) for entry, width in zip(row, widths, strict=True)).rstrip() for row in rows)
-
-
-def _entries(method: type[Method]) -> tuple[str, ...]:
-    """What the table says of a method."""
-    answers = (method.is_symmetric, method.is_symplectic, method.is_explicit)
-    return (method.name, str(method.order), str(method.stages), *("yes" if answer else "no" for answer in answers), method.source)
 
 
 def _methods_of(*modules: ModuleType) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array
-from minimd.integrators.ode.differences import CENTRAL, central_differences
+from minimd.integrators.ode.functions import CENTRAL, central_differences
 
 SPACINGS = 0.1 / 3.0 ** np.arange(12)  # of points of the formulas below, in units of the time in which the path changes by its size
 WEIGHTS = {  # of the values at −3 … 3 spacings, for the first and second derivative: formulas of order 6 and 4

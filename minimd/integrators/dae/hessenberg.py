@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 
 from minimd.integrators.dae.consistent_start import KEPT, REFUSED, WIDE, are_independent, nearest_root, time_derivative, unit_of_time
 from minimd.integrators.method import Array
-from minimd.integrators.ode.differences import CENTRAL
-from minimd.integrators.ode.functions import Function, taking
+from minimd.integrators.ode.functions import CENTRAL, Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
 from minimd.integrators.ode.problems import DifferentialAlgebraic
 
@@ -38,13 +37,8 @@ class Hessenberg(DifferentialAlgebraic):
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, its algebraic variables solved for.
 
-        Parameters
-        ----------
         start : the parts one after the other, such as (q, v); algebraic variables may be left out; if given they are a first guess.
-
-        Raises
-        ------
-        ValueError : for a start that violates a constraint, given or hidden; problem.corrected gives one that does not.
+        Raises ValueError for a start that violates a constraint, given or hidden; problem.corrected gives one that does not.
         """
         return self._consistent(start, t0, self._refused)
 
@@ -229,19 +223,16 @@ class Hessenberg3(Hessenberg):
         rate = self.f(t, y, z)
         if k == 1:
             return time_derivative(lambda e: self.g(t + e, y + e * rate), 1, unit_of_time(y, rate))
-        second = self._second(t, y, z, parts[2])
+        second = self._highest_derivative(t, *parts)
         return time_derivative(lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), 2, unit_of_time(y, rate, second))
 
     def _answers(self, t: float, *parts: Array) -> Parts:
         return self.f(t, *parts[:2]), self.k(t, *parts), self.g(t, parts[0])
 
     def _highest_derivative(self, t: float, *parts: Array) -> Array:
-        return self._second(t, *parts)
-
-    def _second(self, t: float, y: Array, z: Array, u: Array) -> Array:
         """y″ = f_t + f_y f + f_z k."""
-        rate = self.f(t, y, z)
-        z_rate = self.k(t, y, z, u)
+        y, z, _ = parts
+        rate, z_rate = self.f(t, y, z), self.k(t, *parts)
         unit = min(unit_of_time(y, rate), unit_of_time(z, z_rate))
         return time_derivative(lambda e: self.f(t + e, y + e * rate, z + e * z_rate), 1, unit)
 

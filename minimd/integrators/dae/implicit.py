@@ -10,20 +10,20 @@ S. L. Campbell, SIAM J. Sci. Stat. Comput. 6, 334 (1985); E. Hairer, G. Wanner, 
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from minimd.integrators.dae.consistent_start import WIDE, nearest_root, time_derivative, unit_of_time
-from minimd.integrators.dae.pencil import pencil_index
 from minimd.integrators.method import Array
-from minimd.integrators.ode.differences import CENTRAL, central_differences
-from minimd.integrators.ode.functions import Function, taking
+from minimd.integrators.ode.functions import CENTRAL, Function, central_differences, taking
 from minimd.integrators.ode.newton import Newton, Solver
 from minimd.integrators.ode.problems import DifferentialAlgebraic
 
-__all__ = ["Implicit"]
+__all__ = ["Implicit", "pencil_index"]
 
 ABSENT = 1e-12  # relative to the largest ∂F/∂y′: smaller ones count as zero
 RANK, NOISY_RANK = 1e-7, 1e-4  # relative singular values that count as zero, of matrices from differences and from differences of differences
-RELUCTANT = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others
+PENCIL_RANK = 1e-10  # singular values of scaled matrices below this are rounding
+LEAST_MOBILITY = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others
 SOLVED, NEGLIGIBLE = 1e-7, 1e-12  # what may be left of an equation, relative to its terms and to its largest variable
 HIGHEST_INDEX = 3
 ORDINALS = ("", "the first time derivative of ", "the second time derivative of ")
@@ -43,32 +43,23 @@ class Implicit(DifferentialAlgebraic):
     def __init__(self, F: Function, F_y: Function | None = None, F_slope: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008, N803
         super().__init__(solver)
         names = "t", "y", "slope"
-        self._F = taking(F, names, "F")
+        self._F, self._slope = taking(F, names, "F"), np.zeros(0)
         self._F_y = F_y if F_y is None else taking(F_y, names, "F_y")
         self._F_slope = F_slope if F_slope is None else taking(F_slope, names, "F_slope")
-        self._slope = np.zeros(0)
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is then its y′.
 
-        Raises
-        ------
-        ValueError : if F, or a time derivative of it, cannot be zero there; if the index is above 3, or solutions are not unique.
+        Raises ValueError if F, or a time derivative of it, cannot be zero there; if the index is above 3, or solutions are not unique.
         """
-        y, slope = self._begun(start, t0)
-        return self._consistent(t0, y, slope, np.where(self._is_algebraic(t0, y, slope), 1.0, 0.0))
+        return self._consistent(start, t0, 0.0)
 
     def corrected(self, start: Any, t0: float = 0.0) -> Array:
         """A consistent state near the start, where variables whose derivative occurs in F move only if they must."""
         try:
             return self.begin(start, t0)
         except ValueError:
-            y, slope = self._begun(start, t0)
-            return self._consistent(t0, y, slope, np.where(self._is_algebraic(t0, y, slope), 1.0, RELUCTANT))
-
-    def _is_algebraic(self, t: float, y: Array, slope: Array) -> Array:
-        derivatives = np.abs(self.slope_jacobian(t, y, slope))
-        return np.asarray(derivatives.max(axis=0) <= ABSENT * derivatives.max())
+            return self._consistent(start, t0, LEAST_MOBILITY)
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """F(t, y, y′)."""
@@ -98,16 +89,18 @@ class Implicit(DifferentialAlgebraic):
         self._slope = slope
         return y, slope
 
-    def _consistent(self, t: float, y: Array, slope: Array, mobility: Array) -> Array:
-        """y, after solving F = 0 and its derivatives up to the index minus one."""
+    def _consistent(self, start: Any, t: float, least: float) -> Array:
+        """y, after solving F = 0 and its derivatives up to the index minus one.  least : mobility of variables whose derivative occurs in F."""
+        y, slope = self._begun(start, t)
+        derivatives = np.abs(self.slope_jacobian(t, y, slope))
+        mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, least)
         size = float(np.abs(y).max())
         y, slope = self._solved(t, y, [slope], mobility, 1.0, size)
         of_slope, of_state = self._pencil(t, y, slope)
         self.index = pencil_index(of_slope, -of_state, RANK)
         if self.index > HIGHEST_INDEX:
-            raise ValueError(
-                f"the index must be at most {HIGHEST_INDEX}; that of F_y′ y′ + F_y y at the start is {self.index}. Differentiate constraints"
-            )
+            found = f"that of F_y′ y′ + F_y y at the start is {self.index}"
+            raise ValueError(f"the index must be at most {HIGHEST_INDEX}; {found}. Differentiate constraints")
         if self.index > 1:
             unit = unit_of_time(np.append(y, size), slope)
             y, slope = self._solved(t, y, [slope, *np.zeros((self.index - 1, y.size))], mobility, unit, size)
@@ -121,8 +114,7 @@ class Implicit(DifferentialAlgebraic):
     def _levels_around(self, t: float, y: Array, slope: Array) -> Array:
         """The larger levels of those at the start and at a random point near it, where no derivative vanishes by chance."""
         aside = 0.01 * (np.abs(y).max() or 1.0) * np.random.default_rng(0).uniform(0.5, 1.0, y.size)
-        there, near = _levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope))
-        return np.maximum(there, near)
+        return np.maximum(_levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope)))
 
     def _solved(self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float) -> tuple[Array, Array]:
         """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).
@@ -138,7 +130,14 @@ class Implicit(DifferentialAlgebraic):
             return moved, x[is_free.sum() :].reshape(order, -1) / scales[:, None]
 
         def array(x: Array) -> Array:
-            return self._derivative_array(t, *taken(x), unit)
+            """F and its time derivatives along y + ε y′ + ε²/2 y″ + …, with time in this unit."""
+            moved, derivatives = taken(x)
+            states = [moved, *derivatives]
+
+            def path(e: float) -> Array:
+                return self.residual(t + e, _taylor(states, e), _taylor(states[1:], e))
+
+            return np.concatenate([path(0.0), *(unit**k * time_derivative(path, k, unit) for k in range(1, order))])
 
         guess = np.concatenate([y[is_free] / mobility[is_free], *(scale * derivative for scale, derivative in zip(scales, jet, strict=True))])
         step, dependent = (CENTRAL, RANK) if order == 1 else (WIDE, NOISY_RANK)
@@ -153,19 +152,9 @@ class Implicit(DifferentialAlgebraic):
         k = int(np.argmax(np.abs(left) - allowed))
         if not abs(left[k]) <= allowed[k]:
             order, equation = divmod(k, self._slope.size)
-            raise ValueError(
-                f"the start violates F(t, y, y′) = 0: {ORDINALS[order]}equation {equation} stays at {left[k] / unit**order:.2e} at t = {t:g}, "
-                "whatever y′ and the variables without one are; give consistent values, or take them from problem.corrected(start, t0)"
-            )
-
-    def _derivative_array(self, t: float, y: Array, jet: Array, unit: float) -> Array:
-        """F and its time derivatives along y + ε y′ + ε²/2 y″ + …, with time in this unit."""
-
-        def path(e: float) -> Array:
-            states = [y, *jet]
-            return self.residual(t + e, _taylor(states, e), _taylor(states[1:], e))
-
-        return np.concatenate([path(0.0), *(unit**k * time_derivative(path, k, unit) for k in range(1, len(jet)))])
+            raise ValueError(f"the start violates F(t, y, y′) = 0: {ORDINALS[order]}equation {equation} stays at {left[k] / unit**order:.2e} "
+                             f"at t = {t:g}, whatever y′ and the variables without one are; "
+                             "give consistent values, or take them from problem.corrected(start, t0)")  # fmt: skip
 
 
 def _taylor(coefficients: list[Array], e: float) -> Array:
@@ -181,3 +170,50 @@ def _levels(of_slope: Array, of_state: Array) -> Array:
     m, a = of_slope / (np.abs(of_slope).max() or 1.0), of_state / (np.abs(of_state).max() or 1.0)
     long, short = (np.abs(np.linalg.inv(m / h + a)).max(axis=1) for h in (1e-3, 1e-4))
     return np.clip(np.round(np.log10(short / long)), 0, HIGHEST_INDEX - 1).astype(int)
+
+
+def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> int:  # noqa: N803
+    """Index ν of the pencil λM − A: how often equations of M y′ = A y must be differentiated to give y′. 0 if M is regular.
+
+        P M Q = diag(1, N),  P A Q = diag(C, 1)          Weierstrass' form of a regular pencil; the index is that of N: Nᵛ = 0 ≠ Nᵛ⁻¹
+
+    Shuffle algorithm: orthogonal row operations bring M to (M₁; 0) with M₁ of full rank and A to (A₁; A₂); the equations 0 = A₂ y are
+    differentiated, 0 = A₂ y′, and become rows of M. It ends when M is regular; the number of rounds is the index.
+
+    Parameters
+    ----------
+    M, A : (n, n).  tolerance : singular values below this part of the largest one count as zero; rows and time are scaled first.
+
+    Raises
+    ------
+    ValueError : for matrices of other shapes, or a singular pencil, det(λM − A) = 0 for all λ: its solutions are not determined.
+
+    F. R. Gantmacher, The Theory of Matrices, vol. 2 (1959), XII; D. G. Luenberger, Automatica 14, 473 (1978);
+    ranks by singular values: P. Van Dooren, Linear Algebra Appl. 27, 103 (1979).
+    """
+    m, a = (np.array(matrix, dtype=float) for matrix in (M, A))
+    if m.ndim != 2 or m.shape[0] != m.shape[1] or m.shape != a.shape or m.size == 0:
+        raise ValueError(f"M and A must be square matrices of the same size; got shapes {m.shape} and {a.shape}")
+    if not (np.isfinite(m).all() and np.isfinite(a).all()):
+        raise ValueError("M and A must be finite")
+    n = len(m)
+    m, a = m / (np.abs(m).max() or 1.0), a / (np.abs(a).max() or 1.0)  # in a unit of time of its own, on which the index does not depend
+    for index in range(n + 1):
+        left, sizes, _ = np.linalg.svd(m)
+        rank = int((sizes > tolerance * max(sizes[0], np.abs(a).max())).sum())
+        if rank == n:
+            return index
+        constraints = left[:, rank:].T @ a
+        independent = np.linalg.svd(constraints, compute_uv=False)
+        if not independent[-1] > tolerance:
+            raise ValueError(_singular(n - rank, index, independent))
+        m = np.vstack([left[:, :rank].T @ m, constraints])
+        a = np.vstack([left[:, :rank].T @ a, np.zeros_like(constraints)])
+        sizes = np.linalg.norm(m, axis=1)
+        m, a = m / sizes[:, None], a / sizes[:, None]
+    raise ValueError(_singular(n - rank, n, independent))
+
+
+def _singular(n_constraints: int, index: int, sizes: Any) -> str:
+    return (f"the pencil is singular, det(λM − A) = 0 for all λ: after {index} differentiations {n_constraints} equations without y′ "
+            f"depend on each other (singular values from {sizes[0]:.1e} to {sizes[-1]:.1e}), so that some variable is not determined")  # fmt: skip

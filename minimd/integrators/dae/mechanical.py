@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from minimd.integrators.dae.hessenberg import Hessenberg3
 from minimd.integrators.method import Array
-from minimd.integrators.ode.differences import central_differences, forward_differences
-from minimd.integrators.ode.functions import Function, taking
+from minimd.integrators.ode.functions import Function, central_differences, forward_differences, taking
 from minimd.integrators.ode.newton import Newton, Solver
 
 __all__ = ["Mechanical"]
@@ -37,7 +36,7 @@ class Mechanical(Hessenberg3):
 
     def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, gradient: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
         of_time_and_q = taking(g, ("t", "q"), "g")
-        super().__init__(lambda t, y, z: z, lambda t, y, z, u: self._acceleration(t, y, z, u), lambda t, y: of_time_and_q(t, y), solver)
+        super().__init__(lambda t, y, z: z, lambda t, y, z, u: self._highest_derivative(t, y, z, u), lambda t, y: of_time_and_q(t, y), solver)
         self._force = taking(force, ("t", "q", "v"), "force")
         self._gradient = gradient if gradient is None else taking(gradient, ("t", "q"), "gradient")
         self._mass = taking(mass, ("q",), "mass") if callable(mass) else lambda q: np.array(mass, dtype=float).reshape(-1)
@@ -50,8 +49,8 @@ class Mechanical(Hessenberg3):
 
     def field(self, t: float, y: Array) -> Array:
         """v, M⁻¹ (f − Gᵀ λ), and zero for λ."""
-        q, v, multipliers = self.parts(y)
-        return np.concatenate([v, self._acceleration(t, q, v, multipliers), np.zeros(multipliers.size)])
+        parts = self.parts(y)
+        return np.concatenate([parts[1], self._highest_derivative(t, *parts), np.zeros(parts[2].size)])
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """∂F/∂y: −1 for v in q′ − v, the given G and Gᵀ, the rest by finite differences."""
@@ -94,11 +93,9 @@ class Mechanical(Hessenberg3):
     def _pull(self, t: float, q: Array, v: Array, multipliers: Array) -> Array:
         return self._force(t, q, v) - multipliers @ self.gradient(t, q)
 
-    def _acceleration(self, t: float, q: Array, v: Array, multipliers: Array) -> Array:
+    def _highest_derivative(self, t: float, *parts: Array) -> Array:
+        """q″ = M⁻¹ (f − Gᵀ λ)."""
         try:
-            return np.asarray(np.linalg.solve(self.mass(q), self._pull(t, q, v, multipliers)))
+            return np.asarray(np.linalg.solve(self.mass(parts[0]), self._pull(t, *parts)))
         except np.linalg.LinAlgError:
-            raise ValueError(f"the mass matrix must be regular; it is singular at q = {q}") from None
-
-    def _second(self, t: float, y: Array, z: Array, u: Array) -> Array:
-        return self._acceleration(t, y, z, u)
+            raise ValueError(f"the mass matrix must be regular; it is singular at q = {parts[0]}") from None

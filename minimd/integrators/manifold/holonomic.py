@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, Step
-from minimd.integrators.ode.differences import central_differences
-from minimd.integrators.ode.functions import Function
+from minimd.integrators.ode.functions import Function, central_differences
 from minimd.integrators.ode.newton import Newton, Solver
-from minimd.integrators.ode.partitioned import SecondOrder, push
+from minimd.integrators.ode.partitioned import SecondOrder, SequenceStep, push
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substeps
 from minimd.structure.console import outside_minimd
@@ -72,9 +71,7 @@ class Holonomic(SecondOrder):
 
     def begin(self, start: tuple[ArrayLike, ArrayLike], t0: float = 0.0) -> Array:
         """(q, v) as one state, projected onto the manifold."""
-        y = super().begin(start)
-        n = y.size // 2
-        q, v = y[:n], y[n:]
+        q, v = np.split(super().begin(start), 2)
         self._check_independent(q)
         off = float(np.abs(self.violation(q)).max())
         q1 = projected(self, q, q) if off > 0.0 else q
@@ -107,25 +104,23 @@ class Holonomic(SecondOrder):
             raise ValueError(f"masses must be positive; the smallest is {masses.min()}")
         sizes = np.linalg.svd(self.gradient(q) / np.sqrt(masses), compute_uv=False)
         if sizes.size > q.size or not sizes[-1] > DEPENDENT * sizes[0]:
-            raise ValueError(
-                f"the gradients of g must be independent at the start; singular values of G M^(-1/2) from {sizes[0]:.1e} to {sizes[-1]:.1e}"
-            )
+            spread = f"from {sizes[0]:.1e} to {sizes[-1]:.1e}"
+            raise ValueError(f"the gradients of g must be independent at the start; singular values of G M^(-1/2) {spread}")
 
 
-class RattleStep:
+class RattleStep(SequenceStep):
     """One step of a splitting on a Holonomic problem."""
 
+    _problem: Holonomic
+
     def __init__(self, problem: Holonomic, substeps: Substeps) -> None:
-        self.nfev = 0
-        self._problem, self._substeps = problem, [(isinstance(substep, Kick), substep.coefficient) for substep in substeps]
+        super().__init__(problem, substeps)
         self._iteration = problem.solver.iteration()
-        self._known: tuple[Array | None, Array | None] = None, None
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
         problem, n = self._problem, y.size // 2
-        known, force = self._known
-        force = force if known is y else None
+        force = self._known[1] if self._known[0] is y else None
         q, v = y[:n].copy(), y[n:].copy()
         for is_kick, coefficient in self._substeps:
             duration = coefficient * h
@@ -152,22 +147,11 @@ def is_made_of_verlet(substeps: Substeps) -> bool:
 
 
 def projected(problem: Holonomic, q0: Array, q: Array, iteration: Any = None) -> Array:
-    """The point q + M⁻¹ G(q0)ᵀ λ with g = 0.
-
-    Raises
-    ------
-    ConvergenceError : if there is none near q.
-    """
+    """The point q + M⁻¹ G(q0)ᵀ λ with g = 0.  Raises ConvergenceError if there is none near q."""
     directions = problem.inverse_mass_gradient(q0)
     solve: Callable[..., Array] = (iteration or problem.solver.iteration()).solve
-    scale = np.abs(q).max() / np.abs(directions).max()
-    multipliers = solve(
-        lambda x: problem.violation(q + directions @ x),
-        np.zeros(directions.shape[1]),
-        lambda x: problem.gradient(q + directions @ x) @ directions,
-        scale=scale,
-    )
-    return q + directions @ multipliers
+    residual, jacobian = lambda x: problem.violation(q + directions @ x), lambda x: problem.gradient(q + directions @ x) @ directions
+    return q + directions @ solve(residual, np.zeros(directions.shape[1]), jacobian, scale=np.abs(q).max() / np.abs(directions).max())
 
 
 def tangent(problem: Holonomic, q: Array, v: Array) -> Array:

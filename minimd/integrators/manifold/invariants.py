@@ -10,14 +10,13 @@ Differential Equations and Differential-Algebraic Equations (1998), 9.2. Project
 from collections.abc import Callable
 from math import isfinite
 from numbers import Real
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, Problem
-from minimd.integrators.ode.differences import central_differences
-from minimd.integrators.ode.functions import Field, Function, argument_names
+from minimd.integrators.ode.functions import Field, Function, argument_names, central_differences
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.problems import FirstOrder
 from minimd.structure.errors import ConvergenceError
@@ -51,25 +50,27 @@ class Invariants:
     def through(self, y: Array, shape: Shape = None) -> "Manifold":
         """The manifold g = value, or g = g(y) if no value was given.
 
-        Parameters
-        ----------
         y : (n,) state.  shape : of q and v, None for problems without them.
-
-        Raises
-        ------
-        ValueError : if the numbers of values, derivatives and unknowns do not fit, or values are not finite.
+        Raises ValueError if the numbers of values, derivatives and unknowns do not fit, or values are not finite.
         """
-        manifold = Manifold(self, shape, self.g(y, shape) if self.value is None else self.value)
-        manifold.check(y)
-        return manifold
+        return Manifold(self, y, shape)
 
 
 class Manifold:
-    """{y : g(y) = value}. value : (m,)."""
+    """{y : g(y) = value}. value : (m,).  Arguments and errors : see Invariants.through."""
 
-    def __init__(self, invariants: Invariants, shape: Shape, value: Array) -> None:
-        self.value = value
+    def __init__(self, invariants: Invariants, y: Array, shape: Shape) -> None:
+        answer, given = invariants.g(y, shape), invariants.jacobian
+        self.value = answer if invariants.value is None else invariants.value
         self._invariants, self._shape = invariants, shape
+        if answer.size != self.value.size:
+            raise ValueError(f"value must have one number per invariant; g has {answer.size}, value has {self.value.size}")
+        if not 0 < answer.size < y.size:
+            raise ValueError(f"there must be fewer invariants than unknowns, and at least one; got {answer.size} of {y.size}")
+        if not (np.isfinite(answer).all() and np.isfinite(self.value).all()):
+            raise ValueError(f"g and its value must be finite at the start; g = {_shown(answer)}, value = {_shown(self.value)}")
+        if given is not None and (size := given(y, shape).size) != answer.size * y.size:
+            raise ValueError(f"jacobian must have {answer.size} × {y.size} numbers, ∂g/∂y; got {size}")
 
     def defect(self, y: Array) -> Array:
         """(m,) g(y) − value."""
@@ -84,33 +85,16 @@ class Manifold:
     def frame(self, y: Array) -> tuple[Array, Array]:
         """Gᵀ = Q R: (n, m) orthonormal directions Q that span the gradients, and upper triangular (m, m) R.
 
-        Raises
-        ------
-        ConvergenceError : where the gradients of the invariants are not independent.
+        Raises ConvergenceError where the gradients of the invariants are not independent.
         """
         gradients = self.jacobian(y).T
         q, r = np.linalg.qr(gradients)
         sines = np.abs(np.diagonal(r)) / np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
         if not np.all(sines > PARALLEL):
             k = int(np.argmin(sines > PARALLEL))
-            raise ConvergenceError(
-                f"invariant {k} is not independent: its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of those before it; "
-                "the Jacobian of invariants must have full rank"
-            )
+            raise ConvergenceError(f"invariant {k} is not independent: its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of those "
+                                   "before it; the Jacobian of invariants must have full rank")  # fmt: skip
         return q, r
-
-    def check(self, y: Array) -> None:
-        """ValueError unless g, value and G(y) fit each other and the state."""
-        answer = self._invariants.g(y, self._shape)
-        if answer.size != self.value.size:
-            raise ValueError(f"value must have one number per invariant; g has {answer.size}, value has {self.value.size}")
-        if not 0 < answer.size < y.size:
-            raise ValueError(f"there must be fewer invariants than unknowns, and at least one; got {answer.size} of {y.size}")
-        if not (np.isfinite(answer).all() and np.isfinite(self.value).all()):
-            raise ValueError(f"g and its value must be finite at the start; g = {_shown(answer)}, value = {_shown(self.value)}")
-        given = self._invariants.jacobian
-        if given is not None and given(y, self._shape).size != answer.size * y.size:
-            raise ValueError(f"jacobian must have {answer.size} × {y.size} numbers, ∂g/∂y; got {given(y, self._shape).size}")
 
 
 def check_invariants(invariants: Invariants) -> None:
@@ -119,50 +103,37 @@ def check_invariants(invariants: Invariants) -> None:
         raise TypeError(f"invariants must be Invariants(g), with a function g(y) or g(q, v); got {invariants!r}")
 
 
-class Correction(Protocol):
-    """A term that is added to y′."""
-
-    def begin(self, y: Array, shape: Shape) -> None:
-        """Prepare for a run from this start."""
-        ...
-
-    def __call__(self, y: Array) -> Array:
-        """(n,) the term."""
-        ...
+Correction = Callable[[Array], Array]  # (n,) a term that is added to y′, of the state
 
 
-def corrected(problem: Problem, correction: Correction) -> "CorrectedPartitioned | CorrectedFirstOrder":
+def corrected(problem: Problem, correction: Correction, begin: Callable[[Array, Shape], None]) -> "CorrectedPartitioned | CorrectedFirstOrder":
     """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
 
-    Raises
-    ------
-    TypeError : for problems of other kinds.
+    begin : called with the start of each run and the shape of q and v.  Raises TypeError for problems of other kinds.
     """
     if isinstance(problem, Partitioned):
-        return CorrectedPartitioned(problem, correction)
+        return CorrectedPartitioned(problem, correction, begin)
     if isinstance(problem, FirstOrder):
-        return CorrectedFirstOrder(problem, correction)
+        return CorrectedFirstOrder(problem, correction, begin)
     raise TypeError(f"y′ can be corrected in SecondOrder, Partitioned and FirstOrder problems; got {type(problem).__name__}")
 
 
 class CorrectedPartitioned(Partitioned):
     """q′ = g + c_q, v′ = f + c_v with a correction c(q, v)."""
 
-    def __init__(self, problem: Partitioned, correction: Correction) -> None:
-        def g(t: float, q: Array, v: Array) -> Array:
-            return problem.g(t, q, v) + correction(_joined(q, v))[: q.size]
+    def __init__(self, problem: Partitioned, correction: Correction, begin: Callable[[Array, Shape], None]) -> None:
+        def of(q: Array, v: Array) -> Array:
+            return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
 
-        def f(t: float, q: Array, v: Array) -> Array:
-            return problem.f(t, q, v) + correction(_joined(q, v))[q.size :]
-
+        g, f = (lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size]), (lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :])
         super().__init__(g, f, solver=problem.solver)
-        self._problem, self._correction, self.shape = problem, correction, problem.shape
+        self._problem, self._correction, self._begin, self.shape = problem, correction, begin, problem.shape
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state of length 2n."""
         y = self._problem.begin(start)
         self.shape = self._problem.shape
-        self._correction.begin(y, self.shape)
+        self._begin(y, self.shape)
         return y
 
     def field(self, t: float, y: Array) -> Array:
@@ -173,14 +144,14 @@ class CorrectedPartitioned(Partitioned):
 class CorrectedFirstOrder(FirstOrder):
     """y′ = f + c(y)."""
 
-    def __init__(self, problem: FirstOrder, correction: Correction) -> None:
+    def __init__(self, problem: FirstOrder, correction: Correction, begin: Callable[[Array, Shape], None]) -> None:
         super().__init__(lambda t, y: problem.field(t, y) + correction(y), solver=problem.solver)
-        self._problem, self._correction = problem, correction
+        self._problem, self._begin = problem, begin
 
     def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:
         """The start as a state of length n."""
         y = self._problem.begin(start)
-        self._correction.begin(y, None)
+        self._begin(y, None)
         return y
 
 
@@ -204,30 +175,21 @@ def stabilized(problem: Problem, invariants: Invariants, gamma: float) -> Correc
     check_invariants(invariants)
     if not (isinstance(gamma, Real) and isfinite(gamma) and gamma > 0.0):
         raise ValueError(f"gamma must be positive and finite; gamma = {gamma!r}")
-    return corrected(problem, Stabilization(invariants, float(gamma)))
+    manifold: Manifold
 
+    def begin(y: Array, shape: Shape) -> None:
+        nonlocal manifold
+        manifold = invariants.through(y, shape)
 
-class Stabilization:
-    """−γ F(y) (g(y) − g₀)."""
-
-    def __init__(self, invariants: Invariants, gamma: float) -> None:
-        self._invariants, self._gamma = invariants, gamma
-
-    def begin(self, y: Array, shape: Shape) -> None:
-        """g₀ is g of the start, unless given."""
-        self._manifold = self._invariants.through(y, shape)
-
-    def __call__(self, y: Array) -> Array:
+    def correction(y: Array) -> Array:
         """−γ Gᵀ (G Gᵀ)⁻¹ (g − g₀) = −γ Q R⁻ᵀ (g − g₀)."""
-        defect = self._manifold.defect(y)
+        defect = manifold.defect(y)
         if not defect.any():
             return np.zeros(y.size)
-        q, r = self._manifold.frame(y)
-        return -self._gamma * (q @ np.linalg.solve(r.T, defect))
+        q, r = manifold.frame(y)
+        return -float(gamma) * (q @ np.linalg.solve(r.T, defect))
 
-
-def _joined(q: Array, v: Array) -> Array:
-    return np.concatenate([q.reshape(-1), v.reshape(-1)])
+    return corrected(problem, correction, begin)
 
 
 def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:

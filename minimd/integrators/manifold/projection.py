@@ -18,7 +18,7 @@ import numpy as np
 
 from minimd.compiled.machine import EPS
 from minimd.integrators.dae.hessenberg import Hessenberg2
-from minimd.integrators.manifold.invariants import Invariants, Manifold, Shape, check_invariants, corrected
+from minimd.integrators.manifold.invariants import Invariants, Manifold, check_invariants, corrected
 from minimd.integrators.method import Array, Method, Problem, Step
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.problems import FirstOrder
@@ -43,7 +43,7 @@ def projected(method: type[Method], invariants: Invariants) -> type[Method]:
     TypeError : for anything but a method and Invariants.
     ConvergenceError : from a run, if a step cannot be brought to the manifold.
     """
-    return _wrapped(method, invariants, "projected", StandardProjection, False)
+    return _wrapped(method, invariants, "projected", StandardProjection)
 
 
 def symmetrically_projected(method: type[Method], invariants: Invariants) -> type[Method]:
@@ -51,7 +51,7 @@ def symmetrically_projected(method: type[Method], invariants: Invariants) -> typ
 
     Parameters, Raises : as for projected.
     """
-    return _wrapped(method, invariants, "symmetrically-projected", SymmetricProjection, method.is_symmetric if isinstance(method, type) else False)
+    return _wrapped(method, invariants, "symmetrically-projected", SymmetricProjection)
 
 
 def with_multipliers(method: type[Method], invariants: Invariants) -> type[Method]:
@@ -61,45 +61,30 @@ def with_multipliers(method: type[Method], invariants: Invariants) -> type[Metho
 
     Parameters, Raises : as for projected. TypeError from a run for other problems than SecondOrder, Partitioned, FirstOrder.
     """
-    return _wrapped(method, invariants, "multipliers", MultiplierStep, method.is_symmetric if isinstance(method, type) else False)
+    return _wrapped(method, invariants, "multipliers", MultiplierStep)
 
 
-def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type["ManifoldStep"], is_symmetric: bool) -> type[Method]:
+def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type["ManifoldStep"]) -> type[Method]:
     if not (isinstance(method, type) and issubclass(method, Method)):
         raise TypeError(f"method must be a method without a time step, such as RadauIIA3; got {method!r}")
     check_invariants(invariants)
-    inner = method
-
-    class OnManifold(Method):
-        name, source = f"{verb}({inner.name})", f"{verb}, Hairer, Lubich, Wanner (2006), IV.4, V.4: {inner.source}"
-        order, stages = inner.order, inner.stages
-        is_symplectic = is_explicit = False
-
-        @classmethod
-        def on(cls, problem: Problem) -> Step:
-            return step(problem, inner, invariants)
-
-        @classmethod
-        def order_on(cls, problem: Problem) -> int:
-            return inner.order_on(problem)
-
-    OnManifold.is_symmetric = is_symmetric
-    OnManifold.__name__ = OnManifold.__qualname__ = f"{verb}({inner.__name__})"
-    OnManifold.__doc__ = f"{OnManifold.name}."
-    return OnManifold
+    name = f"{verb}({method.name})"
+    source = f"{verb}, Hairer, Lubich, Wanner (2006), IV.4, V.4: {method.source}"
+    kept = {"order": method.order, "stages": method.stages, "order_on": method.order_on, "is_symmetric": step.is_symmetric and method.is_symmetric}
+    on = staticmethod(lambda problem: step(problem, method, invariants))
+    own = {"__doc__": f"{name}.", "name": name, "source": source, "on": on, "is_symplectic": False, "is_explicit": False}
+    return type(f"{verb}({method.__name__})", (Method,), kept | own)
 
 
 class ManifoldStep:
-    """A step that begins and ends on the manifold through the first state of the run."""
+    """A step that begins and ends on the manifold through the first state of the run.  is_symmetric : whether it keeps the symmetry of the method."""
+
+    is_symmetric = True
 
     def __init__(self, problem: Problem, method: type[Method], invariants: Invariants) -> None:
-        self._shape: Shape = problem.shape
-        self._invariants = invariants
+        self._shape, self._invariants = problem.shape, invariants
         self._manifold: Manifold | None = None  # known with the first state
-        self._step = self._inner(problem, method)
-
-    def _inner(self, problem: Problem, method: type[Method]) -> Step:
-        return method.on(problem)
+        self._step: Step = method.on(problem)
 
     @property
     def nfev(self) -> int:
@@ -118,6 +103,8 @@ class ManifoldStep:
 
 class StandardProjection(ManifoldStep):
     """y₁ = ỹ + Q a, where the columns of Q span those of G(ỹ)ᵀ."""
+
+    is_symmetric = False
 
     def _moved(self, manifold: Manifold, t: float, y: Array, h: float) -> Array:
         free = self._step(t, y, h)
@@ -143,51 +130,33 @@ class SymmetricProjection(ManifoldStep):
 class MultiplierStep(ManifoldStep):
     """The step on y′ = f − Gᵀ z, repeated with other z until it ends on the manifold."""
 
-    def _inner(self, problem: Problem, method: type[Method]) -> Step:
-        self._pull = _Pull()
-        return method.on(corrected(problem, self._pull))
+    def __init__(self, problem: Problem, method: type[Method], invariants: Invariants) -> None:
+        self._z: Array = np.zeros(0)
+        super().__init__(corrected(problem, self._pull, lambda y, shape: None), method, invariants)
+
+    def _pull(self, y: Array) -> Array:
+        """−G(y)ᵀ z."""
+        return -self._manifold.jacobian(y).T @ self._z if self._z.any() and self._manifold else np.zeros(y.size)
 
     def _moved(self, manifold: Manifold, t: float, y: Array, h: float) -> Array:
         def arrive(z: Array) -> Array:
-            self._pull.set(manifold, z)
+            self._z = z
             return self._step(t, y, h)
 
         return arrival(manifold, arrive, lambda: -h * _gram(manifold, y))
-
-
-class _Pull:
-    """−G(y)ᵀ z."""
-
-    _manifold: Manifold
-    _z: Array = np.zeros(0)
-
-    def begin(self, y: Array, shape: Shape) -> None:
-        """Nothing to prepare: MultiplierStep sets the manifold."""
-
-    def set(self, manifold: Manifold, z: Array) -> None:
-        """Give z another value."""
-        self._manifold, self._z = manifold, z
-
-    def __call__(self, y: Array) -> Array:
-        return -self._manifold.jacobian(y).T @ self._z if self._z.any() else np.zeros(y.size)
 
 
 class IndexTwo(Hessenberg2):
     """y′ = f(t, y) − G(y)ᵀ z, 0 = g(y) − g₀. A state holds y and z; z is zero on exact solutions."""
 
     def __init__(self, problem: Problem, invariants: Invariants) -> None:
-        def f(t: float, y: Array, z: Array) -> Array:
-            return problem.field(t, y) - self._manifold.jacobian(y).T @ z
-
-        super().__init__(f, lambda y: self._manifold.defect(y), solver=problem.solver)
+        super().__init__(lambda t, y, z: problem.field(t, y) - self._manifold.jacobian(y).T @ z, lambda y: self._manifold.defect(y), problem.solver)
         self._problem, self._invariants = problem, invariants
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start of the problem itself, (q, v) or y, as a state.
 
-        Raises
-        ------
-        ValueError : if it is not on the manifold of given values, or if the gradients of the invariants are not independent.
+        Raises ValueError if it is not on the manifold of given values, or if the gradients of the invariants are not independent.
         """
         y = self._problem.begin(start)
         self._manifold = self._invariants.through(y, self._problem.shape)
@@ -216,19 +185,16 @@ def index_two(problem: Problem, invariants: Invariants) -> IndexTwo:
 def arrival(manifold: Manifold, arrive: Arrival, slope: Callable[[], Array]) -> Array:
     """arrive(z) with g(arrive(z)) = g₀, to rounding: Newton's method from z = 0, the matrix updated by Broyden's formula.
 
-    Parameters
-    ----------
     arrive : (n,) state as a function of (m,) numbers z.  slope : a function that returns a guess of ∂g(arrive(z))/∂z, (m, m).
-
-    Raises
-    ------
-    ConvergenceError : with the largest error of an invariant.
+    Raises ConvergenceError with the largest error of an invariant.
     C. G. Broyden, Math. Comput. 19, 577 (1965), eq. 4.2.
     """
     z = np.zeros(manifold.value.size)
     y = best = arrive(z)
-    defect, scale = manifold.defect(y), _rounding_scale(manifold, y)
-    least, n_stalls = _relative(defect, scale), 0
+    # rounding errors of the invariants are EPS times |g₀|, or Σ |G y|, whose terms may cancel in g
+    scale = np.maximum(np.abs(manifold.value), np.abs(manifold.jacobian(y)) @ np.abs(y)) + np.finfo(float).tiny
+    defect = manifold.defect(y)
+    least, n_stalls = float(np.max(np.abs(defect) / scale)), 0
     matrix = slope() if least > EPS else np.eye(z.size)
     for _ in range(MAX_CORRECTIONS):
         if least <= EPS or n_stalls > 1 or not np.isfinite(defect).all() or not np.linalg.det(matrix):
@@ -237,7 +203,7 @@ def arrival(manifold: Manifold, arrive: Arrival, slope: Callable[[], Array]) -> 
         z = z + dz
         y = arrive(z)
         defect = manifold.defect(y)
-        error = _relative(defect, scale)
+        error = float(np.max(np.abs(defect) / scale))
         if error < least or error > SMALL:  # else it is rounding, from which no slope follows
             matrix = matrix + np.outer(defect, dz) / (dz @ dz)
         n_stalls += least <= error <= SMALL
@@ -250,17 +216,8 @@ def arrival(manifold: Manifold, arrive: Arrival, slope: Callable[[], Array]) -> 
 
 def _gram(manifold: Manifold, y: Array) -> Array:
     """G Gᵀ = Rᵀ R."""
-    _, r = manifold.frame(y)
+    r = manifold.frame(y)[1]
     return r.T @ r
-
-
-def _rounding_scale(manifold: Manifold, y: Array) -> Array:
-    """(m,) sizes of the invariants, whose rounding errors are EPS times as large: |g₀|, or Σ |G y|, whose terms may cancel in g."""
-    return np.maximum(np.abs(manifold.value), np.abs(manifold.jacobian(y)) @ np.abs(y)) + np.finfo(float).tiny
-
-
-def _relative(defect: Array, scale: Array) -> float:
-    return float(np.max(np.abs(defect) / scale))
 
 
 def _fixed_point(image: Arrival, y: Array) -> Array:

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.compiled.machine import EPS
-from minimd.integrators.method import Array, Method, Problem, Step
-from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_problem
+from minimd.integrators.method import Array, Method, Problem
+from minimd.integrators.ode.drivers import LEFTOVER, Solution, check_ahead, check_problem
 from minimd.integrators.ode.problems import DifferentialAlgebraic
-from minimd.integrators.ode.solution import Solution
 from minimd.structure.errors import ConvergenceError, checked_count
 
 __all__ = ["StepControl", "run_adaptive"]
@@ -58,11 +57,6 @@ class StepControl:
             raise ValueError(f"0 <= min_step <= max_step is needed; min_step = {self.min_step!r}, max_step = {self.max_step!r}")
         checked_count("max_steps", self.max_steps)
 
-    def check_size(self, n: int) -> None:
-        """ValueError unless atol is one number, or one for each component."""
-        if np.shape(self.atol) not in ((), (n,)):
-            raise ValueError(f"atol must be a number, or an array of length {n}, one for each component of y; got shape {np.shape(self.atol)}")
-
     def excess(self, error: Array, y: Array, y_new: Array) -> float:
         """The error divided by the allowed one; infinite if it is not finite."""
         ratio = self._norm(error, np.maximum(np.abs(y), np.abs(y_new)))
@@ -95,14 +89,7 @@ class StepControl:
         return float(np.linalg.norm(ratio)) / np.sqrt(size.size)
 
 
-def run_adaptive(
-    problem: Problem,
-    method: type[Method],
-    start: Any,
-    t_end: float,
-    t0: float = 0.0,
-    control: StepControl = StepControl(),
-) -> Solution:
+def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: float, t0: float = 0.0, control: StepControl = StepControl()) -> Solution:
     """Adaptive steps to t_end, with errors estimated by step doubling. solution.n_rejected counts the rejected ones.
 
     Parameters
@@ -122,7 +109,8 @@ def run_adaptive(
     if not isinstance(control, StepControl):
         raise TypeError(f"control must be StepControl(rtol, atol); got {control!r}")
     y = problem.begin(start, t0)
-    control.check_size(y.size)
+    if (given := np.shape(control.atol)) not in ((), y.shape):
+        raise ValueError(f"atol must be a number, or an array of length {y.size}, one for each component of y; got shape {given}")
     return _Path(problem, method, y, t0, control).to(t_end)
 
 
@@ -131,7 +119,7 @@ class _Path:
 
     def __init__(self, problem: Problem, method: type[Method], y: Array, t0: float, control: StepControl) -> None:
         self.problem, self.control, self.order = problem, control, method.order_on(problem)
-        self.coarse, self.fine = method.on(problem), method.on(problem)
+        self.coarse, self.fine = method.on(problem), method.on(problem)  # each remembers its own last state
         self.times, self.states, self.n_rejected = [t0], [y], 0
 
     def to(self, t_end: float) -> Solution:
@@ -145,8 +133,8 @@ class _Path:
                 self.times.append(t_end if is_last else t + direction * h)
                 self.states.append(y)
             elif h <= control.shortest(t, span):
-                least = f"(min_step = {control.min_step:g})"
-                return self.solution().ended(f"stopped at t = {t:g}: a step of {h:.1e} is too long, {why}, and shorter ones are not allowed {least}")
+                why = f"a step of {h:.1e} is too long, {why}, and shorter ones are not allowed (min_step = {control.min_step:g})"
+                return self.solution().ended(f"stopped at t = {t:g}: {why}")
             else:
                 self.n_rejected += 1
             tried = len(self.times) - 1 + self.n_rejected
@@ -157,26 +145,17 @@ class _Path:
         return self.solution()
 
     def _tried(self, h: float) -> tuple[Array, float, str]:
-        """The next state, its error divided by the allowed one, and a description of the error."""
+        """The next state, after two steps of h/2, its error divided by the allowed one, and a description of the error."""
         t, y = self.times[-1], self.states[-1]
         try:
-            y_new, difference = doubled(self.coarse, self.fine, t, y, h)
+            one = self.coarse(t, y, h)
+            two = self.fine(t + 0.5 * h, self.fine(t, y, 0.5 * h), 0.5 * h)
         except ConvergenceError as reason:
             return y, np.inf, str(reason)
         weights = self.problem.error_weights(h) if isinstance(self.problem, DifferentialAlgebraic) else 1.0
-        error = self.control.excess(weights * difference / (2.0**self.order - 1.0), y, y_new)
-        return y_new, error, f"its error is {error:.1e} times what is allowed"
+        error = self.control.excess(weights * (two - one) / (2.0**self.order - 1.0), y, two)
+        return two, error, f"its error is {error:.1e} times what is allowed"
 
     def solution(self) -> Solution:
         nfev = self.coarse.nfev + self.fine.nfev
         return Solution(np.array(self.times), np.array(self.states), nfev, self.problem.shape, n_rejected=self.n_rejected)
-
-
-def doubled(coarse: Step, fine: Step, t: float, y: Array, h: float) -> tuple[Array, Array]:
-    """The state after two steps of h/2, and its difference from that after one step of h.
-
-    coarse, fine : two steps of the same method on the same problem, because each remembers its own last state.
-    """
-    one = coarse(t, y, h)
-    two = fine(t + 0.5 * h, fine(t, y, 0.5 * h), 0.5 * h)
-    return two, two - one

@@ -16,9 +16,8 @@ from typing import ClassVar
 import numpy as np
 
 from minimd.integrators.method import Array, ClassProperty, Method, Problem, Step
-from minimd.integrators.ode.runge_kutta import StageStep
+from minimd.integrators.ode.runge_kutta import StageStep, radau_iia
 from minimd.integrators.ode.stages import StageEquations
-from minimd.integrators.ode.tableau import radau_iia
 
 __all__ = ["BDF1", "BDF2", "BDF3", "BDF4", "BDF5"]
 
@@ -26,8 +25,6 @@ __all__ = ["BDF1", "BDF2", "BDF3", "BDF4", "BDF5"]
 class BDF(Method):
     """A backward differentiation formula. With k ≥ 2 it is not a one-step method: run_steps and run_until can use it, run_adaptive cannot.
 
-    Attributes of each method
-    -------------------------
     n_past : number k of past states, and order; at most 5, because BDF6 is A(α)-stable only up to α = 18°.
     """
 
@@ -47,8 +44,7 @@ class BDFStep:
     """One step, which must continue from the state that the last one returned."""
 
     def __init__(self, problem: Problem, k: int) -> None:
-        self._k = k
-        self._problem, self._equations = problem, StageEquations(problem)
+        self._k, self._problem, self._equations = k, problem, StageEquations(problem)
         self._start = StageStep(problem, radau_iia(k))
         self._states: deque[Array] = deque(maxlen=k)  # the newest first
         self._steps: deque[float] = deque(maxlen=k - 1)  # lengths of the steps between them
@@ -60,12 +56,7 @@ class BDFStep:
         return self._start.nfev + self._equations.nfev
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
-        """y(t+h).
-
-        Raises
-        ------
-        TypeError : if y is not the last state, and k > 1.
-        """
+        """y(t+h).  Raises TypeError if y is not the last state, and k > 1."""
         if not self._states or self._k == 1:
             self._states.appendleft(y)
         if self._states[0] is not y:

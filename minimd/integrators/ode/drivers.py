@@ -1,18 +1,64 @@
-"""Runs of small problems with a fixed time step, over a number of steps or up to a time."""
+"""Runs of small problems with a fixed time step, over a number of steps or up to a time, and their results in the manner of SciPy."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import repeat
 from math import isfinite
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
-from minimd.integrators.method import Array, Method, Problem, Step
-from minimd.integrators.ode.solution import Solution, with_path
+from minimd.integrators.method import Array, Method, Problem
 from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 
-__all__ = ["run_steps", "run_until"]
+__all__ = ["Solution", "run_steps", "run_until"]
 
 LEFTOVER = 1e-12  # of a step: a shorter rest is rounding of the times, and belongs to the step before
+
+
+@dataclass
+class Solution:
+    """A path on a grid of times.
+
+    t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities, of problems that have them.
+    nfev : evaluations of the right-hand side (of f, for problems with q and v).  n_rejected : steps tried in vain.
+    success, message : whether the end was reached, and if not, why.
+    """
+
+    t: Array
+    y: Array
+    nfev: int
+    shape: tuple[int, ...] | None = None
+    success: bool = True
+    message: str = "the end was reached"
+    n_rejected: int = 0
+
+    @property
+    def q(self) -> Array:
+        """(n + 1, …) positions."""
+        return self._half(0)
+
+    @property
+    def v(self) -> Array:
+        """(n + 1, …) velocities."""
+        return self._half(1)
+
+    def ended(self, why: str) -> Self:
+        """The same solution, which did not reach its end."""
+        self.success, self.message = False, why
+        return self
+
+    def _half(self, k: int) -> Array:
+        if self.shape is None:
+            raise AttributeError("this problem has no q and v; its states are in y")
+        n = self.y.shape[1] // 2
+        return self.y[:, k * n : (k + 1) * n].reshape(-1, *self.shape)
+
+
+def with_path(error: ConvergenceError | NonFiniteError, path: Solution) -> ConvergenceError | NonFiniteError:
+    """The error of a run with the path before it, error.solution."""
+    error.solution = path.ended(str(error))
+    return error
 
 
 def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: float = 0.0, every: int = 1) -> Solution:
@@ -34,8 +80,7 @@ def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: fl
     checked_count("n_steps", n_steps)
     if not isfinite(t0):
         raise ValueError(f"t0 must be finite; t0 = {t0!r}")
-    h = method.timestep
-    return _fixed(problem, method, start, t0, (h for _ in range(n_steps)), every)
+    return _fixed(problem, method, start, t0, repeat(method.timestep, n_steps), every)
 
 
 def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: float = 0.0, every: int = 1) -> Solution:
@@ -55,7 +100,7 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
 
 
 def check_ahead(t0: float, t_end: float) -> None:
-    """ValueError unless there is time to go."""
+    """ValueError unless both times are finite, and differ."""
     if not (isfinite(t0) and isfinite(t_end) and t0 != t_end):
         raise ValueError(f"t0 and t_end must be finite and differ; t0 = {t0!r}, t_end = {t_end!r}")
 
@@ -66,29 +111,24 @@ def _fixed(problem: Problem, method: Method, start: Any, t0: float, steps: Itera
     y = problem.begin(start, t0)
     step = type(method).on(problem)
     t, n, times, states = t0, 0, [t0], [y]
+
+    def path() -> Solution:
+        return Solution(np.array(times), np.array(states), step.nfev, problem.shape)
+
     try:
         for n, h in enumerate(steps, start=1):
             y = step(t, y, h)
             t = t0 + n * method.timestep
-            if n % every == 0:
-                times.append(t)
-                states.append(y)
-    except ConvergenceError as reason:
-        error = ConvergenceError(f"step {n} from t = {t:g} with timestep {h:g}: {reason}; reduce the timestep")
-        if (n - 1) % every != 0:
+            if (n - 1) % every != 0:
+                del times[-1], states[-1]  # it was the last one, and its number is no multiple of every
             times.append(t)
             states.append(y)
-        raise with_path(error, _path(problem, times, states, step)) from None
-    if n % every != 0:
-        times.append(t)
-        states.append(y)
+    except ConvergenceError as reason:
+        error = ConvergenceError(f"step {n} from t = {t:g} with timestep {h:g}: {reason}; reduce the timestep")
+        raise with_path(error, path()) from None
     if t_end is not None:
         times[-1] = t_end
-    return _finite(_path(problem, times, states, step), method.timestep)
-
-
-def _path(problem: Problem, times: list[float], states: list[Array], step: Step) -> Solution:
-    return Solution(np.array(times), np.array(states), step.nfev, problem.shape)
+    return _finite(path(), method.timestep)
 
 
 def _finite(solution: Solution, h: float) -> Solution:

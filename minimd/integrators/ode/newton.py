@@ -17,12 +17,14 @@ import scipy  # its parts are loaded when they are used
 
 from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array
-from minimd.integrators.ode.differences import forward_differences
+from minimd.integrators.ode.functions import forward_differences
 from minimd.structure.errors import ConvergenceError, checked_count
 
 __all__ = ["FixedPoint", "Newton"]
 
 Residual = Callable[[Array], Array]
+Jacobian = Callable[[Array], Array] | None
+Sizes = Array | float
 SLOW = 0.3  # the Jacobian is renewed if a correction is more than this part of the one before
 NEAR = 16.0 * EPS  # corrections, relative to the unknowns, that are taken for rounding once they shrink slowly
 STALLED = 0.5  # corrections that shrink by less than this factor with a new Jacobian no longer shrink
@@ -54,7 +56,7 @@ class Newton:
         """An iteration that keeps its own Jacobian."""
         return Iteration(self)
 
-    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None, sizes: Array | float) -> Any:
+    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Jacobian, sizes: Sizes) -> Any:
         """LU factors of ∂r/∂x at x; where sizes are given, columns are scaled by them and rows to one."""
         matrix = forward_differences(residual, x, r) if jacobian is None else jacobian(x)
         if not np.isfinite(matrix).all():
@@ -77,19 +79,14 @@ class Newton:
 
 
 class FixedPoint(Newton):
-    """Fixed-point iteration x ← φ(x), without a Jacobian; it converges for short steps only.
+    """Fixed-point iteration x ← φ(x), without a Jacobian; it converges for short steps only.  Parameters, Raises : as for Newton."""
 
-    Parameters
-    ----------
-    max_iterations, small : as for Newton.
-    """
-
-    slow = 1.0  # nothing but more iterations helps
+    slow = 1.0  # there is no Jacobian to renew
 
     def __init__(self, max_iterations: int = 200, small: float = SMALL) -> None:
         super().__init__(max_iterations, small)
 
-    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Callable[[Array], Array] | None, sizes: Array | float) -> Any:
+    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Jacobian, sizes: Sizes) -> Any:
         """None: the Jacobian is taken for 1."""
 
     def correction(self, factors: Any, r: Array) -> Array:
@@ -116,28 +113,15 @@ class Iteration:
         self._key: Any = None
 
     def solve(
-        self,
-        residual: Residual,
-        x: Array,
-        jacobian: Callable[[Array], Array] | None = None,
-        key: Any = None,
-        scale: Array | float = 0.0,
-        floor: Array | float | None = None,
-        nothing: float = 0.0,
+        self, residual: Residual, x: Array, jacobian: Jacobian = None, key: Any = None, scale: Sizes = 0.0, floor: Sizes | None = None, nothing=0.0
     ) -> Array:
-        """x with residual(x) = 0, to rounding.
+        """x with residual(x) = 0, to rounding.  Raises ConvergenceError with the largest residual.
 
-        Parameters
-        ----------
         residual : function of x.  x : first guess.  jacobian : ∂residual/∂x, a function of x.
         key : what J depends on beside x, such as the time step; J is renewed when it changes.
         scale : least sizes of the unknowns for relative errors, one number or an array; the equations are scaled by an array too.
         floor : the same for corrections that no longer shrink; scale if not given.
         nothing : corrections up to this size end the iteration, whatever the unknowns.
-
-        Raises
-        ------
-        ConvergenceError : with the largest residual.
         """
         before, last, slow = np.inf, np.inf, self.solver.slow
         for _ in range(self.solver.max_iterations):
@@ -165,7 +149,7 @@ class Iteration:
         raise ConvergenceError(f"the equations of the step were not solved: {largest}")
 
 
-def _relative_size(dx: Array, x: Array, scale: Array | float) -> float:
+def _relative_size(dx: Array, x: Array, scale: Sizes) -> float:
     """Largest |Δx| relative to |x|, or to scale where that is larger; without a scale, relative to the largest |x|."""
     floor = np.maximum(np.abs(x), scale if np.any(scale) else np.abs(x).max())
     return float(np.max(np.abs(dx) / np.maximum(floor, np.finfo(float).tiny)))

@@ -16,17 +16,21 @@ it moves with q. A sequence whose order p holds for all separable problems has t
 R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995); E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), III.3.3, VI.3.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.compiled.kernels import kernel
 from minimd.integrators.method import Array, Step
 from minimd.integrators.ode.functions import Field, Function, check_finite
-from minimd.integrators.ode.newton import Newton, Solver, checked_solver
+from minimd.integrators.ode.newton import Iteration, Newton, Solver, checked_solver
 from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps
 
 __all__ = ["Partitioned", "SecondOrder"]
+
+Place = Callable[[Array], tuple[float, Array, Array]]
 
 
 class Partitioned:
@@ -60,9 +64,7 @@ class Partitioned:
     def begin(self, start: tuple[ArrayLike, ArrayLike], t0: float = 0.0) -> Array:
         """(q, v) as one state of length 2n.
 
-        Raises
-        ------
-        ValueError : if q and v do not have the same shape, or a value is not finite; from g and f, if their answers have another shape.
+        Raises ValueError if q and v do not have the same shape, or a value is not finite; from g and f, if their answers have another shape.
         """
         if not isinstance(start, (tuple, list, np.ndarray)) or len(start) != 2:
             raise ValueError(f"the start must be a pair, (q, v); got {start!r}")
@@ -126,18 +128,14 @@ class SequenceStep:
     """Kicks and drifts in turn; the force at the end of a step is that at the start of the next."""
 
     def __init__(self, problem: Partitioned, substeps: Substeps) -> None:
-        self.nfev = 0
-        self._problem = problem
+        self.nfev, self._problem = 0, problem
         self._substeps = [(isinstance(substep, Kick), substep.coefficient) for substep in substeps]
-        self._drifts_with_v = problem.g_is_v
         self._known: tuple[Array | None, Array | None] = None, None
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
         problem, n = self._problem, y.size // 2
-        known, force = self._known
-        if known is not y:
-            force = None
+        force = self._known[1] if self._known[0] is y else None
         y = y.copy()
         q, v = y[:n], y[n:]
         q_shaped, v_shaped = (q, v) if len(problem.shape) == 1 else problem.halves(y)
@@ -149,7 +147,7 @@ class SequenceStep:
                     self.nfev += 1
                 push(v, duration, force)
             else:
-                push(q, duration, v if self._drifts_with_v else problem.g(t, q_shaped, v_shaped))
+                push(q, duration, v if problem.g_is_v else problem.g(t, q_shaped, v_shaped))
                 t += duration
                 force = None
         self._known = y, force
@@ -160,8 +158,7 @@ class EulerStep:
     """Symplectic Euler methods in turn; each implicit equation is solved to rounding, from its explicit guess."""
 
     def __init__(self, problem: Partitioned, substeps: Substeps) -> None:
-        self.nfev = 0
-        self._problem = problem
+        self.nfev, self._problem = 0, problem
         self._factors = [(kind, weight, problem.solver.iteration()) for kind, weight in euler_factors(substeps)]
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
@@ -171,38 +168,26 @@ class EulerStep:
         for kind, weight, iteration in self._factors:
             duration = weight * h
             if kind is Kick:
-                v = self._solved(problem.f, problem.f_v, "v", (t, q, v), duration, iteration)
+                v = self._solved(problem.f, problem.f_v, "v", v, lambda x: (t, q, x), duration, iteration)
                 q = q + duration * self._value(problem.g, t, q, v)
                 t += duration
             else:
                 t += duration
-                q = self._solved(problem.g, problem.g_q, "q", (t, q, v), duration, iteration)
+                q = self._solved(problem.g, problem.g_q, "q", q, lambda x: (t, x, v), duration, iteration)
                 v = v + duration * self._value(problem.f, t, q, v)
         return np.concatenate([q, v])
 
     def _value(self, field: Field, t: float, q: Array, v: Array) -> Array:
-        self.nfev += field is self._problem.f
-        shape = self._problem.shape
+        self.nfev, shape = self.nfev + (field is self._problem.f), self._problem.shape
         return field(t, q.reshape(shape), v.reshape(shape))
 
-    def _solved(self, field: Field, jacobian: Field | None, unknown: str, state: tuple[float, Array, Array], duration: float, iteration) -> Array:
-        """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one stands still."""
-        t, q, v = state
-        x0 = q if unknown == "q" else v
-
-        def place(x: Array) -> tuple[float, Array, Array]:
-            return (t, x, v) if unknown == "q" else (t, q, x)
-
-        guess = x0 + duration * self._value(field, *state)
+    def _solved(self, field: Field, jacobian: Field | None, unknown: str, x0: Array, place: Place, duration: float, iteration: Iteration) -> Array:
+        """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.  place : (t, q, v) with this x."""
+        guess = x0 + duration * self._value(field, *place(x0))
         if unknown not in field.takes:
             return guess
-        return iteration.solve(
-            lambda x: x - (x0 + duration * self._value(field, *place(x))),
-            guess,
-            None if jacobian is None else lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size),
-            key=duration,
-            scale=np.abs(x0).max(),
-        )
+        slope = None if jacobian is None else lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)
+        return iteration.solve(lambda x: x - (x0 + duration * self._value(field, *place(x))), guess, slope, duration, np.abs(x0).max())
 
 
 def euler_factors(substeps: Substeps) -> list[tuple[type[Substep], float]]:

@@ -1,9 +1,5 @@
 """Problems whose state is one array: y′ = f(t, y), and the differential-algebraic F(t, y, y′) = 0.
 
-    index 1   y′ = f(t, y, z)       0 = g(t, y, z)                     g_z regular
-    index 2   y′ = f(t, y, z)       0 = g(t, y)                        g_y f_z regular
-    index 3   y′ = f(t, y, z)       z′ = k(t, y, z, u)    0 = g(t, y)  g_y f_z k_u regular
-
 The index is how often equations must be differentiated until they determine y′. Constraints that appear on the way are
 hidden, and a start must obey them too. E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic Systems
 by Runge-Kutta Methods (1989); E. Hairer, G. Wanner, Solving ODEs II (1996), VI and VII.
@@ -13,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, Problem
-from minimd.integrators.ode.differences import forward_differences
-from minimd.integrators.ode.functions import Function, check_finite, checked_values, of_time_and_state
+from minimd.integrators.ode.functions import Function, check_finite, checked_values, forward_differences, of_time_and_state
 from minimd.integrators.ode.newton import FixedPoint, Newton, Solver, checked_solver
 
 __all__ = ["FirstOrder"]
@@ -39,9 +34,7 @@ class FirstOrder:
     def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:
         """The start as a state of length n.
 
-        Raises
-        ------
-        ValueError : if it is not an array of one dimension, or a value is not finite; from f, if its answers have another shape.
+        Raises ValueError if it is not an array of one dimension, or a value is not finite; from f, if its answers have another shape.
         """
         y = np.array(start, dtype=float)
         if y.ndim != 1 or y.size == 0:

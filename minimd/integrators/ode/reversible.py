@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, Method
-from minimd.integrators.ode.drivers import LEFTOVER, check_ahead, check_method, check_problem
+from minimd.integrators.ode.drivers import LEFTOVER, Solution, check_ahead, check_method, check_problem, with_path
 from minimd.integrators.ode.partitioned import Partitioned
-from minimd.integrators.ode.solution import Solution, with_path
 from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 
 __all__ = ["DensityControl", "run_reversible"]
 
 Rate = Callable[[float, Array, Array], float]
+Start = tuple[ArrayLike, ArrayLike]
 EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), so that steps are proportional to the free-fall time
 DIFFERENCE = 1e-5  # of the time in which q changes by its size: truncation and rounding of d ln |f|/dt are then alike, 1e-10
 
@@ -60,13 +60,7 @@ class DensityControl:
 
 
 def run_reversible(
-    problem: Partitioned,
-    method: Method,
-    start: tuple[ArrayLike, ArrayLike],
-    t_end: float,
-    t0: float = 0.0,
-    control: DensityControl = DensityControl(),
-    every: int = 1,
+    problem: Partitioned, method: Method, start: Start, t_end: float, t0: float = 0.0, control: DensityControl = DensityControl(), every: int = 1
 ) -> ReversibleSolution:
     """Steps of length timestep/ρ up to t_end, the last one shortened to end there.
 
@@ -100,28 +94,24 @@ class _Path:
     """State, time and density, and those that are kept for the solution."""
 
     def __init__(self, problem: Partitioned, method: Method, y: Array, t0: float, control: DensityControl) -> None:
-        self.problem, self.epsilon = problem, method.timestep
-        self.y, self.t = y, t0
+        self.problem, self.epsilon, self.max_steps, self.y, self.t = problem, method.timestep, control.max_steps, y, t0
         self.step = type(method).on(problem)
         self.rate = control.rate or _Fall(problem, abs(method.timestep))
         self.rho = control.density  # at the last state: between the density of the last step and that of the next one
-        self.max_steps = control.max_steps
         self.kept: list[tuple[float, Array, float]] = [(t0, y, self.rho)]
 
     def to(self, t_end: float, every: int) -> ReversibleSolution:
-        n, direction = 0, copysign(1.0, self.epsilon)
-        change = self._change()
+        n, direction, change = 0, copysign(1.0, self.epsilon), self._change()
         try:
             while (t_end - self.t) * direction > 0.0 and n < self.max_steps:
                 n += 1
                 change = self._advance(t_end, change)
-                if n % every == 0:
-                    self.kept.append((self.t, self.y, self.rho))
+                if (n - 1) % every != 0:
+                    del self.kept[-1]  # it was the last one, and its number is no multiple of every
+                self.kept.append((self.t, self.y, self.rho))
         except (ConvergenceError, NonFiniteError) as reason:
             error = type(reason)(f"step {n} from t = {self.t:g}: {reason}; reduce the timestep ({self.epsilon:g})")
             raise with_path(error, self.solution()) from None
-        if n % every != 0:
-            self.kept.append((self.t, self.y, self.rho))
         if self.t != t_end:
             return self.solution().ended(f"stopped at t = {self.t:g} after {n} steps, where ρ = {self.rho:.1e}; raise max_steps or the timestep")
         return self.solution()
@@ -130,7 +120,7 @@ class _Path:
         """One step. change : ε G at its start; returns ε G at its end. Half of each is added to ρ, before and after the step."""
         rho = self.rho + 0.5 * change
         if not rho > 0.0 or self.t + self.epsilon / rho == self.t:
-            raise ConvergenceError(f"the density of steps fell to {rho:.1e}" if rho <= 0.0 else f"the density of steps grew to {rho:.1e}")
+            raise ConvergenceError(f"the density of steps {'fell' if rho <= 0.0 else 'grew'} to {rho:.1e}")
         h, rest = self.epsilon / rho, t_end - self.t
         is_last = abs(h) >= abs(rest) - LEFTOVER * max(abs(self.t), abs(t_end))
         y = self.step(self.t, self.y, rest if is_last else h)

@@ -4,32 +4,134 @@
     y₁ = y + h Σ_i w_i K_i                                       or the last stage, where the two are the same
 
 The equations are solved to rounding and the increments are added with a compensated sum (W. Kahan, Commun. ACM 8, 40 (1965)),
-so that symplectic methods keep quadratic invariants over millions of steps.
-E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic Systems by Runge-Kutta Methods (1989).
+so that symplectic methods keep quadratic invariants over millions of steps. Collocation methods follow from their nodes alone:
+β_ij = ∫₀^{c_i} ℓ_j and w_j = ∫₀¹ ℓ_j with the Lagrange polynomials ℓ_j of the nodes.
+E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic Systems by Runge-Kutta Methods (1989);
+E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5.
 """
 
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.polynomial.legendre import Legendre
+from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, ClassProperty, Method, Problem, Step
 from minimd.integrators.ode.problems import DifferentialAlgebraic
 from minimd.integrators.ode.stages import StageEquations
-from minimd.integrators.ode.tableau import TABLEAU_ROUNDING, Tableau, gauss, radau_iia
 from minimd.structure.errors import ConvergenceError
 
-__all__ = ["GaussLegendre1", "GaussLegendre2", "GaussLegendre3", "GaussLegendre4", "ImplicitEuler", "RadauIIA2", "RadauIIA3", "RungeKutta"]
+__all__ = ["GaussLegendre1", "GaussLegendre2", "GaussLegendre3", "GaussLegendre4", "ImplicitEuler", "RadauIIA2", "RadauIIA3", "RungeKutta",
+           "Tableau", "collocation", "gauss", "radau_iia"]  # fmt: skip
 
 FARTHEST = 3.0  # times the last step: how far its slopes are extrapolated at most
+TABLEAU_ROUNDING = 1e-13  # of sums of a few products of coefficients of order one
+HIGHEST_ORDER = 10  # conditions are evaluated up to this order
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """Coefficients of a Runge-Kutta method with s stages.
+
+    beta : (s, s).  weights, nodes : (s,).  All dimensionless; Σ_j β_ij = c_i.
+    """
+
+    beta: Array
+    weights: Array
+    nodes: Array
+
+    @property
+    def symplecticity_defect(self) -> Array:
+        """M_ij = w_i β_ij + w_j β_ji − w_i w_j, zero for symplectic methods; they keep every quadratic invariant.
+
+        J. M. Sanz-Serna, BIT 28, 877 (1988); F. M. Lasagni (1988); Y. B. Suris (1989).
+        """
+        product = self.weights[:, None] * self.beta
+        return product + product.T - np.outer(self.weights, self.weights)
+
+    @property
+    def is_symplectic(self) -> bool:
+        """Whether M = 0, to rounding."""
+        return bool(np.abs(self.symplecticity_defect).max() < TABLEAU_ROUNDING)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether β_{s+1−i,s+1−j} + β_ij = w_j: the method is its own adjoint (stages in rising order of their nodes)."""
+        return bool(np.abs(self.beta[::-1, ::-1] + self.beta - self.weights).max() < TABLEAU_ROUNDING)
+
+    @property
+    def is_stiffly_accurate(self) -> bool:
+        """Whether the last stage is the new state."""
+        return bool(np.abs(self.beta[-1] - self.weights).max() < TABLEAU_ROUNDING)
+
+    @property
+    def is_explicit(self) -> bool:
+        """Whether each stage follows from those before it."""
+        return not np.triu(self.beta).any()
+
+    @property
+    def stage_order(self) -> int:
+        """Largest η for which C(η) holds, see order: the order of the stages."""
+        c, k = self.nodes[:, None], np.arange(1, HIGHEST_ORDER + 1)
+        return _first_failure(self.beta @ c ** (k - 1) - c**k / k)
+
+    @property
+    def order(self) -> int:
+        """Largest p whose simplifying assumptions B(p), C(η), D(ζ) with p ≤ η + ζ + 1 and p ≤ 2η + 2 hold (Butcher 1964): a lower bound of the order.
+
+        B(p): Σ w_i c_iᵏ⁻¹ = 1/k;  C(η): Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k;  D(ζ): Σ_i w_i c_iᵏ⁻¹ β_ij = w_j (1 − c_jᵏ)/k.
+        """
+        w, c, k = self.weights, self.nodes, np.arange(1, HIGHEST_ORDER + 1)
+        powers = c[:, None] ** (k - 1)
+        b, eta = _first_failure(w @ powers - 1.0 / k), self.stage_order
+        zeta = _first_failure((w[:, None] * powers).T @ self.beta - w * (1.0 - c ** k[:, None]) / k[:, None], axis=1)
+        return min(b, eta + zeta + 1, 2 * eta + 2)
+
+
+def _first_failure(defects: Array, axis: int = 0) -> int:
+    """How many conditions hold before the first that fails; conditions along the last axis, or along the first if axis is 1."""
+    worst = np.abs(np.atleast_2d(defects)).max(axis=axis)
+    return int(np.argmax(worst > TABLEAU_ROUNDING)) if (worst > TABLEAU_ROUNDING).any() else worst.size
+
+
+def collocation(nodes: ArrayLike) -> Tableau:
+    """The collocation method on s different nodes, in units of the step."""
+    c = np.array(nodes, dtype=float)
+    return Tableau(np.array([_lagrange_integrals(c, node) for node in c]), _lagrange_integrals(c, 1.0), c)
+
+
+def gauss(n_stages: int) -> Tableau:
+    """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.  J. C. Butcher, Math. Comput. 18, 50 (1964)."""
+    if n_stages == 2:
+        r = np.sqrt(3.0) / 6.0
+        return Tableau(np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]]), np.array([0.5, 0.5]), np.array([0.5 - r, 0.5 + r]))
+    rounded = collocation((1.0 + np.polynomial.legendre.leggauss(n_stages)[0]) / 2.0)
+    beta = rounded.beta - rounded.symplecticity_defect / (2.0 * rounded.weights[:, None])  # else invariants drift with the rounding of M
+    return Tableau(beta, rounded.weights, rounded.nodes)
+
+
+def radau_iia(n_stages: int) -> Tableau:
+    """Radau nodes with c_s = 1, the zeros of P_s(2c − 1) − P_{s−1}(2c − 1): order 2s − 1, stiffly accurate.
+
+    B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5.
+    """
+    inner = (Legendre.basis(n_stages) - Legendre.basis(n_stages - 1)).roots()
+    return collocation([*(1.0 + np.sort(np.real(inner))[:-1]) / 2.0, 1.0])
+
+
+def _lagrange_integrals(nodes: Array, end: float) -> Array:
+    """∫₀^end ℓ_j for all j, by a Gauss quadrature that is exact for them; ℓ_j is one on node j and zero on the others."""
+    x, w = np.polynomial.legendre.leggauss(nodes.size)
+    x, w = end * (1.0 + x) / 2.0, end * w / 2.0
+    factors = (x[:, None, None] - nodes) / np.where(np.eye(nodes.size, dtype=bool), 1.0, nodes[:, None] - nodes)  # of ℓ_j at x_k, for [k, j]
+    factors[:, np.arange(nodes.size), np.arange(nodes.size)] = 1.0
+    return w @ factors.prod(axis=2)
 
 
 class RungeKutta(Method):
-    """An implicit Runge-Kutta method, given by its tableau.
-
-    Attributes of each method
-    -------------------------
-    tableau : Tableau. Order, symmetry and symplecticity are computed from it.
-    """
+    """An implicit Runge-Kutta method, given by its tableau : Tableau. Order, symmetry and symplecticity are computed from it."""
 
     tableau: ClassVar[Tableau]
     is_explicit = False
@@ -42,9 +144,7 @@ class RungeKutta(Method):
     def on(cls, problem: Problem) -> Step:
         """The step on any problem; those of index 3 need a method whose last stage is the next state.
 
-        Raises
-        ------
-        TypeError : for Gauss-Legendre methods on problems of index 3, where errors of the multipliers do not shrink with the time step.
+        Raises TypeError for Gauss-Legendre methods on problems of index 3, where errors of the multipliers do not shrink with the time step.
         """
         if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
             raise TypeError(f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers stay wrong however short "
@@ -56,52 +156,35 @@ class RungeKutta(Method):
         """Order of the error estimate: that of algebraic variables, weighted by h for index 2 and h² for index 3, where it is lower."""
         if not isinstance(problem, DifferentialAlgebraic) or (problem.index <= 1 and cls.tableau.is_stiffly_accurate):
             return cls.order
-        return _stage_order(cls.tableau)
+        return cls.tableau.stage_order
 
 
-def _stage_order(tableau: Tableau) -> int:
-    """Largest η with Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k for k = 1 … η."""
-    c, eta = tableau.nodes, 0
-    while eta < c.size and np.abs(tableau.beta @ c**eta - c ** (eta + 1) / (eta + 1)).max() < TABLEAU_ROUNDING:
-        eta += 1
-    return eta
-
-
-class StageStep:
+class StageStep(StageEquations):
     """One step with a tableau. The slopes of a step, extrapolated as a polynomial, are the first guess for the next."""
 
     def __init__(self, problem: Problem, tableau: Tableau) -> None:
-        self._problem, self._tableau = problem, tableau
-        self._equations = StageEquations(problem)
+        super().__init__(problem)
+        self._tableau = tableau
         self._coefficients = np.linalg.inv(np.vander(tableau.nodes))  # of the polynomial through values at the nodes
         self._known: tuple[Array | None, Array | float] = None, 0.0  # last state, and its rounding error
         self._last: tuple[float, float, Array] | None = None  # time, length and slopes of the last step
 
-    @property
-    def nfev(self) -> int:
-        """Evaluations of the right-hand side."""
-        return self._equations.nfev
-
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
         known, lost = self._known
-        slopes = self._slopes(t, y, h)
+        slopes = self._all_slopes(t, y, h)
         increment = h * (self._tableau.weights @ slopes) + (lost if known is y else 0.0)
         y_new = y + increment
         self._known, self._last = (y_new, increment - (y_new - y)), (t, h, slopes)
         return y_new
 
-    def _slopes(self, t: float, y: Array, h: float) -> Array:
+    def _all_slopes(self, t: float, y: Array, h: float) -> Array:
         """(s, n) slopes of all stages; from the guess y′ for all of them if there is no other, or if the other one fails."""
-        tableau = self._tableau
-        times, weights = t + tableau.nodes * h, h * tableau.beta
-        guess = self._extrapolated(t, h)
+        times, weights, guess = t + self._tableau.nodes * h, h * self._tableau.beta, self._extrapolated(t, h)
         if guess is not None:
-            try:
-                return self._equations.slopes(times, y, weights, guess, h)
-            except ConvergenceError:
-                pass
-        return self._equations.slopes(times, y, weights, np.tile(self._problem.field(t, y), (times.size, 1)), h)
+            with suppress(ConvergenceError):
+                return self.slopes(times, y, weights, guess, h)
+        return self.slopes(times, y, weights, np.tile(self._problem.field(t, y), (times.size, 1)), h)
 
     def _extrapolated(self, t: float, h: float) -> Array | None:
         """The slopes of the last step as a polynomial, at the stages of this one; None if these are far."""
@@ -128,12 +211,11 @@ def _radau(s: int, stages: str) -> type[RungeKutta]:
     return _method(f"RadauIIA{s}", doc, f"radau-iia-{s}", radau_iia(s), "B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5")
 
 
-EULER = "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."
-
 GaussLegendre1 = _gauss_legendre(1, "one stage, the implicit midpoint rule")
 GaussLegendre2 = _gauss_legendre(2, "two stages")
 GaussLegendre3 = _gauss_legendre(3, "three stages")
 GaussLegendre4 = _gauss_legendre(4, "four stages")
+EULER = "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."
 ImplicitEuler = _method("ImplicitEuler", EULER, "implicit-euler", radau_iia(1), "E. Hairer, G. Wanner, Solving ODEs II (1996), IV.3")
 RadauIIA2 = _radau(2, "two stages")
 RadauIIA3 = _radau(3, "three stages")

@@ -10,8 +10,7 @@ In variables of index 2 and 3 rounding is amplified by 1/h and 1/h² (E. Hairer,
 import numpy as np
 
 from minimd.integrators.method import Array, Problem
-from minimd.integrators.ode.differences import forward_differences
-from minimd.integrators.ode.newton import FixedPoint
+from minimd.integrators.ode.functions import forward_differences
 from minimd.integrators.ode.problems import DifferentialAlgebraic, FirstOrder
 
 AMPLIFIED = 3e1  # factor of rounding per level, for steps of some hundredth of the time in which the solution varies
@@ -25,18 +24,11 @@ class StageEquations:
     def __init__(self, problem: Problem) -> None:
         self.nfev = 0
         self._problem, self._iteration = problem, problem.solver.iteration()
-        self._needs_jacobian = not isinstance(problem.solver, FixedPoint)
 
     def slopes(self, times: Array, base: Array, weights: Array, guess: Array, h: float) -> Array:
-        """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.
+        """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.  Raises ConvergenceError with the largest residual.
 
-        Parameters
-        ----------
         times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h : the step [time].
-
-        Raises
-        ------
-        ConvergenceError : with the largest residual.
         """
 
         def residual(unknowns: Array) -> Array:
@@ -53,10 +45,7 @@ class StageEquations:
                 rows[:, i * n : (i + 1) * n] += of_slope
             return matrix
 
-        scale, floor = self._sizes(base, guess, h)
-        key = h, *weights[0]
-        nothing = 0.0 if isinstance(self._problem, DifferentialAlgebraic) else UNSEEN * float(np.abs(base).max()) / abs(h)
-        solved = self._iteration.solve(residual, guess.reshape(-1), jacobian, key, scale, floor, nothing)
+        solved = self._iteration.solve(residual, guess.reshape(-1), jacobian, (h, *weights[0]), *self._sizes(base, guess, h))
         return solved.reshape(guess.shape)
 
     def _residual(self, t: float, y: Array, slope: Array) -> Array:
@@ -74,8 +63,8 @@ class StageEquations:
         at_y = self._residual(t, y, slope)
         return forward_differences(lambda x: self._residual(t, x, slope), y, at_y), np.eye(y.size)
 
-    def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float | None]:
-        """scale and floor of Iteration.solve.
+    def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float, float]:
+        """scale, floor and nothing of Iteration.solve.
 
         Explicit problems: the slopes are compared with the state over h once they no longer shrink, because at rest slopes vanish
         and the state does not. Differential-algebraic ones: each variable has its own size; corrections of algebraic variables
@@ -83,8 +72,9 @@ class StageEquations:
         """
         problem = self._problem
         if not isinstance(problem, DifferentialAlgebraic):
-            return 0.0, float(np.abs(base).max()) / abs(h)
+            largest = float(np.abs(base).max())
+            return 0.0, largest / abs(h), UNSEEN * largest / abs(h)
         sizes = np.maximum(np.abs(base), np.abs(h * guess).max(axis=0))
         own = np.maximum(sizes, VANISHING * sizes.max()) * AMPLIFIED**problem.levels / abs(h)
         floor = np.where(problem.levels > 0, np.inf, sizes[problem.levels == 0].max(initial=0.0) / abs(h))
-        return np.tile(own, len(guess)), np.tile(floor, len(guess))
+        return np.tile(own, len(guess)), np.tile(floor, len(guess)), 0.0

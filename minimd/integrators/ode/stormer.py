@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array
-from minimd.integrators.ode.solution import Solution
+from minimd.integrators.ode.drivers import Solution
 from minimd.structure.errors import checked_count
 
 __all__ = ["stormer_summed", "stormer_two_step"]
@@ -36,8 +36,7 @@ def stormer_two_step(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: fl
     ------
     ValueError : if the time step is zero or not finite, n_steps not a whole number, at least 1, or the shapes of q0, v0 and f(q0) differ.
     """
-    q, d = _start(f, q0, v0, timestep, n_steps)
-    q[1] = q[0] + d
+    q, _ = _start(f, q0, v0, timestep, n_steps)
     for n in range(1, n_steps + 1):
         q[n + 1] = 2.0 * q[n] - q[n - 1] + timestep**2 * np.asarray(f(q[n]))
     return _solution(q, q[1:] - q[:-1], v0, timestep)
@@ -50,16 +49,15 @@ def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: floa
     """
     q, d = _start(f, q0, v0, timestep, n_steps)
     increments = np.empty_like(q[1:])
-    for n in range(n_steps + 1):
-        if n > 0:
-            d = d + timestep**2 * np.asarray(f(q[n]))
-        increments[n] = d
-        q[n + 1] = q[n] + d
+    increments[0] = d
+    for n in range(1, n_steps + 1):
+        increments[n] = increments[n - 1] + timestep**2 * np.asarray(f(q[n]))
+        q[n + 1] = q[n] + increments[n]
     return _solution(q, increments, v0, timestep)
 
 
 def _start(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> tuple[Array, Array]:
-    """Memory for q₀ … q_{n+1} with q₀ filled in, and the first increment."""
+    """Memory for q₀ … q_{n+1} with q₀ and q₁ filled in, and the first increment."""
     q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)
     if not (isfinite(timestep) and timestep != 0.0):
         raise ValueError(f"timestep must be finite and not zero; timestep = {timestep!r}")
@@ -67,9 +65,9 @@ def _start(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_ste
     a0 = np.asarray(f(q0), dtype=float)
     if not q0.shape == v0.shape == a0.shape:
         raise ValueError(f"q0, v0 and f(q0) must have the same shape; got {q0.shape}, {v0.shape} and {a0.shape}")
-    q = np.empty((n_steps + 2, *q0.shape))
-    q[0] = q0
-    return q, timestep * v0 + 0.5 * timestep**2 * a0
+    q, d = np.empty((n_steps + 2, *q0.shape)), timestep * v0 + 0.5 * timestep**2 * a0
+    q[0], q[1] = q0, q0 + d
+    return q, d
 
 
 def _solution(q: Array, increments: Array, v0: ArrayLike, timestep: float) -> Solution:

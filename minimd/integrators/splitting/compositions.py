@@ -1,19 +1,73 @@
-"""Splittings of higher order: one sequence of substeps each, quoted from the paper or computed from its closed form.
+"""Methods made from other methods, and splittings of higher order: one sequence of substeps each, from the paper or its closed form.
 
-No sequence of positive coefficients has an order above 2, so each one here has a negative coefficient (Q. Sheng, IMA J. Numer.
-Anal. 9, 199 (1989); M. Suzuki, J. Math. Phys. 32, 400 (1991)). All of them take timestep : Δt [time], and raise ValueError if it
-is zero or not finite. Surveys: R. I. McLachlan, G. R. W. Quispel, Acta Numerica 11, 341 (2002); E. Hairer, C. Lubich,
-G. Wanner, Geometric Numerical Integration (2006), V.3.
+No sequence of positive coefficients has an order above 2, so each one here has a negative coefficient (Q. Sheng, IMA J. Numer. Anal. 9,
+199 (1989); M. Suzuki, J. Math. Phys. 32, 400 (1991)). All of them take timestep : Δt [time]. Surveys: R. I. McLachlan,
+G. R. W. Quispel, Acta Numerica 11, 341 (2002); E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), V.3.
 """
 
+from collections.abc import Sequence
+from itertools import chain
+
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.substeps import Drift, Kick, alternating, palindrome, repeated
+from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, alternating, merged, mirrored, palindrome, repeated, scaled
 from minimd.integrators.splitting.verlet import VelocityVerlet
 
-__all__ = ["PEFRL", "BlanesMoan4", "CandyRozmus4", "KahanLi6", "KahanLi8", "McLachlanAtela4", "Ruth3", "Suzuki4", "Yoshida6"]
+__all__ = ["PEFRL", "BlanesMoan4", "CandyRozmus4", "KahanLi6", "KahanLi8", "McLachlanAtela4", "Ruth3", "Suzuki4", "Yoshida6", "adjoint", "compose"]
 
-CBRT2 = 2.0 ** (1.0 / 3.0)
-CBRT4 = 4.0 ** (1.0 / 3.0)
+CBRT2, CBRT4 = 2.0 ** (1.0 / 3.0), 4.0 ** (1.0 / 3.0)
+Part = Substep | type[Splitting]
+
+
+def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitting]:
+    """The method Φ¹ ∘ Φ² ∘ … ∘ Φˢ: the last one acts first, as in the formula.
+
+    So compose(SE2, SE1) is Störmer-Verlet (A), compose(SE1, SE2) is (B), compose(Drift(1.0), Kick(1.0)) is SE1, and
+    compose(*3 * [VelocityVerlet], weights=[g, 1 - 2 * g, g]) with g = 1/(2 − ∛2) has order 4.
+
+    Parameters
+    ----------
+    parts : methods, or flows Kick(c) and Drift(c).
+    weights : fraction of the time step for each part. If not given, methods get equal fractions, and flows last cΔt.
+
+    Raises
+    ------
+    TypeError : for parts of another kind or with a bath, or methods mixed with flows without weights.
+    ValueError : if there are no parts, or not as many weights as parts.
+    """
+    for part in parts:
+        if not isinstance(part, (Kick, Drift)) and not (isinstance(part, type) and issubclass(part, Splitting)):
+            raise TypeError(f"parts must be methods, such as VelocityVerlet, or flows, such as Kick(0.5); got {part!r}")
+        _refuse_bath(part)
+    if weights is None:
+        n_methods = sum(isinstance(part, type) for part in parts)
+        if 0 < n_methods < len(parts):
+            raise TypeError("methods and flows are composed with weights only: the fraction of the time step for each part")
+        weights = [1.0 / n_methods if n_methods else 1.0] * len(parts)
+    if len(weights) != len(parts) or not parts:
+        raise ValueError(f"there must be at least one part, and as many weights; got {len(parts)} parts, {len(weights)} weights")
+    sequences = [scaled(part.sequence() if isinstance(part, type) else (part,), weight) for part, weight in zip(parts, weights, strict=True)]
+    title = " ∘ ".join(part.name if isinstance(part, type) else repr(part) for part in parts)
+    return _method(f"compose({title})", merged(chain.from_iterable(reversed(sequences))), f"composition of its parts, {title}")
+
+
+def adjoint(method: type[Splitting]) -> type[Splitting]:
+    """The adjoint Φ*_Δt = (Φ_{−Δt})⁻¹: the substeps in reverse. With the opposite time step it undoes a step of the method.
+
+    Raises
+    ------
+    TypeError : for a method with a bath, which cannot be undone.
+    """
+    _refuse_bath(method)
+    return _method(f"adjoint({method.name})", mirrored(method.sequence()), f"adjoint of {method.name}: {method.source}")
+
+
+def _refuse_bath(part: Part) -> None:
+    if isinstance(part, type) and part.is_thermostat:
+        raise TypeError(f"{part.name} has a bath: its steps have no inverse and no parts that last for a fraction of them")
+
+
+def _method(name: str, substeps: Substeps, source: str) -> type[Splitting]:
+    return type("Composition", (Splitting,), {"name": name, "substeps": substeps, "source": source, "__doc__": f"{name}."})
 
 
 class Ruth3(Splitting):
@@ -35,13 +89,10 @@ class CandyRozmus4(Splitting):
     """
 
     name = "candy-rozmus-4"
-    substeps = alternating(
-        Drift, palindrome(((2.0 + CBRT2 + 1.0 / CBRT2) / 6.0, 1.0 / (2.0 - CBRT2), (1.0 - CBRT2 - 1.0 / CBRT2) / 6.0, 1.0 / (1.0 - CBRT4)))
-    )
-    source = (
-        "J. Candy, W. Rozmus, J. Comput. Phys. 92, 230 (1991); E. Forest, R. D. Ruth, Physica D 43, 105 (1990); "
-        "H. Yoshida, Phys. Lett. A 150, 262 (1990)"
-    )
+    _a1, _a2 = (2.0 + CBRT2 + 1.0 / CBRT2) / 6.0, (1.0 - CBRT2 - 1.0 / CBRT2) / 6.0
+    substeps = alternating(Drift, palindrome((_a1, 1.0 / (2.0 - CBRT2), _a2, 1.0 / (1.0 - CBRT4))))
+    source = ("J. Candy, W. Rozmus, J. Comput. Phys. 92, 230 (1991); E. Forest, R. D. Ruth, Physica D 43, 105 (1990); "
+              "H. Yoshida, Phys. Lett. A 150, 262 (1990)")  # fmt: skip
 
 
 class Suzuki4(Splitting):
@@ -62,16 +113,9 @@ class McLachlanAtela4(Splitting):
     """
 
     name = "mclachlan-atela-4"
-    substeps = (
-        Kick(0.1344961992774310892),
-        Drift(0.5153528374311229364),
-        Kick(-0.2248198030794208058),
-        Drift(-0.085782019412973646),
-        Kick(0.7563200005156682911),
-        Drift(0.4415830236164665242),
-        Kick(0.3340036032863214255),
-        Drift(0.1288461583653841854),
-    )
+    _b1, _b2, _b3, _b4 = 0.1344961992774310892, -0.2248198030794208058, 0.7563200005156682911, 0.3340036032863214255
+    _a1, _a2, _a3, _a4 = 0.5153528374311229364, -0.085782019412973646, 0.4415830236164665242, 0.1288461583653841854
+    substeps = alternating(Kick, (_b1, _a1, _b2, _a2, _b3, _a3, _b4, _a4))
     source = "R. I. McLachlan, P. Atela, Nonlinearity 5, 541 (1992)"
 
 
@@ -113,10 +157,8 @@ class KahanLi6(Splitting):
     """Kahan and Li's s9odr6a: order 6 from nine steps of velocity Verlet, errors smaller than those of seven."""
 
     name = "kahan-li-6"
-    substeps = repeated(
-        VelocityVerlet.substeps,
-        palindrome((0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023, 0.79854399093482996340)),
-    )
+    _w = 0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023, 0.79854399093482996340
+    substeps = repeated(VelocityVerlet.substeps, palindrome(_w))
     source = "W. Kahan, R.-C. Li, Math. Comput. 66, 1089 (1997), s9odr6a"
 
 
@@ -124,20 +166,7 @@ class KahanLi8(Splitting):
     """Kahan and Li's s17odr8a: order 8 from seventeen steps of velocity Verlet."""
 
     name = "kahan-li-8"
-    substeps = repeated(
-        VelocityVerlet.substeps,
-        palindrome(
-            (
-                0.13020248308889008088,
-                0.56116298177510838456,
-                -0.38947496264484728641,
-                0.15884190655515560090,
-                -0.39590389413323757734,
-                0.18453964097831570709,
-                0.25837438768632204729,
-                0.29501172360931029887,
-                -0.60550853383003451170,
-            )
-        ),
-    )
+    _w = (0.13020248308889008088, 0.56116298177510838456, -0.38947496264484728641, 0.15884190655515560090, -0.39590389413323757734,
+          0.18453964097831570709, 0.25837438768632204729, 0.29501172360931029887, -0.60550853383003451170)  # fmt: skip
+    substeps = repeated(VelocityVerlet.substeps, palindrome(_w))
     source = "W. Kahan, R.-C. Li, Math. Comput. 66, 1089 (1997), s17odr8a"

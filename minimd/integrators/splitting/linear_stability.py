@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from minimd.integrators.method import Array
-from minimd.integrators.splitting.substeps import Kick, Substeps, Thermalize
+from minimd.integrators.splitting.substeps import Kick, Substeps, mechanical
 
 __all__ = ["accurate_step", "energy_oscillation", "stability_limit"]
 
@@ -25,7 +25,7 @@ BISECTIONS = 50  # halvings of an interval, down to rounding
 def propagation(substeps: Substeps, h: float) -> Array:
     """M(h) of one step, (2, 2), on (q, v/ω).  h : ωΔt.  Substeps Thermalize are left out."""
     matrix = np.eye(2)
-    for substep in _mechanical(substeps):
+    for substep in mechanical(substeps):
         c = substep.coefficient * h
         matrix = np.array([[1.0, 0.0], [-c, 1.0]] if isinstance(substep, Kick) else [[1.0, c], [0.0, 1.0]]) @ matrix
     return matrix
@@ -44,7 +44,7 @@ def stability_limit(substeps: Substeps) -> float:
     start = 0.0
     for end in edges:
         if abs(np.trace(propagation(substeps, np.sqrt(0.5 * (start + end))))) - 2.0 > ROUNDING:
-            return float(np.sqrt(start))
+            break
         start = end
     return float(np.sqrt(start))
 
@@ -53,7 +53,7 @@ def trace_polynomial(substeps: Substeps) -> Polynomial:
     """tr M as a polynomial in x = h², from M = (a hb; −hc d), where a, b, c and d are polynomials in x."""
     (a, b), (c, d) = (Polynomial([1.0]), Polynomial([0.0])), (Polynomial([0.0]), Polynomial([1.0]))
     x = Polynomial([0.0, 1.0])
-    for substep in _mechanical(substeps):
+    for substep in mechanical(substeps):
         if isinstance(substep, Kick):
             c, d = c + substep.coefficient * a, d - substep.coefficient * x * b
         else:
@@ -87,7 +87,3 @@ def accurate_step(substeps: Substeps, oscillation: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if energy_oscillation(substeps, middle) <= oscillation else (low, middle)
     return float(low)
-
-
-def _mechanical(substeps: Substeps) -> Substeps:
-    return tuple(substep for substep in substeps if not isinstance(substep, Thermalize))

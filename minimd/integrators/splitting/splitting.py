@@ -1,7 +1,7 @@
 """Splitting methods: the flows of the two halves of H = T(p) + V(q), composed as a sequence of substeps.
 
-    drift  φ[1]:  r(t+cΔt) = r(t) + cΔt v            velocities stand still
-    kick   φ[2]:  v(t+cΔt) = v(t) + cΔt F(r)/m       positions stand still
+    drift  φ[1]:  r(t+cΔt) = r(t) + cΔt v            velocities are constant
+    kick   φ[2]:  v(t+cΔt) = v(t) + cΔt F(r)/m       positions are constant
 
 Each half is solved exactly, so every composition is symplectic and conserves total momentum. It is reversible if the sequence
 equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
@@ -9,13 +9,13 @@ equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integra
 
 from collections.abc import Callable
 from inspect import signature
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar
 
 from minimd.compiled.kernels import kernel
 from minimd.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.state import State, Surroundings
-from minimd.integrators.splitting.substeps import Kick, Substeps, Thermalize, is_palindrome, merged
+from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize, is_palindrome, mechanical, merged
 
 __all__ = ["Splitting"]
 
@@ -43,21 +43,8 @@ def drift(positions, velocities, duration):
 
 def stages(method: "type[Splitting]") -> int:
     """Force evaluations per step of a long run: groups of kicks with no drift between them, the last and the first kick being one group."""
-    kicks = [isinstance(substep, Kick) for substep in merged(substep for substep in method.substeps if not isinstance(substep, Thermalize))]
+    kicks = [isinstance(substep, Kick) for substep in merged(mechanical(method.substeps))]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
-
-
-@runtime_checkable
-class SplitProblem(Protocol):
-    """A problem with q and v, which can be kicked and drifted."""
-
-    def sequence_step(self, substeps: Substeps) -> Step:
-        """The step that applies these substeps."""
-        ...
-
-    def sequence_order(self, substeps: Substeps) -> int:
-        """Order of that step on this problem."""
-        ...
 
 
 class Splitting(Method):
@@ -68,9 +55,7 @@ class Splitting(Method):
     positions have moved since. With constraints every drift is projected. Velocities are projected at the end of a block only,
     because a constrained drift does not depend on the component that a projection removes.
 
-    Parameters
-    ----------
-    timestep : Δt [time], finite and not zero; a negative one runs time backwards.
+    Parameters, Raises : as Method.
 
     Attributes of each method
     -------------------------
@@ -82,10 +67,6 @@ class Splitting(Method):
     -----------------------------
     order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).  stages : force evaluations per step of a long run.
     is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1, then also reversible.  is_symplectic : true without a bath.
-
-    Raises
-    ------
-    ValueError : if the time step is zero or not finite.
     """
 
     substeps: ClassVar[Substeps]
@@ -111,20 +92,15 @@ class Splitting(Method):
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """The step on a problem with q and v.
-
-        Raises
-        ------
-        TypeError : for a problem without q and v.
-        """
-        if not isinstance(problem, SplitProblem):
+        """The step on a problem with q and v, see Partitioned.sequence_step.  Raises TypeError for other problems."""
+        if not hasattr(problem, "sequence_step"):
             raise TypeError(f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}")
         return problem.sequence_step(cls.sequence())
 
     @classmethod
     def order_on(cls, problem: Problem) -> int:
         """See Method."""
-        return problem.sequence_order(cls.sequence()) if isinstance(problem, SplitProblem) else cls.order
+        return problem.sequence_order(cls.sequence()) if hasattr(problem, "sequence_order") else cls.order
 
     def advance(
         self, state: State, compute_forces: ComputeForces, n_steps: int, with_energy: bool = True, surroundings: Surroundings | None = None
@@ -138,7 +114,8 @@ class Splitting(Method):
         ConstraintError : if a length cannot be kept.  ValueError : from a thermostat without a bath.
         """
         around = Surroundings() if surroundings is None else surroundings
-        opening, body, between, closing = self._merged() if around.constraints is None or isinstance(self.substeps[0], Kick) else self._unmerged()
+        first = self.substeps[0]
+        opening, body, between, closing = self._merged(isinstance(first, Kick) or (around.constraints is None and isinstance(first, Drift)))
         for step in range(1, n_steps + 1):
             is_last = step == n_steps or around.stop_requested
             substeps = (opening if step == 1 else ()) + body + (closing if is_last else between)
@@ -168,14 +145,10 @@ class Splitting(Method):
         """Contact with the bath over a duration: what a substep Thermalize does. Methods without a bath have no such substep."""
         raise NotImplementedError(f"{self.name} has no thermostat")
 
-    def _unmerged(self) -> tuple[Substeps, ...]:
-        """The row as it stands: with constraints two drifts in a row are not one."""
-        return self.opening, self.substeps, (), self.closing
-
-    def _merged(self) -> tuple[Substeps, ...]:
-        """The row as substeps before, in, between and after the steps, with equal neighbors made one."""
+    def _merged(self, may_merge: bool) -> tuple[Substeps, ...]:
+        """The row as substeps before, in, between and after the steps. Two contacts with a bath, and two constrained drifts, are not one."""
         first, last = self.substeps[0], self.substeps[-1]
-        if len(self.substeps) == 1 or type(first) is not type(last) or isinstance(first, Thermalize):  # noise is not merged
+        if len(self.substeps) == 1 or type(first) is not type(last) or not may_merge:
             return self.opening, self.substeps, (), self.closing
         merged = type(first)(first.coefficient + last.coefficient)
         return (*self.opening, first), self.substeps[1:-1], (merged,), (last, *self.closing)

@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+
+from minimd.constraints.solver import ConstraintSolver
+from minimd.integrators.method import Array
 
 __all__ = ["Bath", "State", "Surroundings"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass
@@ -36,7 +35,7 @@ class State:
 
 @dataclass
 class Bath:
-    """What a thermostat knows of the system it is in contact with, and what it has given to it.
+    """What a thermostat needs to know of its system, and the energy that it has given to it.
 
     k_B : [energy/temperature].  n_dof : degrees of freedom that share the kinetic energy.
     conserves_momentum : whether the total momentum is a constant; the motion of the center of mass is then no degree of freedom.
@@ -52,29 +51,19 @@ class Bath:
     energy: float = 0.0
 
 
-class Constraints(Protocol):
-    """Lengths that are kept; see minimd.constraints.ConstraintSolver."""
-
-    def drift(self, positions: Array, velocities: Array, duration: float) -> None:
-        """A drift that keeps the lengths, (N, 3) both, in place."""
-
-    def project_velocities(self, velocities: Array, positions: Array) -> None:
-        """Take from velocities, in place, what would change a length. (N, 3) both."""
-
-
 @dataclass
 class Surroundings:
     """What acts on a state beside the forces.
 
-    constraints : lengths that drifts keep, or None.  bath : of a thermostat, or None.
+    constraints : solver of the lengths that drifts keep, or None.  bath : of a thermostat, or None.
     stop_requested : set it to True to end a run of steps after the present one.
     """
 
-    constraints: Constraints | None = None
+    constraints: ConstraintSolver | None = None
     bath: Bath | None = None
     stop_requested: bool = False
 
     def project(self, state: State) -> None:
-        """Take from the velocities what would change a length."""
+        """Velocities projected so that they change no length that is kept, in place."""
         if self.constraints is not None:
             self.constraints.project_velocities(state.velocities, state.positions)

@@ -26,7 +26,7 @@ class Kick:
 
 @dataclass(frozen=True, slots=True)
 class Thermalize:
-    """Contact with a bath over coefficient · Δt: velocities change at random, positions stand still. See thermostats."""
+    """Contact with a bath over coefficient · Δt: velocities change at random, positions are constant. See thermostats."""
 
     coefficient: float
 
@@ -44,6 +44,11 @@ def merged(substeps: Iterable[Substep]) -> Substeps:
         if substep.coefficient != 0.0:
             sequence.append(substep)
     return tuple(sequence)
+
+
+def mechanical(substeps: Iterable[Substep]) -> Substeps:
+    """The kicks and drifts alone."""
+    return tuple(substep for substep in substeps if not isinstance(substep, Thermalize))
 
 
 def scaled(substeps: Iterable[Substep], weight: float) -> Substeps:

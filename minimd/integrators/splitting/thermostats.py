@@ -38,11 +38,9 @@ class Thermostat(Splitting):
     ValueError : for a time step that is not positive, a temperature or a rate below zero, or a seed out of range.
     """
 
-    temperature: float
-    seed: int
-    is_symmetric = False
-    is_symplectic = False
+    is_symmetric = is_symplectic = False
     is_thermostat = True
+    order = 2
 
     def __init__(self, timestep: float, temperature: float, seed: int) -> None:
         super().__init__(timestep)
@@ -54,22 +52,12 @@ class Thermostat(Splitting):
 
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
-        """The thermostat whose bath has this relaxation time, for whoever knows no more of it, such as a scene file.
-
-        Parameters
-        ----------
-        relaxation_time : τ > 0 [time].  Others : see Thermostat.
-        """
+        """The thermostat whose bath has this relaxation time, τ > 0 [time]: all that a scene file says of it.  Others : see Thermostat."""
         raise NotImplementedError(f"{cls.name} has no with_relaxation_time, by which a scene makes it; run it from a script")
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """Refused: a bath needs masses and a unit of temperature, which small problems do not have.
-
-        Raises
-        ------
-        TypeError : always.
-        """
+        """Refused with a TypeError: a bath needs masses and a unit of temperature, which small problems do not have."""
         raise TypeError(f"{cls.name} runs in a Simulation, where atoms have masses and a temperature has a unit")
 
     def noise(self, bath: Bath) -> np.random.Generator:
@@ -111,7 +99,6 @@ class LangevinBAOAB(Thermostat):
     substeps = (Kick(0.5), Drift(0.5), Thermalize(1.0), Drift(0.5), Kick(0.5))
     source = "B. Leimkuhler, C. Matthews, J. Chem. Phys. 138, 174102 (2013)"
     conserves_momentum = False
-    order = 2
 
     def __init__(self, timestep: float, temperature: float, friction: float, seed: int) -> None:
         super().__init__(timestep, temperature, seed)
@@ -124,8 +111,7 @@ class LangevinBAOAB(Thermostat):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration."""
-        bath = self.bath_of(around)
-        kept = exp(-self.friction * duration)
+        bath, kept = self.bath_of(around), exp(-self.friction * duration)
         spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
         around.project(state)
         before = kinetic_energy(state.velocities, state.masses)
@@ -158,18 +144,12 @@ class StochasticVelocityRescaling(Thermostat):
     name = "stochastic-velocity-rescaling"
     substeps = (Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(1.0))
     source = "G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007)"
-    order = 2
 
     def __init__(self, timestep: float, temperature: float, relaxation_time: float, seed: int) -> None:
         super().__init__(timestep, temperature, seed)
-        if not _not_negative("relaxation_time", relaxation_time) > 0.0:
+        self.relaxation_time = _not_negative("relaxation_time", relaxation_time)
+        if not self.relaxation_time > 0.0:
             raise ValueError(f"relaxation_time must be positive; relaxation_time = {relaxation_time!r}")
-        self.relaxation_time = float(relaxation_time)
-
-    @classmethod
-    def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
-        """See Thermostat."""
-        return cls(timestep, temperature, relaxation_time, seed)
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The exact change of the kinetic energy over a duration."""
@@ -185,9 +165,7 @@ class StochasticVelocityRescaling(Thermostat):
         one, others = noise.standard_normal(), 2.0 * noise.standard_gamma(0.5 * (bath.n_dof - 1))
         share = (1.0 - kept) * 0.5 * bath.k_B * self.temperature / kinetic
         scale = sqrt(max(kept + share * (others + one * one) + 2.0 * one * sqrt(kept * share), 0.0))
-        if share > 0.0 and one < -sqrt(kept / share):
-            scale = -scale
-        rescale(state.velocities, drift, scale)
+        rescale(state.velocities, drift, -scale if share > 0.0 and one < -sqrt(kept / share) else scale)
         bath.energy += kinetic * (scale * scale - 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Symplectic Euler and the one-step forms of Störmer-Verlet: one sequence of substeps each.
+"""Symplectic Euler and the one-step forms of Störmer-Verlet: one sequence of substeps each, with timestep : Δt [time].
 
     (A) = SE2 ∘ SE1 over Δt/2 each = velocity Verlet        (B) = SE1 ∘ SE2 over Δt/2 each = position Verlet
 
@@ -14,12 +14,10 @@ __all__ = ["SE1", "SE2", "Leapfrog", "PositionVerlet", "VelocityVerlet"]
 class VelocityVerlet(Splitting):
     """Velocity Verlet, Störmer-Verlet (A): order 2, symplectic, time-reversible, one force evaluation per step.
 
-        v(t+Δt/2) = v(t) + Δt/2 F(t)/m              kick
-        r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift
-        F(t+Δt)   = −∇U(r(t+Δt))
-        v(t+Δt)   = v(t+Δt/2) + Δt/2 F(t+Δt)/m      kick
-
-    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
+    v(t+Δt/2) = v(t) + Δt/2 F(t)/m              kick
+    r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift
+    F(t+Δt)   = −∇U(r(t+Δt))
+    v(t+Δt)   = v(t+Δt/2) + Δt/2 F(t+Δt)/m      kick
     """
 
     name = "velocity-verlet"
@@ -30,11 +28,9 @@ class VelocityVerlet(Splitting):
 class PositionVerlet(Splitting):
     """Position Verlet, Störmer-Verlet (B): the same two flows with the drifts outside.
 
-        r(t+Δt/2) = r(t) + Δt/2 v(t)                drift
-        v(t+Δt)   = v(t) + Δt F(t+Δt/2)/m           kick
-        r(t+Δt)   = r(t+Δt/2) + Δt/2 v(t+Δt)        drift
-
-    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
+    r(t+Δt/2) = r(t) + Δt/2 v(t)                drift
+    v(t+Δt)   = v(t) + Δt F(t+Δt/2)/m           kick
+    r(t+Δt)   = r(t+Δt/2) + Δt/2 v(t+Δt)        drift
     """
 
     name = "position-verlet"
@@ -43,15 +39,13 @@ class PositionVerlet(Splitting):
 
 
 class Leapfrog(Splitting):
-    """Leapfrog: velocities live half a step before the positions.
+    """Leapfrog: velocities are those of half a step before the positions.
 
         v(t+Δt/2) = v(t−Δt/2) + Δt F(t)/m           kick
         r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift
 
     A run begins with half a kick backwards and ends with half a kick forwards, so that velocities, energies and files
     always show v(t) beside r(t). The positions are those of velocity Verlet.
-
-    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
     """
 
     name = "leapfrog"
@@ -64,10 +58,8 @@ class Leapfrog(Splitting):
 class SE1(Splitting):
     """Symplectic Euler, kick first: order 1, not symmetric; its adjoint is SE2.
 
-        v(t+Δt) = v(t) + Δt F(t)/m                  kick
-        r(t+Δt) = r(t) + Δt v(t+Δt)                 drift
-
-    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
+    v(t+Δt) = v(t) + Δt F(t)/m                  kick
+    r(t+Δt) = r(t) + Δt v(t+Δt)                 drift
     """
 
     name = "symplectic-euler-1"
@@ -78,10 +70,8 @@ class SE1(Splitting):
 class SE2(Splitting):
     """Symplectic Euler, drift first: order 1, not symmetric; its adjoint is SE1.
 
-        r(t+Δt) = r(t) + Δt v(t)                    drift
-        v(t+Δt) = v(t) + Δt F(t+Δt)/m               kick
-
-    timestep : Δt [time].  Raises ValueError if it is zero or not finite.
+    r(t+Δt) = r(t) + Δt v(t)                    drift
+    v(t+Δt) = v(t) + Δt F(t+Δt)/m               kick
     """
 
     name = "symplectic-euler-2"

@@ -1,20 +1,26 @@
-"""Distance constraints of any shape, by Newton's method on all constraints of a component, within an envelope.
+"""Distance constraints of any shape, by Newton's method on all constraints of a component, within an envelope, or by sweeps.
 
     drift        r′ = r + Δt v + M⁻¹ Gᵀ λ,  |r′_ij|² = d²,  v′ = (r′ − r)/Δt        G : rows s_k = r_ij before the drift
     velocities   v′ = v + M⁻¹ Gᵀ μ,  r_ij · v′_ij = 0                                G : rows r_k = r_ij now
 
 with r_ij = r_j − r_i + offset. J.-P. Ryckaert, G. Ciccotti, H. J. C. Berendsen, J. Comput. Phys. 23, 327 (1977);
 H. C. Andersen, J. Comput. Phys. 52, 24 (1983); V. Kräutler, W. F. van Gunsteren, P. H. Hünenberger, J. Comput. Chem. 22, 501 (2001).
+
+SHAKE and RATTLE sweep: one constraint after the other, repeatedly, until all are kept to a tolerance.
+
+    λ_k = (d² − |r_k|²) / (2 (1/m_i + 1/m_j) r_k · s_k)          positions, along the bonds s before the drift
+    μ_k = −r_k · v_k / ((1/m_i + 1/m_j) |r_k|²)                  velocities
 """
 
 from collections import namedtuple
+from math import sqrt
 from typing import Any, NamedTuple
 
 from minimd.compiled.kernels import inlined, kernel, type_of
 from minimd.compiled.machine import EPS
-from minimd.constraints.vectors import NOTHING, add_opposite, dot, drift_some
+from minimd.constraints.vectors import NOTHING, add_opposite, dot, drift_some, separation
 
-MAX_ITERATIONS = 50
+MAX_ITERATIONS, MAX_SWEEPS = 50, 10_000
 ROUNDING = 4.0 * EPS  # of |r|² against d²: no iteration makes it smaller
 LAST = 1e-9  # residuals below: one more iteration squares them to rounding, even where the equations are stiff
 DEPENDENT = 1e-10  # relative to its diagonal: a smaller pivot is rounding
@@ -124,13 +130,12 @@ def restore_lengths(atoms, components, bonds, c, memory):
 
 
 def drift_with(restore_lengths):
-    """The drift of components of any shape, given a solver that restores their lengths afterwards, such as restore_lengths below."""
+    """The drift of components of any shape, given a solver that restores their lengths afterwards, such as restore_lengths."""
 
     @inlined
-    def drift_components(first, last, atoms, components, bonds, duration, memory):
-        """Drift of components first to last − 1.  Atoms, Components, Bonds, [time], Memory."""
-        s, total = memory.s, memory.total
-        most = 0
+    def drift_components(first, last, atoms, components, bonds, memory, duration):
+        """Drift of components first to last − 1.  Atoms, Components, Bonds, Memory, [time]."""
+        s, total, most = memory.s, memory.total, 0
         for c in range(first, last):
             start, end = components.starts[c], components.starts[c + 1]
             find_separations(atoms.positions, bonds, start, end, s)
@@ -147,7 +152,7 @@ def drift_with(restore_lengths):
 
 
 @inlined
-def project_components(first, last, atoms, components, bonds, targets, memory):
+def project_components(first, last, atoms, components, bonds, memory, targets):
     """As project_pairs, for components of any shape; projected twice, to remove the rounding of the first projection.
 
     memory.total holds the multipliers. Returns 1, or −1 − the constraint that depends on others.
@@ -193,5 +198,55 @@ def dependent_constraint(positions, components, bonds, memory):
     return NOTHING
 
 
+@inlined
+def sweep_lengths(atoms, components, bonds, c, memory):
+    """λ of component c by sweeps, from positions that have drifted: memory.total. Returns the number of sweeps."""
+    start, end = components.starts[c], components.starts[c + 1]
+    s, total = memory.s, memory.total
+    for k in range(start, end):
+        total[k] = 0.0
+    sweeps, worst, where = 0, 2.0 * bonds.tolerance, start
+    while not worst <= bonds.tolerance:
+        if sweeps == MAX_SWEEPS:
+            return NOTHING - where
+        sweeps, worst = sweeps + 1, 0.0
+        for k in range(start, end):
+            i, j = bonds.first[k], bonds.second[k]
+            r = separation(atoms.positions, i, j, bonds.offsets[k])
+            gap = bonds.lengths2[k] - dot(r, r)
+            if not abs(gap) <= worst * bonds.lengths2[k]:
+                worst, where = abs(gap) / bonds.lengths2[k], k
+            scale = gap / (2.0 * (atoms.inverse_masses[i] + atoms.inverse_masses[j]) * dot(r, s[k]))
+            total[k] += scale
+            add_opposite(atoms.positions, atoms.inverse_masses, i, j, scale, s[k])
+    return sweeps
+
+
+@inlined
+def sweep_velocities(first, last, atoms, components, bonds):
+    """Velocities of components first to last − 1, by sweeps. The tolerance is that of |r · v|/(|r| |v|), v the relative velocity of a bond."""
+    velocities, inverse_masses = atoms.vectors, atoms.inverse_masses
+    most = 0
+    for c in range(first, last):
+        start, end = components.starts[c], components.starts[c + 1]
+        sweeps, worst, where = 0, 2.0 * bonds.tolerance, start
+        while not worst <= bonds.tolerance:
+            if sweeps == MAX_SWEEPS:
+                return NOTHING - where
+            sweeps, worst = sweeps + 1, 0.0
+            for k in range(start, end):
+                i, j = bonds.first[k], bonds.second[k]
+                r = separation(atoms.positions, i, j, bonds.offsets[k])
+                v = (velocities[j, 0] - velocities[i, 0], velocities[j, 1] - velocities[i, 1], velocities[j, 2] - velocities[i, 2])
+                along, r2, v2 = dot(r, v), dot(r, r), dot(v, v)
+                if along != 0.0 and not abs(along) <= worst * sqrt(r2 * v2):
+                    worst, where = abs(along) / sqrt(r2 * v2), k
+                add_opposite(velocities, inverse_masses, i, j, -along / ((inverse_masses[i] + inverse_masses[j]) * r2), r)
+        most = max(most, sweeps)
+    return most
+
+
 DriftComponents = type_of(drift_with(restore_lengths))(namedtuple("DriftComponents", ()))
 ProjectComponents = type_of(project_components)(namedtuple("ProjectComponents", ()))
+SweepDrift = type_of(drift_with(sweep_lengths))(namedtuple("SweepDrift", ()))
+SweepVelocities = type_of(sweep_velocities)(namedtuple("SweepVelocities", ()))

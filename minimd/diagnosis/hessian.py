@@ -14,7 +14,8 @@ from minimd.forces.forces import Forces
 from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import BondPotential, HarmonicBond
-from minimd.structure.images import nearest_images
+from minimd.structure.bond_graph import among
+from minimd.structure.images import nearest_vectors
 from minimd.structure.system import System
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: Con
 def _stiffest_of(system: System, potential: HarmonicBond, constraint_set: ConstraintSet) -> StiffBond | None:
     pairs = bonded_pairs(system, potential)
     squares = potential.parameters[0] * constraint_set.inverse_masses[pairs].sum(axis=1)
-    squares[_among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
+    squares[among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
     found = [StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
     if constraint_set.bonds is not None:
         found = [bond._replace(square=bond.square * _free_part(system, bond, constraint_set)) for bond in found]
@@ -59,7 +60,7 @@ def _stiffest_of(system: System, potential: HarmonicBond, constraint_set: Constr
 def _free_part(system: System, bond: StiffBond, constraint_set: ConstraintSet) -> float:
     """What constraints leave of 1/μ of a bond: the relative velocity that a unit impulse along it causes, times μ. Between 0 and 1."""
     pair, inverse_masses = np.array([[bond.i, bond.j]]), constraint_set.inverse_masses[[bond.i, bond.j]]
-    arm = (system.positions[bond.j] - system.positions[bond.i] + nearest_images(system.positions, system.cell, pair))[0]
+    arm = nearest_vectors(system.positions, system.cell, pair)[0]
     arm /= np.linalg.norm(arm)
     velocities = np.zeros_like(system.positions)
     velocities[[bond.i, bond.j]] = np.outer(inverse_masses * [-1.0, 1.0], arm)
@@ -70,7 +71,11 @@ def _free_part(system: System, bond: StiffBond, constraint_set: ConstraintSet) -
 
 def unstable_bond(engine: Engine) -> str | None:
     """That a time step is longer than a harmonic bond allows, in a sentence; None if it is not. Other forces may allow still less."""
-    bond, method, shown = stiffest_bond(engine.system, engine.potentials, engine.constraint_set), engine.method, engine.system.units.shown
+    bond, method, shown = (
+        stiffest_bond(engine.system, engine.interactions.potentials, engine.constraint_set),
+        engine.method,
+        engine.system.units.shown,
+    )
     if bond is None or abs(method.timestep) <= (limit := stability_limit(method.sequence()) / sqrt(bond.square)):
         return None
     return (
@@ -82,13 +87,6 @@ def unstable_bond(engine: Engine) -> str | None:
 def bonded_pairs(system: System, potential: BondPotential) -> NDArray[np.int64]:
     """(B, 2), the pairs on which a bond potential acts."""
     return system.bonds if potential.pairs is None else np.asarray(potential.pairs, dtype=np.int64).reshape(-1, 2)
-
-
-def _among(pairs: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of the pairs, (B,) bool, are among others, in either order."""
-    n_atoms = 1 + max(pairs.max(initial=0), others.max(initial=0))
-    names, known = (each.min(axis=1) * n_atoms + each.max(axis=1) for each in (pairs, others))
-    return np.isin(names, known)
 
 
 class Curvature:
@@ -162,13 +160,10 @@ class Curvature:
     def stretching(self, pairs: NDArray[np.int64]) -> Array:
         """The mode of each pair by itself: its two atoms move apart. (B, N, 3), each of length one."""
         modes = np.zeros((len(pairs), *self._start.shape))
-        for mode, (i, j), arm in zip(modes, pairs, self._arms(pairs), strict=True):
+        for mode, (i, j), arm in zip(modes, pairs, nearest_vectors(self._start, self._system.cell, pairs), strict=True):
             mode[i], mode[j] = -self._root[i] * arm, self._root[j] * arm
             mode /= np.linalg.norm(mode)
         return modes
-
-    def _arms(self, pairs: NDArray[np.int64]) -> Array:
-        return self._start[pairs[:, 1]] - self._start[pairs[:, 0]] + nearest_images(self._system.positions, self._system.cell, pairs)
 
     def _forces_at(self, steps: Array, length: float) -> Array:
         try:

@@ -70,9 +70,9 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
 
 def _disturb(engine: Engine, forces: NDArray[np.float64]) -> None:
     """Move the state by some roundings, of random sign: of the coordinates, or of the tolerance of a solver; and of the forces."""
-    random, shape, moving = np.random.default_rng(1), engine.positions.shape, engine.inverse_masses[:, None]
-    precision, exact = AMPLIFIED * ROUNDING[engine.options.precision], AMPLIFIED * ROUNDING["double"]
+    random, shape, moving = np.random.default_rng(1), engine.positions.shape, engine.constraint_set.inverse_masses[:, None]
+    precision, exact = AMPLIFIED * ROUNDING[engine.interactions.options.precision], AMPLIFIED * ROUNDING["double"]
     kicks = np.abs(forces) * moving * abs(engine.method.timestep)
-    swept = 0.0 if engine.rigid_bonds is None else engine.rigid_bonds.accuracy
+    swept = 0.0 if engine.constraint_set.bonds is None else engine.constraint_set.bonds.accuracy
     engine.positions[:] += random.choice([-1.0, 1.0], shape) * (AMPLIFIED * swept + exact * np.abs(engine.positions)) * (moving > 0.0)
     engine.velocities[:] += random.choice([-1.0, 1.0], shape) * (precision * kicks + exact * np.abs(engine.velocities))

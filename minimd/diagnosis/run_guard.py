@@ -16,9 +16,9 @@ from minimd.engine.observation import observe
 from minimd.engine.record import Frame
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM
-from minimd.structure import observables
 from minimd.structure.console import outside_minimd
 from minimd.structure.errors import ConstraintError, NonFiniteError
+from minimd.structure.observables import longest
 
 BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
 SNAPSHOTS_APART, LEAST_REPLAY = (
@@ -48,8 +48,8 @@ class RunGuard:
         """Count from zero: steps, seconds, evaluations, list builds, iterations of constraints."""
         self.seconds, self.n_steps, self._first = 0.0, 0, None
         self.engine.interactions.reset_counts()
-        if self.engine.rigid_bonds is not None:
-            self.engine.rigid_bonds.iterations = 0
+        if self.engine.constraint_set.bonds is not None:
+            self.engine.constraint_set.bonds.iterations = 0
 
     @contextmanager
     def uncounted(self) -> Iterator[None]:
@@ -70,7 +70,7 @@ class RunGuard:
             self._checked_timestep = engine.method.timestep
             if warning := unstable_bond(engine):
                 warnings.warn(warning, stacklevel=outside_minimd())
-        engine.interactions.fit_skin(observables.largest_speed(engine.velocities) * abs(engine.method.timestep))
+        engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
         engine.evaluate()
         if fault := fault_at_start(engine):
             raise self._failure(fault, engine.step)

@@ -16,7 +16,7 @@ class Look:
     def __init__(self, engine: Engine) -> None:
         self.engine, self.system = engine, engine.system
         self.volume: Any = engine.system.volume
-        self.bonds: Any = engine.rigid_bonds
+        self.bonds: Any = engine.constraint_set.bonds
         self.motion = (engine.velocities, engine.system.masses)
         self.path = (engine.positions, *self.motion)
         self.potential_energy = engine.interactions.potential_energy
@@ -84,7 +84,7 @@ for _observable in (
         "constraint_violation",
         "",
         lambda look: float(look.bonds.violation(look.system.positions).max()),
-        lambda engine: engine.rigid_bonds is not None,
+        lambda engine: engine.constraint_set.bonds is not None,
     ),
 ):
     register(_observable)

@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from minimd.compiled.machine import version
-from minimd.engine.engine import Engine
+from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.record import SERIES, Frame
 from minimd.files.h5md_constraints import describe_constraints
 from minimd.structure.cell import Cell
@@ -100,15 +100,27 @@ def describe(h5: h5py.File, engine: Engine) -> None:
     group.attrs.update({"version": version("minimd"), "units": system.units.name, "pbc": system.cell.pbc, "scene": ""})
     group.attrs["title"] = f"{len(system)} atoms of {', '.join(str(name) for name in system.species_names)}"
     describe_method(group, engine)
-    describe_constraints(group, engine.constraints)
-    group["cell"] = system.cell.vectors
-    group["species_index"] = system.species_index
+    describe_constraints(group, engine.constraint_set.kept)
     names = system.species_names
     group["species_names"] = np.array(names, dtype=h5py.string_dtype() if isinstance(names[0], str) else np.int64)
+    group["cell"], group["species_index"] = system.cell.vectors, system.species_index
     group["masses"], group["bonds"] = h5[f"{TRAJECTORY}/mass"], h5["connectivity/bonds"]
-    restart = group.create_group("restart")
-    restart["positions"], restart["velocities"] = system.positions, system.velocities
-    restart.attrs.update({"step": np.int64(engine.step), "time": np.float64(engine.time), "reservoir_energy": np.float64(engine.reservoir_energy)})
+    write_state(group.create_group("restart"), engine)
+
+
+def write_state(group: h5py.Group, state: Engine | Frame | Snapshot) -> None:
+    """Write positions, velocities, step, time and reservoir energy into a group, or over those that it holds."""
+    for name in ("positions", "velocities"):
+        array = getattr(state, name)
+        group.require_dataset(name, array.shape, array.dtype)[...] = array
+    for name, kind in (("step", np.int64), ("time", np.float64), ("reservoir_energy", np.float64)):
+        group.attrs.modify(name, kind(getattr(state, name)))
+
+
+def read_state(group: h5py.Group) -> Snapshot:
+    """The state that write_state wrote, to the last bit."""
+    at = group.attrs
+    return Snapshot(int(at["step"]), float(at["time"]), group["positions"][:], group["velocities"][:], float(at["reservoir_energy"]))
 
 
 def describe_method(group: h5py.Group, engine: Engine) -> None:

@@ -13,14 +13,13 @@ from time import monotonic
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files import h5md_schema as layout
 from minimd.files.h5md_constraints import difference, n_bytes
 from minimd.files.h5md_reader import H5MDContents, read_file
-from minimd.files.h5md_schema import opened
+from minimd.files.h5md_schema import opened, write_state
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 BUFFER_BYTES = 8 * 1024**2  # of frames kept in memory between two flushes
@@ -48,7 +47,7 @@ class H5MDWriter:
         self._begin(Path(file), engine, opened(file, "w"), store_forces)
         system = engine.system
         with self._telling("begin"):
-            self._reserve(BYTES_PER_ATOM * len(system) + BYTES_PER_BOND * len(system.bonds) + n_bytes(engine.constraints))
+            self._reserve(BYTES_PER_ATOM * len(system) + BYTES_PER_BOND * len(system.bonds) + n_bytes(engine.constraint_set.kept))
             layout.describe(self._h5, engine)
             self._h5.flush()
 
@@ -100,7 +99,7 @@ class H5MDWriter:
             engine = self._engine
             if completed and engine.step > self._last_step:
                 with self._telling(f"take the end of the run, step {engine.step}"):
-                    self._write_restart(engine.step, engine.time, engine.positions, engine.velocities, engine.reservoir_energy)
+                    self._write_restart(engine)
         finally:
             self._shut()
 
@@ -123,8 +122,7 @@ class H5MDWriter:
             return
         with self._telling(f"take the frame of step {frames[0].step}"):
             self._append(frames)
-            last = frames[-1]
-            self._write_restart(last.step, last.time, last.positions, last.velocities, last.reservoir_energy)
+            self._write_restart(frames[-1])
         self._n_frames += len(frames)
         self._pending = []
         self._flushed = monotonic()
@@ -138,14 +136,8 @@ class H5MDWriter:
             series.resize(end, axis=0)
             series[self._n_frames :] = np.array([column.entry(frame) for frame in frames])
 
-    def _write_restart(
-        self, step: int, time: float, positions: NDArray[np.float64], velocities: NDArray[np.float64], reservoir_energy: float
-    ) -> None:
-        restart = self._h5["minimd/restart"]
-        restart["positions"][...], restart["velocities"][...] = positions, velocities
-        restart.attrs.modify("step", np.int64(step))
-        restart.attrs.modify("time", np.float64(time))
-        restart.attrs.modify("reservoir_energy", np.float64(reservoir_energy))
+    def _write_restart(self, state: Engine | Frame) -> None:
+        write_state(self._h5["minimd/restart"], state)
         self._h5.flush()
 
     def _reserve(self, n_bytes: int) -> None:
@@ -229,7 +221,7 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
     for name, is_same in same.items():
         if not is_same:
             raise ValueError(f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new file")
-    held = difference(theirs.constraints, engine.constraints, theirs.positions)
+    held = difference(theirs.constraints, engine.constraint_set.kept, theirs.positions)
     if held:
         raise ValueError(f"trajectory {str(file)!r} holds a run with other constraints: {held}; go on with those of the file, or write to a new file")
     if engine.step != contents.step:

@@ -8,6 +8,7 @@ power iterations now and then. And no atom moves farther than a given length in 
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces
 from minimd.neighbors.queries import closest_pair
 from minimd.structure.errors import ConstraintError, NonFiniteError
-from minimd.structure.images import nearest_images
+from minimd.structure.images import nearest_vectors
 from minimd.structure.observables import longest
 
 Array = NDArray[np.float64]
@@ -104,7 +105,7 @@ class FIRE:
         n_pushes = self._evaluate()
         return np.inf if n_pushes else self.largest_force
 
-    def run(self, tolerance: float, max_steps: int, tell: Callable[[int], None]) -> None:
+    def run(self, tolerance: float, max_steps: int, tell: Callable[[int], Any]) -> None:
         """Descend until no force is longer than the tolerance, or after max_steps.  tell : is called with the number of steps made.
 
         Raises as begin.
@@ -215,10 +216,9 @@ class FIRE:
             raise NonFiniteError(f"forces are not finite; the closest pair is {pair}")
         if pair.distance == 0.0:
             raise NonFiniteError(f"atoms {pair.first} and {pair.second} lie on one spot: no force tells where they should go; move or remove one")
-        i, j = pair.first, pair.second
-        arm = self._positions[j] - self._positions[i] + nearest_images(self._system.positions, self._system.cell, np.array([[i, j]]))[0]
+        arm = nearest_vectors(self._positions, self._system.cell, np.array([pair[:2]]))[0]
         velocities = np.zeros_like(self._positions)
-        velocities[i], velocities[j] = -arm / pair.distance, arm / pair.distance
+        velocities[pair.first], velocities[pair.second] = -arm / pair.distance, arm / pair.distance
         self._constraint_set.project(velocities, self._positions)
         if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):
             raise NonFiniteError(f"forces are not finite; the closest pair is {pair}, and constraints hold it there")

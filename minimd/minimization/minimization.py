@@ -12,7 +12,7 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces, Potential
 from minimd.minimization.fire import FIRE
 from minimd.potentials.term import TOTALS
-from minimd.structure.console import Progress, stop_on_interrupt
+from minimd.structure.console import progress_of, stop_on_interrupt
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import Interrupted, checked_count
 from minimd.structure.system import System
@@ -108,9 +108,9 @@ def minimized(
     energy_before = _potential_energy(forces)
     constraint_set.fit(system)
     descent = FIRE(forces, constraint_set.with_equal_masses(system), max_step_length)
-    with Progress(max_steps, "minimizing", progress) as bar, stop_on_interrupt(descent):
+    with progress_of(max_steps, "minimizing", progress) as tell, stop_on_interrupt(descent):
         largest_before = descent.begin()
-        descent.run(force_tolerance, max_steps, bar.advance_to)
+        descent.run(force_tolerance, max_steps, tell)
     constraint_set.project(system.velocities, system.positions)
     result = Minimization(
         system=system,

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
@@ -25,10 +26,11 @@ from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
 from minimd.structure import observables
-from minimd.structure.console import Progress, stop_on_interrupt
+from minimd.structure.console import progress_of, stop_on_interrupt
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import checked_count
 from minimd.structure.system import System
+from minimd.structure.velocities import maxwell_boltzmann, rescaled
 
 if TYPE_CHECKING:
     import ase
@@ -39,18 +41,20 @@ T = TypeVar("T")
 
 
 class EngineAttribute(Generic[T]):
-    """An attribute of a simulation that is one of its engine, under the same name."""
+    """An attribute of a simulation that is one of its engine, under the same name; or, only to be read, one of a part of the engine."""
 
-    def __init__(self, doc: str) -> None:
-        self.__doc__ = doc
+    def __init__(self, doc: str, path: str = "") -> None:
+        self.__doc__, self._path = doc, path
 
     def __set_name__(self, _owner: type, name: str) -> None:
         self._name = name
 
     def __get__(self, simulation: "Simulation", _owner: type) -> T:
-        return self if simulation is None else getattr(simulation.engine, self._name)
+        return self if simulation is None else attrgetter(self._path or self._name)(simulation.engine)
 
     def __set__(self, simulation: "Simulation", value: T) -> None:
+        if self._path:
+            raise AttributeError(f"{self._name} of a Simulation cannot be set; make a new Simulation")
         setattr(simulation.engine, self._name, value)
 
 
@@ -86,11 +90,13 @@ class Simulation:
     forces = EngineAttribute[Array]("(N, 3) [energy/length], of the last evaluation.")
     n_dof = EngineAttribute[int]("Degrees of freedom that share the kinetic energy.")
     conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant: nothing is fixed, no bath acts on atoms one by one.")
-    constraints = EngineAttribute[tuple[Constraint, ...]]("What is held fixed, with the lengths that are kept; also those of system.")
-    rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.")
-    potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.")
-    options = EngineAttribute[Options]("Threads, precision and skin, as they were asked for.")
-    skins = EngineAttribute[list[float]]("Of all lists that have one [length].")
+    constraints = EngineAttribute[tuple[Constraint, ...]](
+        "What is held fixed, with the lengths that are kept; also those of system.", "constraint_set.kept"
+    )
+    rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds")
+    potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.", "interactions.potentials")
+    options = EngineAttribute[Options]("Threads, precision and skin, as they were asked for.", "interactions.options")
+    skins = EngineAttribute[list[float]]("Of all lists that have one [length].", "interactions.skins")
 
     def __init__(
         self,
@@ -154,7 +160,7 @@ class Simulation:
             with (
                 stop_on_interrupt(engine.surroundings),
                 open_trajectories(trajectory, engine, store_forces=store_forces, overwrite=overwrite) as writers,
-                Progress(n_steps, "running", progress) as bar,
+                progress_of(n_steps, "running", progress) as tell,
             ):
                 self.record = record = Record(self.system.units, len(self.system))
                 guard.begin_run()
@@ -163,7 +169,7 @@ class Simulation:
                     next_look = engine.step + every - (engine.step - start) % every
                     n_now = min(BLOCK, next_look - engine.step, end - engine.step)
                     guard.advance(n_now, with_energy=engine.step + n_now in (next_look, end))
-                    bar.advance_to(engine.step - start)
+                    tell(engine.step - start)
                     if engine.step == next_look:
                         self._observe(writers, observers)
                     elif engine.step == end or guard.is_hot():
@@ -216,7 +222,7 @@ class Simulation:
             self._noise_shifted(),
             guard.uncounted(),
             crash_file_left(place, guard, overwrite=False),
-            Progress(n_steps, "equilibrating", progress) as bar,
+            progress_of(n_steps, "equilibrating", progress) as tell,
             stop_on_interrupt(engine.surroundings),
         ):
             guard.check_start()
@@ -225,9 +231,9 @@ class Simulation:
             for done in range(every, n_steps + every, every):
                 guard.advance(min(every, n_steps - done + every), with_energy=False)
                 guard.check_kinetic_energy(most)
-                engine.rescale_temperature(temperature)
+                self.rescale_temperature(temperature)
                 guard.drop_snapshots()  # a replay does not rescale
-                bar.advance_to(min(done, n_steps))
+                tell(min(done, n_steps))
         engine.step, engine.time, engine.reservoir_energy = 0, 0.0, 0.0
 
     @contextmanager
@@ -301,7 +307,7 @@ class Simulation:
         if self.record is None:
             raise ValueError("there is nothing to report yet; call run first")
         self.engine.fit_images()
-        interactions, bonds, is_free = self.engine.interactions, self.engine.rigid_bonds, self.engine.conserves_momentum
+        interactions, bonds, is_free = self.engine.interactions, self.engine.constraint_set.bonds, self.engine.conserves_momentum
         cost = Cost(
             n_steps=self.guard.n_steps,
             seconds=self.guard.seconds,
@@ -327,7 +333,12 @@ class Simulation:
         ------
         ValueError : if the temperature is negative or not finite.
         """
-        self.engine.set_temperature(temperature, seed)
+        system, constraint_set = self.system, self.engine.constraint_set
+        system.velocities[:] = maxwell_boltzmann(system.masses, temperature, system.units.k_B, seed)
+        self.engine.fit_images()
+        constraint_set.project(system.velocities, system.positions)
+        if temperature > 0.0:
+            self.rescale_temperature(temperature)
 
     def rescale_temperature(self, temperature: float) -> None:
         """Multiply all velocities so that the kinetic temperature is exactly this one.
@@ -336,7 +347,7 @@ class Simulation:
         ------
         ValueError : if the temperature is negative or not finite, or nothing moves.
         """
-        self.engine.rescale_temperature(temperature)
+        self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B, self.n_dof)
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""

@@ -79,7 +79,7 @@ class VelocityVerlet(MolecularDynamics):
         if (
             made_for is None
             or atoms.constraints
-            or self._guard.engine.constraint_set.kept
+            or self._guard.engine.constraints
             or not (same_scene(made_for, atoms) and cell_of(made_for).same_as(cell_of(atoms)))
             or atoms.calc.potentials is not self._made_with
         ):

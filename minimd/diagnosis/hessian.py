@@ -43,15 +43,13 @@ def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: Con
 
     Beside other bonds, and where nothing is compressed, the stiffest mode is faster still: ω² is a lower bound of its square.
     """
-    found = [bond for potential in potentials if isinstance(potential, HarmonicBond) and (bond := _stiffest_of(system, potential, constraint_set))]
-    return max(found, key=lambda bond: bond.square, default=None)
-
-
-def _stiffest_of(system: System, potential: HarmonicBond, constraint_set: ConstraintSet) -> StiffBond | None:
-    pairs = bonded_pairs(system, potential)
-    squares = potential.parameters[0] * constraint_set.inverse_masses[pairs].sum(axis=1)
-    squares[among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
-    found = [StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
+    found: list[StiffBond] = []
+    for potential in potentials:
+        if isinstance(potential, HarmonicBond):
+            pairs = bonded_pairs(system, potential)
+            squares = potential.parameters[0] * constraint_set.inverse_masses[pairs].sum(axis=1)
+            squares[among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
+            found += [StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
     if constraint_set.bonds is not None:
         found = [bond._replace(square=bond.square * _free_part(system, bond, constraint_set)) for bond in found]
     return max((bond for bond in found if bond.square > 0.0), key=lambda bond: bond.square, default=None)
@@ -96,7 +94,7 @@ class Curvature:
     Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the forces, with the opposite sign,
     from central differences. Positions of the system are changed and put back.
 
-    n_evaluations : of the forces so far.  displacement : of the atom that is moved most [length].
+    displacement : of the atom that is moved most [length].
     """
 
     def __init__(self, forces: Forces, constraint_set: ConstraintSet) -> None:
@@ -109,11 +107,6 @@ class Curvature:
         closest = closest_pair(self._system)
         scale = closest.distance if closest and closest.distance > 0.0 else 1.0
         self.displacement = max(DISPLACEMENT * scale, ROUNDINGS * float(np.abs(self._start).max()))
-
-    @property
-    def n_evaluations(self) -> int:
-        """Of the forces so far."""
-        return self._forces.n_evaluations
 
     @property
     def rounding(self) -> float:

@@ -21,10 +21,8 @@ from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.observables import longest
 
 BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
-SNAPSHOTS_APART, LEAST_REPLAY = (
-    40,
-    20,
-)  # steps between two snapshots that are kept, and from the one a replay begins with to the failure, if there were as many
+SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
+LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the failure, if there were as many
 
 
 class RunGuard:

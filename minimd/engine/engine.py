@@ -164,6 +164,11 @@ class Engine:
         self._bath.energy = energy
 
     @property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """What is held fixed, with the lengths that are kept."""
+        return self.constraint_set.kept
+
+    @property
     def positions(self) -> Array:
         """(N, 3) [length], never wrapped."""
         return self.system.positions

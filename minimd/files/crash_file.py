@@ -119,10 +119,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
 
 
 def read_crash_report(path: str | Path) -> CrashFile:
-    """What the file of a failed run holds.
-
-    Raises FileNotFoundError, OSError, ValueError as read_file, or if it is not the file of a failed run.
-    """
+    """What the file of a failed run holds.  Raises FileNotFoundError, OSError, ValueError as read_file, or if it is not the file of a failed run."""
     from minimd.files.h5md_reader import read_file
     from minimd.files.h5md_schema import opened, read_state
 
@@ -137,5 +134,6 @@ def read_crash_report(path: str | Path) -> CrashFile:
     method, parameters = told.pop("method"), told.pop("parameters")
     if method not in METHODS:
         raise ValueError(f"the run in {str(path)!r} was made with the method {method!r}, which is not one of minimd; run it again from its script")
+    made: Any = METHODS[method](**parameters)
     found["pair"], found["closest"] = found["pair"] and Contact(**found["pair"]), found["closest"] and ClosestPair(*found["closest"])
-    return CrashFile(CrashReport(**found), system, start, METHODS[method](**parameters), scene=contents.scene, **told)
+    return CrashFile(CrashReport(**found), system, start, made, scene=contents.scene, **told)

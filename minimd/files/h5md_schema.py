@@ -100,7 +100,7 @@ def describe(h5: h5py.File, engine: Engine) -> None:
     group.attrs.update({"version": version("minimd"), "units": system.units.name, "pbc": system.cell.pbc, "scene": ""})
     group.attrs["title"] = f"{len(system)} atoms of {', '.join(str(name) for name in system.species_names)}"
     describe_method(group, engine)
-    describe_constraints(group, engine.constraint_set.kept)
+    describe_constraints(group, engine.constraints)
     names = system.species_names
     group["species_names"] = np.array(names, dtype=h5py.string_dtype() if isinstance(names[0], str) else np.int64)
     group["cell"], group["species_index"] = system.cell.vectors, system.species_index

@@ -39,15 +39,11 @@ class H5MDWriter:
     Raises OSError if the file cannot be created or has no room.
     """
 
-    _n_frames: int  # in the file
-    _last_step: int  # that was taken
-    _flushed: float  # when [s]
-
     def __init__(self, file: Path, engine: Engine, store_forces: bool) -> None:
         self._begin(Path(file), engine, opened(file, "w"), store_forces)
         system = engine.system
         with self._telling("begin"):
-            self._reserve(BYTES_PER_ATOM * len(system) + BYTES_PER_BOND * len(system.bonds) + n_bytes(engine.constraint_set.kept))
+            self._reserve(BYTES_PER_ATOM * len(system) + BYTES_PER_BOND * len(system.bonds) + n_bytes(engine.constraints))
             layout.describe(self._h5, engine)
             self._h5.flush()
 
@@ -65,7 +61,9 @@ class H5MDWriter:
         writer = cls.__new__(cls)
         writer._begin(Path(file), engine, opened(file, "r+"), contents.has_forces)
         with writer._telling("be continued"):
-            writer._cut(int(np.searchsorted(contents.record.step, contents.step, side="right")))
+            writer._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
+            writer._take_back()
+            writer._last_step = int(writer._h5[layout.STEPS][-1])
             layout.describe_method(writer._h5["minimd"], engine)
         return writer
 
@@ -106,14 +104,9 @@ class H5MDWriter:
     def _begin(self, file: Path, engine: Engine, h5: h5py.File, store_forces: bool) -> None:
         self._file, self._engine, self._h5, self._store_forces = file, engine, h5, store_forces
         self._pending: list[Frame] = []
-        self._n_frames, self._last_step = 0, -1
-        self._flushed = -np.inf
-
-    def _cut(self, n_frames: int) -> None:
-        """Keep the first n_frames frames, n_frames > 0."""
-        self._n_frames = n_frames
-        self._take_back()
-        self._last_step = int(self._h5[layout.STEPS][-1])
+        self._n_frames: int = 0  # in the file
+        self._last_step: int = -1  # that was taken
+        self._flushed: float = -np.inf  # when [s]
 
     def _flush(self) -> None:
         """Append the pending frames, all of them or none."""
@@ -121,30 +114,22 @@ class H5MDWriter:
         if not frames:
             return
         with self._telling(f"take the frame of step {frames[0].step}"):
-            self._append(frames)
+            table = layout.columns(self._engine.system, list(frames[0].observables), self._store_forces)
+            self._reserve(sum(_room(column, frames) for column in table))
+            for column in table:
+                series = layout.series_of(self._h5, column, frames[0])
+                series.resize(self._n_frames + len(frames), axis=0)
+                series[self._n_frames :] = np.array([column.entry(frame) for frame in frames])
             self._write_restart(frames[-1])
         self._n_frames += len(frames)
-        self._pending = []
-        self._flushed = monotonic()
-
-    def _append(self, frames: list[Frame]) -> None:
-        table = layout.columns(self._engine.system, list(frames[0].observables), self._store_forces)
-        self._reserve(sum(_room(column, frames) for column in table))
-        end = self._n_frames + len(frames)
-        for column in table:
-            series = layout.series_of(self._h5, column, frames[0])
-            series.resize(end, axis=0)
-            series[self._n_frames :] = np.array([column.entry(frame) for frame in frames])
+        self._pending, self._flushed = [], monotonic()
 
     def _write_restart(self, state: Engine | Frame) -> None:
         write_state(self._h5["minimd/restart"], state)
         self._h5.flush()
 
     def _reserve(self, n_bytes: int) -> None:
-        """Make sure that the disk has room for so many bytes more [B].
-
-        Raises OSError if it has not. A filesystem that cannot reserve is trusted.
-        """
+        """Make sure that the disk has room for so many bytes more [B].  Raises OSError if it has not. A filesystem that cannot reserve is trusted."""
         if not hasattr(os, "posix_fallocate"):
             return
         try:
@@ -159,7 +144,10 @@ class H5MDWriter:
         try:
             yield
         except (OSError, RuntimeError) as error:
-            self._give_up()
+            self._pending = []
+            for give_up in (self._take_back, self._shut):
+                with suppress(OSError, RuntimeError):
+                    give_up()
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
             raise OSError(f"trajectory {str(self._file)!r} could not {what}: {reason}; its {self._n_frames} frames before that are valid") from error
         except BaseException:
@@ -172,13 +160,6 @@ class H5MDWriter:
             if len(series) > self._n_frames:
                 series.resize(self._n_frames, axis=0)
         self._h5.flush()
-
-    def _give_up(self) -> None:
-        self._pending = []
-        with suppress(OSError, RuntimeError):
-            self._take_back()
-        with suppress(OSError, RuntimeError):
-            self._shut()
 
     def _shut(self) -> None:
         """Close the file and return the room that was reserved and not needed."""
@@ -221,8 +202,7 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
     for name, is_same in same.items():
         if not is_same:
             raise ValueError(f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new file")
-    held = difference(theirs.constraints, engine.constraint_set.kept, theirs.positions)
-    if held:
+    if held := difference(theirs.constraints, engine.constraints, theirs.positions):
         raise ValueError(f"trajectory {str(file)!r} holds a run with other constraints: {held}; go on with those of the file, or write to a new file")
     if engine.step != contents.step:
         raise ValueError(f"trajectory {str(file)!r} continues from step {contents.step}; the simulation stands at step {engine.step}")

@@ -68,8 +68,9 @@ class MDAnalysisWriter:
         waiting, self._waiting = self._waiting, []
         for frame in waiting:
             try:
+                if disk_usage(self._file.absolute().parent).free < frame.positions.nbytes + ROOM:
+                    raise OSError(ENOSPC, "no room on the disk")  # not every format notices that it could not write
                 with quiet():
-                    _check_room(self._file, frame.positions.nbytes + ROOM)
                     self._writer = self._writer or self._opened(waiting)
                     self._place(frame)
                     self._writer.write(self._universe)
@@ -85,13 +86,10 @@ class MDAnalysisWriter:
             writer.close()
 
     def _opened(self, waiting: list[Frame]) -> Any:
-        options: dict[str, dict[str, Any]] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": self._spacing(waiting)}
+        steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1  # between frames
+        spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
+        options: dict[str, dict[str, Any]] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": spacing}
         return MDAnalysis.Writer(str(self._file), n_atoms=len(self._universe.atoms), format=self._format, **options.get(self._format, {}))
-
-    def _spacing(self, waiting: list[Frame]) -> dict[str, Any]:
-        """Steps between frames, their time [ps] and the first step."""
-        steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1
-        return {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
 
     def _place(self, frame: Frame) -> None:
         ts = self._universe.trajectory.ts
@@ -99,12 +97,6 @@ class MDAnalysisWriter:
         ts.velocities = frame.velocities * (self._angstrom / self._picosecond)
         ts.dimensions = self._dimensions
         ts.time, ts.data["step"] = frame.time * self._picosecond, frame.step
-
-
-def _check_room(file: Path, n_bytes: int) -> None:
-    """Raise OSError where a disk has less room [B]: not every format notices that it could not write."""
-    if disk_usage(file.absolute().parent).free < n_bytes:
-        raise OSError(ENOSPC, "no room on the disk")
 
 
 def cell_dimensions(cell: Cell, to_angstrom: float) -> NDArray[np.float32] | None:

@@ -55,10 +55,7 @@ def _close(writer: Writer, failure: type[BaseException] | None, *_: object) -> N
 
 
 def checked_output(path: str | Path, overwrite: bool) -> Path:
-    """The path, if a new file can be written there; nothing is left by trying.
-
-    Raises as open_trajectories.
-    """
+    """The path, if a new file can be written there; nothing is left by trying.  Raises as open_trajectories."""
     file = Path(path)
     if file.suffix.lower() not in FORMATS:
         raise ValueError(f"the suffix of a trajectory must be one of {', '.join(FORMATS)}; the file is {str(file)!r}")

@@ -102,8 +102,7 @@ class FIRE:
         bonds = self._constraint_set.bonds
         if bonds is not None and bonds.violation(self._positions).max() > bonds.tolerance:
             bonds.project_positions(self._positions)
-        n_pushes = self._evaluate()
-        return np.inf if n_pushes else self.largest_force
+        return np.inf if self._evaluate() else self.largest_force
 
     def run(self, tolerance: float, max_steps: int, tell: Callable[[int], Any]) -> None:
         """Descend until no force is longer than the tolerance, or after max_steps.  tell : is called with the number of steps made.
@@ -122,8 +121,7 @@ class FIRE:
         while self._goes_on():
             before, forces, largest = self._positions.copy(), self._forces.copy(), self.largest_force
             if self._moved(self._forces * (self._longest / largest), 1.0):
-                self._evaluate()
-                self._count()
+                self._evaluate_step()
                 if self.largest_force < FALLING * largest:
                     continue
             self._positions[:], self._forces[:], self.largest_force = before, forces, largest
@@ -131,7 +129,11 @@ class FIRE:
 
     def _descend(self) -> None:
         """FIRE with its rules beside their lines; Δt is shortened, and v set to zero, after a step that constraints refuse."""
-        timestep, mixing, downhill, refused = self._first_timestep(), MIXING, 0, 0
+        if not self._goes_on():
+            return
+        for _ in range(FIRST_SERIES):
+            self._try_curvature()
+        timestep, mixing, downhill, refused = FIRST / np.sqrt(self._curvature), MIXING, 0, 0
         while self._goes_on():
             if overlap(self._forces, self._velocities) > 0.0:  # P = F·v > 0
                 downhill += 1
@@ -144,8 +146,7 @@ class FIRE:
             timestep = min(timestep, LONGEST / np.sqrt(self._curvature))
             steer(self._velocities, self._forces, timestep, mixing, self._longest)  # v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|
             if self._moved(self._velocities, timestep):  # r ← r + Δt v
-                self._evaluate()
-                self._count()
+                self._evaluate_step()
                 if self.n_steps % PROBE_EVERY == 0:
                     self._try_curvature()
                 refused = 0
@@ -154,14 +155,6 @@ class FIRE:
                 self._velocities[:] = 0.0
                 if refused > REFUSALS:
                     raise ConstraintError(f"no step of the minimization keeps the constraints; the closest pair is {closest_pair(self._system)}")
-
-    def _first_timestep(self) -> float:
-        """A part of 1/√κ."""
-        if not self._goes_on():
-            return 0.0
-        for _ in range(FIRST_SERIES):
-            self._try_curvature()
-        return FIRST / np.sqrt(self._curvature)
 
     def _try_curvature(self) -> None:
         """κ from power iterations, which go on where the last series ended; at least so large that a first step is no longer than the longest."""
@@ -179,7 +172,8 @@ class FIRE:
         self._positions[:], self._forces[:], self.largest_force = before, forces, largest
         self._curvature = max(shown, largest / self._longest)
 
-    def _count(self) -> None:
+    def _evaluate_step(self) -> None:
+        self._evaluate()
         self.n_steps += 1
         self._tell(self.n_steps)
 

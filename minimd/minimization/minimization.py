@@ -102,10 +102,11 @@ def minimized(
     forces: Forces, constraint_set: ConstraintSet, force_tolerance: float, max_steps: int, max_step_length: float, progress: bool | None
 ) -> Minimization:
     """Minimize the system of some forces in place; see minimize."""
-    _check(force_tolerance, max_steps, max_step_length)
-    system = forces.system
-    evaluated = forces.n_evaluations
-    energy_before = _potential_energy(forces)
+    for name, value in (("force_tolerance", force_tolerance), ("max_step_length", max_step_length)):
+        if not (isinstance(value, Real) and isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} must be positive and finite; {name} = {value!r}")
+    checked_count("max_steps", max_steps, 0)
+    system, evaluated, energy_before = forces.system, forces.n_evaluations, _potential_energy(forces)
     constraint_set.fit(system)
     descent = FIRE(forces, constraint_set.with_equal_masses(system), max_step_length)
     with progress_of(max_steps, "minimizing", progress) as tell, stop_on_interrupt(descent):
@@ -133,10 +134,3 @@ def _potential_energy(forces: Forces) -> float:
         forces.compute(TOTALS)
         energy = forces.potential_energy
     return energy if isfinite(energy) else inf
-
-
-def _check(force_tolerance: float, max_steps: int, max_step_length: float) -> None:
-    for name, value in (("force_tolerance", force_tolerance), ("max_step_length", max_step_length)):
-        if not (isinstance(value, Real) and isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} must be positive and finite; {name} = {value!r}")
-    checked_count("max_steps", max_steps, 0)

@@ -90,9 +90,7 @@ class Simulation:
     forces = EngineAttribute[Array]("(N, 3) [energy/length], of the last evaluation.")
     n_dof = EngineAttribute[int]("Degrees of freedom that share the kinetic energy.")
     conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant: nothing is fixed, no bath acts on atoms one by one.")
-    constraints = EngineAttribute[tuple[Constraint, ...]](
-        "What is held fixed, with the lengths that are kept; also those of system.", "constraint_set.kept"
-    )
+    constraints = EngineAttribute[tuple[Constraint, ...]]("What is held fixed, with the lengths that are kept; also those of system.")
     rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds")
     potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.", "interactions.potentials")
     options = EngineAttribute[Options]("Threads, precision and skin, as they were asked for.", "interactions.options")
@@ -155,7 +153,7 @@ class Simulation:
         n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
         check_extras(engine, engine.extra_observables)
         place, start, end = crash_file_place(crash_report, trajectory), engine.step, engine.step + n_steps
-        with self._running(), crash_file_left(place, guard, overwrite):  # the file is left after all others are closed
+        with self._running(engine.noise_shift), crash_file_left(place, guard, overwrite):  # the file is left after all others are closed
             guard.check_start()
             with (
                 stop_on_interrupt(engine.surroundings),
@@ -218,8 +216,7 @@ class Simulation:
         self._equilibrated += n_steps
         place = crash_file_place(crash_report or False, ())
         with (
-            self._running(),
-            self._noise_shifted(),
+            self._running(noise_shift=-self._equilibrated - self.step),
             guard.uncounted(),
             crash_file_left(place, guard, overwrite=False),
             progress_of(n_steps, "equilibrating", progress) as tell,
@@ -235,15 +232,6 @@ class Simulation:
                 guard.drop_snapshots()  # a replay does not rescale
                 tell(min(done, n_steps))
         engine.step, engine.time, engine.reservoir_energy = 0, 0.0, 0.0
-
-    @contextmanager
-    def _noise_shifted(self) -> Iterator[None]:
-        """While active, the noise is that of steps before the start."""
-        self.engine.noise_shift = -self._equilibrated - self.step
-        try:
-            yield
-        finally:
-            self.engine.noise_shift = 0
 
     def minimize(
         self,
@@ -287,15 +275,15 @@ class Simulation:
         return self.reversibility
 
     @contextmanager
-    def _running(self) -> Iterator[None]:
-        """Refuse a run inside a run."""
+    def _running(self, noise_shift: int) -> Iterator[None]:
+        """Refuse a run inside a run.  noise_shift : of the engine as long as this one lasts."""
         if self._is_running:
             raise RuntimeError("this simulation is running: an observer can look and change things, but not run or equilibrate")
-        self._is_running = True
+        before, self._is_running, self.engine.noise_shift = self.engine.noise_shift, True, noise_shift
         try:
             yield
         finally:
-            self._is_running = False
+            self._is_running, self.engine.noise_shift = False, before
 
     def report(self) -> Report:
         """How well the last run conserved what it should, and how fast it was.

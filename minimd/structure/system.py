@@ -69,7 +69,7 @@ class System:
             raise ValueError("pbc is part of a Cell; give pbc only beside lattice vectors")
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
         self.species_names, self.species_index = _species(species, len(self))
-        self.bonds = _bonds(bonds, len(self))
+        self.bonds = checked_pairs("bonds", () if bonds is None else bonds, len(self))
         for fixed in (self.masses, self.species_index, self.bonds):
             fixed.setflags(write=False)
 
@@ -103,16 +103,8 @@ class System:
 
     def copy(self) -> "System":
         """An independent copy."""
-        return System(
-            self.positions,
-            masses=self.masses,
-            velocities=self.velocities,
-            cell=self.cell,
-            species=self.species,
-            bonds=self.bonds,
-            units=self.units,
-            constraints=self.constraints,
-        )
+        names = ("masses", "velocities", "cell", "species", "bonds", "units", "constraints")
+        return System(self.positions, **{name: getattr(self, name) for name in names})
 
     @classmethod
     def from_ase(cls, atoms: "ase.Atoms", bonds: ArrayLike | None = None) -> "System":
@@ -178,12 +170,6 @@ def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, N
         raise ValueError(f"species must be all strings or all whole numbers; they are {labels[:3].tolist()} ...")
     names, index = np.unique(labels.tolist(), return_inverse=True)
     return tuple(names.tolist()), index.astype(np.int64)
-
-
-def _bonds(bonds: ArrayLike | None, n_atoms: int) -> NDArray[np.int64]:
-    if bonds is None:
-        return np.zeros((0, 2), dtype=np.int64)
-    return checked_pairs("bonds", bonds, n_atoms)
 
 
 def _and_others(bad: NDArray) -> str:

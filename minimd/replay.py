@@ -18,8 +18,7 @@ from minimd.structure.units import UnitSystem
 
 PATIENCE = 20  # steps behind the failure, should it not come again: rounding is not the same on every processor
 LAST_ROWS, APART = 12, 10  # of the table: the last ones all, of the others every tenth
-HEADS = ("step", "time", "total energy", "closest pair", "distance", "largest force", "on", "fastest", "speed")
-WIDTHS = (8, 11, 14, 15, 10, 14, 8, 9, 11)
+HEAD = "    step       time  total energy   closest pair  distance largest force      on  fastest      speed"  # see ReplayedStep.__str__
 INCHES, DOTS_PER_INCH = (10.0, 7.0), 150
 SERIES = {"energy": "total energy", "distance": "closest pair", "force": "largest force", "speed": "largest speed"}
 COLORS = ("#1f5fa8", "#1b7f5c", "#c8501e", "#5b3f99")
@@ -50,11 +49,10 @@ class ReplayedStep(NamedTuple):
         energy = float(record.total_energy[-1]) if record is not None and len(record) else np.nan
         return cls(simulation.step, simulation.time, energy, *pair, *longest(simulation.forces), *longest(simulation.velocities))
 
-    def cells(self) -> tuple[str, ...]:
-        """The row of a table."""
+    def __str__(self) -> str:
         pair = f"{self.first}-{self.second}" if self.first >= 0 else "none"
-        motion = (f"{self.distance:.4g}", f"{self.force:.4g}", str(self.pushed), str(self.fastest), f"{self.speed:.4g}")
-        return (str(self.step), f"{self.time:.5g}", f"{self.energy:.8g}", pair, *motion)
+        energies = f"{self.step:>8}{self.time:>11.5g}{self.energy:>14.8g}{pair:>15}{self.distance:>10.4g}"
+        return energies + f"{self.force:>14.4g}{self.pushed:>8}{self.fastest:>9}{self.speed:>11.4g}"
 
 
 @dataclass(frozen=True)
@@ -73,9 +71,8 @@ class Replay:
     picture: Path | None
 
     def __str__(self) -> str:
-        shown = [row.cells() for k, row in enumerate(self.rows) if k % APART == 0 or k >= len(self.rows) - LAST_ROWS]
-        lines = ["".join(f"{cell:>{width}}" for cell, width in zip(row, WIDTHS, strict=True)) for row in (HEADS, *shown)]
-        return "\n".join([*lines, self.ending])
+        shown = [str(row) for k, row in enumerate(self.rows) if k % APART == 0 or k >= len(self.rows) - LAST_ROWS]
+        return "\n".join([HEAD, *shown, self.ending])
 
 
 def replay(

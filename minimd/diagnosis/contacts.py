@@ -88,7 +88,7 @@ def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> I
     scales = {frozenset(pair): factor for pairs, factor in zip(by_bonds, potential.bonded_scale, strict=False) for pair in pairs.tolist()}
     for atom in atoms:
         others = np.delete(np.arange(len(system)), atom)
-        distances = _distances(system, np.column_stack([np.full_like(others, atom), others]))
+        distances = np.linalg.norm(nearest_vectors(system.positions, system.cell, np.column_stack([np.full_like(others, atom), others])), axis=1)
         for k in np.argsort(distances)[:NEAREST]:
             other, r = int(others[k]), float(distances[k])
             pair = frozenset((atom, other))
@@ -103,12 +103,9 @@ def _bonds(potential: BondPotential, system: System, atoms: list[int]) -> Iterat
     """The bonds of some atoms."""
     pairs = bonded_pairs(system, potential)
     rows = np.flatnonzero(np.isin(pairs, atoms).any(axis=1))
-    for (i, j), r, numbers in zip(pairs[rows].tolist(), _distances(system, pairs[rows]), potential.table(len(pairs))[rows, 1:], strict=True):
+    distances = np.linalg.norm(nearest_vectors(system.positions, system.cell, pairs[rows]), axis=1)
+    for (i, j), r, numbers in zip(pairs[rows].tolist(), distances, potential.table(len(pairs))[rows, 1:], strict=True):
         yield i, j, float(r), 1.0, tuple(numbers.tolist())
-
-
-def _distances(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
-    return np.linalg.norm(nearest_vectors(system.positions, system.cell, pairs), axis=1)
 
 
 def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass: float) -> Contact:
@@ -122,6 +119,7 @@ def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass:
         rest = 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * length * length)
     elif isinstance(potential.law, HarmonicLaw):
         rest, length = numbers
+    frequency, rest_frequency = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
     return Contact(
         first,
         second,
@@ -132,10 +130,6 @@ def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass:
         ratio=r / length if length else None,
         energy=scale * u,
         force=scale * f * r,
-        frequency=_frequency(scale * curvature, inverse_mass),
-        rest_frequency=_frequency(scale * rest, inverse_mass),
+        frequency=frequency,
+        rest_frequency=rest_frequency,
     )
-
-
-def _frequency(stiffness: float, inverse_mass: float) -> float | None:
-    return sqrt(stiffness * inverse_mass) if 0.0 < stiffness < inf else None

@@ -103,7 +103,11 @@ class Curvature:
         self._root = np.sqrt(constraint_set.inverse_masses)[:, None]
         self._start = self._system.positions.copy()
         self._first = forces.compute().copy()
-        self._springs = self._multipliers()
+        self._springs: list[tuple[NDArray[np.int64], Array]] = []  # (pairs, λ) of each group of constraints, for atoms at rest
+        if (bonds := constraint_set.bonds) is not None:
+            accelerations = self._first * constraint_set.inverse_masses[:, None]
+            found = bonds.multipliers(self._start, np.zeros_like(self._start), accelerations)
+            self._springs = [(bonds.pairs[order], multipliers) for order, multipliers in found]
         closest = closest_pair(self._system)
         scale = closest.distance if closest and closest.distance > 0.0 else 1.0
         self.displacement = max(DISPLACEMENT * scale, ROUNDINGS * float(np.abs(self._start).max()))
@@ -164,15 +168,6 @@ class Curvature:
             return self._forces.compute().copy()
         finally:
             self._system.positions[:] = self._start
-
-    def _multipliers(self) -> list[tuple[NDArray[np.int64], Array]]:
-        """(pairs, λ) of each group of constraints, for atoms at rest."""
-        bonds = self._constraint_set.bonds
-        if bonds is None:
-            return []
-        accelerations = self._first * self._constraint_set.inverse_masses[:, None]
-        found = bonds.multipliers(self._start, np.zeros_like(self._start), accelerations)
-        return [(bonds.pairs[order], multipliers) for order, multipliers in found]
 
     def _constraint_springs(self, steps: Array) -> Array:
         """−Σ λ ∇²g u, (N, 3): λ r_ij is the force on j, so that a step u changes it by λ (u_j − u_i)."""

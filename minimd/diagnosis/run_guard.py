@@ -114,7 +114,7 @@ class RunGuard:
                 fault = fault_of(engine)
                 if not fault:
                     engine.evaluate()  # a method that ends with a drift has not
-                    fault = self._runaway()
+                    fault = runaway(engine, self._first) if self._first is not None else None
             except (NonFiniteError, ConstraintError) as reason:
                 self._reason, fault = reason, fault_of(engine) or "the forces are not finite"
             if fault:
@@ -137,7 +137,8 @@ class RunGuard:
         frame = observe(self.engine)
         if self._first is None:
             self._first = frame.observables
-        self._fail_if(self._runaway() if isfinite(frame.observables["total_energy"]) else "the potential energy is not finite")
+        is_finite = isfinite(frame.observables["total_energy"])
+        self._fail_if(runaway(self.engine, self._first) if is_finite else "the potential energy is not finite")
         return frame
 
     def check_kinetic_energy(self, most: float) -> None:
@@ -164,10 +165,6 @@ class RunGuard:
             if self._before is not None:
                 self.engine.restore(self._before)
             raise self._failure(fault, step, at)
-
-    def _runaway(self) -> str | None:
-        """Whether the energies, which are current, have run away from those of the first look."""
-        return None if self._first is None else runaway(self.engine, self._first)
 
     def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
         """The error for a run that failed in a step, with its crash report; the engine is in the last good state.  at : (N, 3), of the failure."""

@@ -41,11 +41,6 @@ class H5MDContents:
     scene: str
 
 
-def whole_frames(h5: h5py.File) -> int:
-    """Frames of which every series has its part."""
-    return min((len(series) for series in all_series(h5)), default=0)
-
-
 def read_file(path: str | Path) -> H5MDContents:
     """Record, restart and description of a minimd file.
 
@@ -56,7 +51,7 @@ def read_file(path: str | Path) -> H5MDContents:
     with opened(path, "r") as h5:
         if "minimd/restart" not in h5:
             raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
-        n_frames, group = whole_frames(h5), h5["minimd"]
+        n_frames, group = min((len(series) for series in all_series(h5)), default=0), h5["minimd"]
         if n_frames == 0:
             raise ValueError(f"file {str(path)!r} holds no frame; the run ended before its first")
         restart = read_state(group["restart"])

@@ -34,7 +34,7 @@ STEPS, TIMES = f"{TRAJECTORY}/position/step", f"{TRAJECTORY}/position/time"
 
 
 class Column(NamedTuple):
-    """One series of the file: where it lies, in which unit, and its entry for a frame."""
+    """One series of the file: where it lies, in which unit (empty for a pure number, or one that minimd does not know), and its entry for a frame."""
 
     path: str
     unit: str
@@ -50,7 +50,7 @@ def columns(system: System, observables: list[str], store_forces: bool) -> list[
         Column("minimd/time", units.time, lambda frame: frame.time),
         Column(STEPS, "", lambda frame: frame.step),
         Column(TIMES, "ps", lambda frame: frame.time * units.to_picosecond),
-        *(Column(f"observables/{name}/value", unit_of(name, system), partial(observable, name)) for name in observables),
+        *(Column(f"observables/{name}/value", getattr(units, SERIES.get(name) or "", ""), partial(observable, name)) for name in observables),
         *([Column(f"{TRAJECTORY}/box/edges/value", "Angstrom", lambda _: edges)] if has_edges(system.cell) else []),
         Column(f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda frame: frame.velocities * per_time),
         *([Column(f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", lambda frame: frame.forces * force)] if store_forces else []),
@@ -61,11 +61,6 @@ def columns(system: System, observables: list[str], store_forces: bool) -> list[
 def observable(name: str, frame: Frame) -> Any:
     """One observable of a frame."""
     return frame.observables[name]
-
-
-def unit_of(name: str, system: System) -> str:
-    """Name of the unit of an observable; empty for a pure number, or an observable that minimd does not know."""
-    return getattr(system.units, SERIES[name]) if SERIES.get(name) else ""
 
 
 def has_edges(cell: Cell) -> bool:
@@ -148,14 +143,9 @@ def _describe_standard(h5: h5py.File, system: System) -> None:
 
 def all_series(h5: h5py.File) -> list[h5py.Dataset]:
     """Every dataset that grows with the frames, each once."""
-    found: list[h5py.Dataset] = []
-
-    def collect(_name: str, item: h5py.HLObject) -> None:
-        if isinstance(item, h5py.Dataset) and item.maxshape[:1] == (None,):
-            found.append(item)
-
-    h5.visititems(collect)
-    return found
+    found: list[h5py.HLObject] = []
+    h5.visititems(lambda _name, item: found.append(item))
+    return [item for item in found if isinstance(item, h5py.Dataset) and item.maxshape[:1] == (None,)]
 
 
 def opened(path: str | Path, mode: Literal["r", "r+", "w"]) -> h5py.File:

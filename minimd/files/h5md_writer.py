@@ -39,6 +39,9 @@ class H5MDWriter:
     Raises OSError if the file cannot be created or has no room.
     """
 
+    _last_step: int
+    _flushed: float
+
     def __init__(self, file: Path, engine: Engine, store_forces: bool) -> None:
         self._begin(Path(file), engine, opened(file, "w"), store_forces)
         system = engine.system
@@ -105,8 +108,7 @@ class H5MDWriter:
         self._file, self._engine, self._h5, self._store_forces = file, engine, h5, store_forces
         self._pending: list[Frame] = []
         self._n_frames: int = 0  # in the file
-        self._last_step: int = -1  # that was taken
-        self._flushed: float = -np.inf  # when [s]
+        self._last_step, self._flushed = -1, -np.inf  # that was taken; when [s]
 
     def _flush(self) -> None:
         """Append the pending frames, all of them or none."""

@@ -1,9 +1,9 @@
 """Trajectories written by MDAnalysis: .xtc .dcd .trr .ncdf .nc."""
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from errno import ENOSPC
+from functools import partial
 from pathlib import Path
 from shutil import disk_usage
 from typing import Any
@@ -21,15 +21,8 @@ from minimd.structure.console import outside_minimd
 
 FORMATS = {".nc": "NCDF"}  # of suffixes that are not their name
 XTC_DECIMALS = 4  # of nm, one more than usual, because σ is written as 0.1 nm
+quiet = partial(warnings.catch_warnings, action="ignore")  # MDAnalysis warns about what minimd files mean not to hold
 ROOM = 2**18  # B that must stay free beside a frame, for what C libraries buffer
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Without MDAnalysis' warnings about what minimd files mean not to hold."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 class MDAnalysisWriter:

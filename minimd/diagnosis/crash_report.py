@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.diagnosis.contacts import Contact, contacts
 from minimd.engine.engine import Engine, Snapshot
@@ -13,7 +12,7 @@ from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair
 from minimd.structure.bond_graph import among
 from minimd.structure.constraints import DistanceConstraints
-from minimd.structure.observables import longest, temperature
+from minimd.structure.observables import Array, longest, temperature
 from minimd.structure.system import LARGEST, System
 
 OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
@@ -33,7 +32,7 @@ class Failure(NamedTuple):
     fault: str
     step: int
     constraint: tuple[int, int] | None
-    at: NDArray[np.float64] | None
+    at: Array | None
     start: Snapshot
     is_first: bool
 
@@ -126,7 +125,7 @@ class Evidence:
         """Of some atoms in some state."""
         return contacts(system, self.engine.interactions.potentials, self.engine.constraint_set.inverse_masses, atoms)
 
-    def moved(self, positions: NDArray[np.float64]) -> System:
+    def moved(self, positions: Array) -> System:
         """A copy of the system with its atoms elsewhere."""
         copy = self.system.copy()
         copy.positions = positions
@@ -149,11 +148,10 @@ def overlap_at_start(evidence: Evidence) -> Verdict | None:
     joined = [start.bonds, *(one.pairs for one in start.constraints if isinstance(one, DistanceConstraints))]  # these are close by right
     if closest is None or among(np.array([closest[:2]]), np.concatenate(joined)).any():
         return None
-    found = evidence.contacts(start, list(closest[:2]))
-    over = [one for one in found if not one.is_bond and (_is_overlap(one) or _is_thrown(one, evidence))]
-    if not over:
+    found = [one for one in evidence.contacts(start, list(closest[:2])) if not one.is_bond]
+    worst = min((one for one in found if _is_overlap(one) or _is_thrown(one, evidence)), key=lambda one: one.distance, default=None)
+    if worst is None:
         return None
-    worst = min(over, key=lambda one: one.distance)
     cause = f"{worst.atoms} overlap at {f'step {step}' if step else 'the start'}, {worst.apart}"
     return Verdict("overlap", worst, cause, "minimize moves atoms apart; or lower the energy of the start in another way")
 

@@ -11,14 +11,14 @@ from minimd.compiled.kernels import compile_clock
 from minimd.diagnosis.crash_report import Failure, examine
 from minimd.diagnosis.faults import RUNAWAY, fault_at_start, fault_of, runaway
 from minimd.diagnosis.hessian import unstable_bond
-from minimd.engine.engine import Array, Engine, Snapshot
+from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.observation import observe
 from minimd.engine.record import Frame
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM
 from minimd.structure.console import outside_minimd
 from minimd.structure.errors import ConstraintError, NonFiniteError
-from minimd.structure.observables import longest
+from minimd.structure.observables import Array, longest
 
 BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
 SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan, pi
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +17,8 @@ from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import BondPotential
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import NonFiniteError
-from minimd.structure.system import System
+from minimd.structure.system import AnySystem, System
 from minimd.structure.units import UnitSystem
-
-if TYPE_CHECKING:
-    import ase
 
 OSCILLATION = 1.0 / 80.0  # of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
 SHOWN_ATOMS = 4  # of the stiffest mode, at most
@@ -78,7 +74,7 @@ class StepAdvice:
 
 
 def advise_timestep(
-    system: "System | ase.Atoms",
+    system: AnySystem,
     potentials: Potential | Sequence[Potential],
     constraints: Constraint | Sequence[Constraint] | None = None,
     method: Splitting | type[Splitting] = VelocityVerlet,

@@ -3,10 +3,7 @@
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import NamedTuple
 
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces, Potential
@@ -16,13 +13,8 @@ from minimd.integrators.splitting.state import Bath, State, Surroundings
 from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint
-from minimd.structure.observables import kinetic_energy
-from minimd.structure.system import System
-
-if TYPE_CHECKING:
-    import ase
-
-Array = NDArray[np.float64]
+from minimd.structure.observables import Array, kinetic_energy
+from minimd.structure.system import AnySystem, System
 
 
 class Snapshot(NamedTuple):
@@ -45,7 +37,7 @@ class Engine:
 
     def __init__(
         self,
-        system: "System | ase.Atoms",
+        system: AnySystem,
         potentials: Potential | Sequence[Potential],
         method: Splitting,
         constraints: Constraint | Sequence[Constraint] | None = None,

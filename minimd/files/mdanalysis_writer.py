@@ -44,7 +44,13 @@ class MDAnalysisWriter:
         self._writer: Any = None
         with quiet():
             self._universe = MDAnalysis.Universe.empty(len(system), trajectory=True, velocities=True)
-        _warn_if_turned(self._file, system.cell)
+        dimensions, vectors = cell_dimensions(system.cell, 1.0), system.cell.vectors
+        if dimensions is not None and not np.allclose(triclinic_vectors(dimensions), vectors, atol=1e-4 * abs(vectors).max()):
+            warnings.warn(
+                f"trajectory {str(file)!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the "
+                "xy plane, which they do not; distances across the boundary will be wrong, write .h5md too",
+                stacklevel=outside_minimd(),
+            )
 
     def write(self, frame: Frame) -> None:
         """Append one frame."""
@@ -95,13 +101,3 @@ class MDAnalysisWriter:
 def cell_dimensions(cell: Cell, to_angstrom: float) -> NDArray[np.float32] | None:
     """Lengths and angles of a cell [Å, °], or None where nothing repeats or three independent vectors are missing."""
     return triclinic_box(*(cell.vectors * to_angstrom)) if has_edges(cell) else None
-
-
-def _warn_if_turned(file: Path, cell: Cell) -> None:
-    dimensions = cell_dimensions(cell, 1.0)
-    if dimensions is not None and not np.allclose(triclinic_vectors(dimensions), cell.vectors, atol=1e-4 * abs(cell.vectors).max()):
-        warnings.warn(
-            f"trajectory {str(file)!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the "
-            "xy plane, which they do not; distances across the boundary will be wrong, write .h5md too",
-            stacklevel=outside_minimd(),
-        )

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel
 from minimd.constraints.constraint_set import ConstraintSet
@@ -19,9 +18,7 @@ from minimd.forces.forces import Forces
 from minimd.neighbors.queries import closest_pair
 from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.images import nearest_vectors
-from minimd.structure.observables import longest
-
-Array = NDArray[np.float64]
+from minimd.structure.observables import Array, longest
 
 DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99  # N_delay, f_inc, f_dec, α_start, f_α: Guénolé et al., table 2
 FIRST, LONGEST = 0.3, 1.0  # √κ Δt at the start, and at most; symplectic Euler blows up at 2, and κ may be seen too small
@@ -86,10 +83,8 @@ class FIRE:
     def __init__(self, forces: Forces, constraint_set: ConstraintSet, max_step_length: float) -> None:
         self._engine, self._constraint_set, self._longest = forces, constraint_set, max_step_length
         self._system, self._positions = forces.system, forces.system.positions
-        self._forces = np.zeros_like(self._positions)
-        self._velocities = np.zeros_like(self._positions)
-        self._curvature = 0.0
-        self._probe = _random_like(self._positions)
+        self._forces, self._velocities = np.zeros_like(self._positions), np.zeros_like(self._positions)
+        self._curvature, self._probe = 0.0, _random_like(self._positions)
         self._tolerance, self._max_steps = 0.0, 0
         self.n_steps, self.largest_force, self.stop_requested = 0, 0.0, False
 

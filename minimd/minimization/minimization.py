@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 from numbers import Real
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,10 +14,7 @@ from minimd.potentials.term import TOTALS
 from minimd.structure.console import progress_of, stop_on_interrupt
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import Interrupted, checked_count
-from minimd.structure.system import System
-
-if TYPE_CHECKING:
-    import ase
+from minimd.structure.system import AnySystem, System
 
 FORCE_TOLERANCE = 1e-6  # [energy/length], in reduced units and in eV/Å
 MAX_STEPS = 10_000
@@ -59,7 +55,7 @@ class Minimization:
 
 
 def minimize(
-    system: "System | ase.Atoms",
+    system: AnySystem,
     potentials: Potential | Sequence[Potential],
     constraints: Constraint | Sequence[Constraint] | None = None,
     *,

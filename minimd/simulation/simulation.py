@@ -4,10 +4,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
@@ -25,18 +24,14 @@ from minimd.forces.forces import Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
-from minimd.structure import observables
 from minimd.structure.console import progress_of, stop_on_interrupt
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import checked_count
-from minimd.structure.system import System
+from minimd.structure.observables import Array, momentum
+from minimd.structure.system import AnySystem, System
 from minimd.structure.velocities import maxwell_boltzmann, rescaled
 
-if TYPE_CHECKING:
-    import ase
-
 Observer = Callable[["Simulation"], None]
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 
@@ -98,7 +93,7 @@ class Simulation:
 
     def __init__(
         self,
-        system: "System | ase.Atoms",
+        system: AnySystem,
         potentials: Potential | Sequence[Potential],
         method: Splitting,
         constraints: Constraint | Sequence[Constraint] | None = None,
@@ -192,7 +187,7 @@ class Simulation:
     def _fingerprint(self) -> tuple[Any, ...]:
         """Numbers that change when somebody moves atoms, changes velocities or the cell."""
         masses = self.system.masses
-        sums = observables.momentum(self.positions, masses), observables.momentum(self.velocities, masses)
+        sums = momentum(self.positions, masses), momentum(self.velocities, masses)
         return self.engine.kinetic_energy, *np.concatenate(sums).tolist(), id(self.system.cell)
 
     def make_steps(self, n_steps: int) -> None:

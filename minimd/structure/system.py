@@ -1,7 +1,7 @@
 """The state of a scene: checked once, here, and trusted everywhere afterwards."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,7 @@ from minimd.structure.units import UnitSystem
 if TYPE_CHECKING:
     import ase
 
+AnySystem: TypeAlias = "System | ase.Atoms"
 READ_ONLY = ("masses", "species_names", "species_index", "bonds", "units")
 LARGEST = 1e75  # of positions and velocities: their fourth powers are still numbers
 
@@ -136,9 +137,7 @@ def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArra
         raise ValueError(f"{name} must be an (N, 3) array with N > 0; its shape is {array.shape}")
     if n_atoms is not None and len(array) != n_atoms:
         raise ValueError(f"{name} must have one row for each of the {n_atoms} atoms; it has {len(array)}")
-    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
-    if bad.size:
-        raise ValueError(f"{name} must be finite; {name}[{bad[0]}] = {array[bad[0]].tolist()}" + _and_others(bad))
+    _demand(name, "finite", np.isfinite(array).all(axis=1), array)
     if np.abs(array).max() > LARGEST:
         raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {np.abs(array).max():g}: take other units")
     return array
@@ -154,9 +153,7 @@ def _masses(masses: ArrayLike | None, n_atoms: int, units: UnitSystem) -> NDArra
         array = np.full(n_atoms, float(array))
     if array.shape != (n_atoms,):
         raise ValueError(f"masses must be one number or {n_atoms}, one for each atom; their shape is {array.shape}")
-    bad = np.flatnonzero(~(np.isfinite(array) & (array > 0.0)))
-    if bad.size:
-        raise ValueError(f"masses must be positive and finite; masses[{bad[0]}] = {array[bad[0]]}" + _and_others(bad))
+    _demand("masses", "positive and finite", np.isfinite(array) & (array > 0.0), array)
     return array
 
 
@@ -172,8 +169,11 @@ def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, N
     return tuple(names.tolist()), index.astype(np.int64)
 
 
-def _and_others(bad: NDArray) -> str:
-    return f", and {bad.size - 1} more" if bad.size > 1 else ""
+def _demand(name: str, what: str, is_good: NDArray[np.bool_], array: NDArray[np.float64]) -> None:
+    bad = np.flatnonzero(~is_good)
+    if bad.size:
+        others = f", and {bad.size - 1} more" if bad.size > 1 else ""
+        raise ValueError(f"{name} must be {what}; {name}[{bad[0]}] = {array[bad[0]].tolist()}{others}")
 
 
 def number_density(system: System, thickness: float) -> float:

@@ -119,17 +119,6 @@ def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass:
         rest = 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * length * length)
     elif isinstance(potential.law, HarmonicLaw):
         rest, length = numbers
-    frequency, rest_frequency = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
-    return Contact(
-        first,
-        second,
-        law=type(potential).__name__,
-        is_bond=isinstance(potential, BondPotential),
-        is_users=is_user_law(potential.law),
-        distance=r,
-        ratio=r / length if length else None,
-        energy=scale * u,
-        force=scale * f * r,
-        frequency=frequency,
-        rest_frequency=rest_frequency,
-    )
+    kind = type(potential).__name__, isinstance(potential, BondPotential), is_user_law(potential.law)
+    frequencies = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
+    return Contact(first, second, *kind, r, r / length if length else None, scale * u, scale * f * r, *frequencies)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -88,21 +88,10 @@ def examine(engine: Engine, failure: Failure) -> CrashReport:
     bad = np.flatnonzero(~(np.isfinite(engine.forces).all(axis=1) & np.isfinite(engine.interactions.energies)))[:2]
     closest = closest_pair(engine.system)
     evidence = Evidence(engine, failure, [pushed, fastest, *(closest[:2] if closest else ()), *(failure.constraint or ()), *bad.tolist()])
-    judged = next(verdict for rule in RULES if (verdict := rule(evidence)) is not None)
-    return CrashReport(
-        fault=failure.fault,
-        step=failure.step,
-        last_good_step=engine.step,
-        first_step=failure.start.step,
-        **judged._asdict(),
-        closest=closest,
-        pushed=pushed,
-        largest_force=force,
-        fastest=fastest,
-        displacement=speed * abs(engine.method.timestep),
-        timestep=engine.method.timestep,
-        units=engine.system.units.name,
-    )
+    judged: tuple[Any, ...] = next(verdict for rule in RULES if (verdict := rule(evidence)) is not None)
+    timestep, units = engine.method.timestep, engine.system.units.name
+    seen: tuple[Any, ...] = (closest, pushed, force, fastest, speed * abs(timestep), timestep, units)
+    return CrashReport(failure.fault, failure.step, engine.step, failure.start.step, *judged, *seen)
 
 
 class Evidence:
@@ -148,10 +137,11 @@ def overlap_at_start(evidence: Evidence) -> Verdict | None:
     joined = [start.bonds, *(one.pairs for one in start.constraints if isinstance(one, DistanceConstraints))]  # these are close by right
     if closest is None or among(np.array([closest[:2]]), np.concatenate(joined)).any():
         return None
-    found = [one for one in evidence.contacts(start, list(closest[:2])) if not one.is_bond]
-    worst = min((one for one in found if _is_overlap(one) or _is_thrown(one, evidence)), key=lambda one: one.distance, default=None)
-    if worst is None:
+    found = evidence.contacts(start, list(closest[:2]))
+    over = [one for one in found if not one.is_bond and (_is_overlap(one) or _is_thrown(one, evidence))]
+    if not over:
         return None
+    worst = min(over, key=lambda one: one.distance)
     cause = f"{worst.atoms} overlap at {f'step {step}' if step else 'the start'}, {worst.apart}"
     return Verdict("overlap", worst, cause, "minimize moves atoms apart; or lower the energy of the start in another way")
 
@@ -209,8 +199,7 @@ def long_step(evidence: Evidence) -> Verdict:
     return Verdict("pair", pair, f"the timestep {evidence.shown_timestep} is too long for the {what}", "halve it until the energy is conserved")
 
 
-Rule = Callable[[Evidence], Verdict | None]
-RULES: tuple[Rule, ...] = (law_without_number, overlap_at_start, broken_constraint, unstable_bond, too_hot, long_step)
+RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (law_without_number, overlap_at_start, broken_constraint, unstable_bond, too_hot, long_step)
 
 
 def _is_overlap(contact: Contact) -> bool:

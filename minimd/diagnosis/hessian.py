@@ -94,7 +94,7 @@ class Curvature:
     Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the forces, with the opposite sign,
     from central differences. Positions of the system are changed and put back.
 
-    displacement : of the atom that is moved most [length].
+    is_finite : whether the forces of the state are finite numbers.  displacement : of the atom that is moved most [length].
     """
 
     def __init__(self, forces: Forces, constraint_set: ConstraintSet) -> None:
@@ -103,6 +103,7 @@ class Curvature:
         self._root = np.sqrt(constraint_set.inverse_masses)[:, None]
         self._start = self._system.positions.copy()
         self._first = forces.compute().copy()
+        self.is_finite = bool(np.isfinite(self._first).all())
         self._springs: list[tuple[NDArray[np.int64], Array]] = []  # (pairs, λ) of each group of constraints, for atoms at rest
         if (bonds := constraint_set.bonds) is not None:
             accelerations = self._first * constraint_set.inverse_masses[:, None]
@@ -117,10 +118,6 @@ class Curvature:
         """What the rounding of forces makes of D [1/time²]: smaller eigenvalues are none."""
         largest = float(np.abs(self._first).max(initial=0.0)) * float(self._constraint_set.inverse_masses.max())
         return ROUNDINGS_OF_FORCES * EPS * largest / self.displacement
-
-    def is_finite(self) -> bool:
-        """Whether the forces of the state are finite numbers."""
-        return bool(np.isfinite(self._first).all())
 
     def times(self, vector: Array) -> Array:
         """D w, (3N,) both [1/time²]; what constraints do not allow is left out of w first."""

@@ -127,12 +127,10 @@ def advise_timestep(
     )
 
 
-def _stiffest_mode(
-    curvature: Curvature, system: System, potentials: Sequence[Potential], constraint_set: ConstraintSet
-) -> tuple[float, NDArray[np.float64]]:
+def _stiffest_mode(curvature: Curvature, system: System, potentials: Sequence[Potential], held: ConstraintSet) -> tuple[float, NDArray[np.float64]]:
     """ω² and the mode, (N, 3) mass-weighted; or what is wrong with the state."""
-    if curvature.is_finite():
-        square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, constraint_set)))
+    if curvature.is_finite:
+        square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, held)))
         if np.isfinite(square):
             return (square, mode) if square > curvature.rounding else (0.0, np.zeros_like(mode))
     raise NonFiniteError(f"the forces around this state are not finite; the closest pair is {closest_pair(system)}: md.minimize moves atoms apart")

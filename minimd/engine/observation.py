@@ -21,11 +21,7 @@ class Look:
         self.path = (engine.positions, *self.motion)
         self.potential_energy = engine.interactions.potential_energy
         self.kinetic_energy = observables.kinetic_energy(*self.motion)
-
-    @property
-    def total_energy(self) -> float:
-        """E = K + U [energy]."""
-        return self.potential_energy + self.kinetic_energy
+        self.total_energy = self.potential_energy + self.kinetic_energy
 
     @cached_property
     def virial(self) -> Any:
@@ -74,15 +70,8 @@ for _observable in (
         lambda look: observables.pressure(look.kinetic_energy, look.virial, look.volume),
         lambda engine: engine.system.volume is not None,
     ),
-    Observable(
-        "conserved_energy", "energy", lambda look: look.total_energy - look.engine.reservoir_energy, lambda engine: engine.method.is_thermostat
-    ),
-    Observable(
-        "constraint_violation",
-        "",
-        lambda look: float(look.bonds.violation(look.system.positions).max()),
-        lambda engine: engine.constraint_set.bonds is not None,
-    ),
+    Observable("conserved_energy", "energy", lambda look: look.total_energy - look.engine.reservoir_energy, lambda one: one.method.is_thermostat),
+    Observable("constraint_violation", "", lambda look: float(look.bonds.violation(look.path[0]).max()), lambda one: bool(one.constraint_set.bonds)),
 ):
     register(_observable)
 

@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -78,11 +79,9 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
 
 def _free_name(path: Path) -> Path:
     """The path; where a file stands there, the first free one with a number."""
-    suffix, number, found = SUFFIX if path.name.endswith(SUFFIX) else path.suffix, 1, path
-    while found.exists():
-        number += 1
-        found = path.with_name(f"{path.name.removesuffix(suffix)}-{number}{suffix}")
-    return found
+    suffix = SUFFIX if path.name.endswith(SUFFIX) else path.suffix
+    numbered = (path.with_name(f"{path.name.removesuffix(suffix)}-{number}{suffix}") for number in count(2))
+    return next(free for free in chain([path], numbered) if not free.exists())
 
 
 def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> None:

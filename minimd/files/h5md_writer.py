@@ -117,7 +117,8 @@ class H5MDWriter:
             return
         with self._telling(f"take the frame of step {frames[0].step}"):
             table = layout.columns(self._engine.system, list(frames[0].observables), self._store_forces)
-            self._reserve(sum(_room(column, frames) for column in table))
+            entries = [np.asarray(column.entry(frames[0])) for column in table]
+            self._reserve(sum(one.nbytes * (len(frames) + layout.chunk_rows(one)) for one in entries))  # one chunk of each series may be new
             for column in table:
                 series = layout.series_of(self._h5, column, frames[0])
                 series.resize(self._n_frames + len(frames), axis=0)
@@ -182,12 +183,6 @@ def annotate(path: str | Path, *, title: str | None = None, scene: str | None = 
         if "minimd" not in h5:
             raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
         h5["minimd"].attrs.update({name: text for name, text in (("title", title), ("scene", scene)) if text is not None})
-
-
-def _room(column: layout.Column, frames: list[Frame]) -> int:
-    """Bytes that some entries of a series take at most, in chunks of which one may be new [B]."""
-    entry = np.asarray(column.entry(frames[0]))
-    return entry.nbytes * (len(frames) + layout.chunk_rows(entry))
 
 
 def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_forces: bool) -> None:

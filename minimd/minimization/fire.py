@@ -25,6 +25,7 @@ FIRST, LONGEST = 0.3, 1.0  # √κ Δt at the start, and at most; symplectic Eul
 PROBE = 1e-3  # of the longest step: displacements that try the curvature
 PROBES, PROBE_EVERY = 5, 50  # displacements, each along the change of the forces in the one before; steps between two such series
 FIRST_SERIES = 4  # of them
+SEED = 1  # of the first displacement
 FALLING = 0.9  # the largest force must fall by this factor in a step of steepest descent
 LARGEST = 1e100  # of a force: larger ones are scaled down, all alike, so that their squares are numbers
 PUSHES = 100  # of pairs whose forces are infinite
@@ -84,7 +85,7 @@ class FIRE:
         self._engine, self._constraint_set, self._longest = forces, constraint_set, max_step_length
         self._system, self._positions = forces.system, forces.system.positions
         self._forces, self._velocities = np.zeros_like(self._positions), np.zeros_like(self._positions)
-        self._curvature, self._probe = 0.0, _random_like(self._positions)
+        self._curvature, self._probe = 0.0, np.random.default_rng(SEED).standard_normal(self._positions.shape)
         self._tolerance, self._max_steps = 0.0, 0
         self.n_steps, self.largest_force, self.stop_requested = 0, 0.0, False
 
@@ -157,7 +158,7 @@ class FIRE:
         for _ in range(PROBES):
             self._constraint_set.project(self._probe, before)
             if not self._probe.any():  # no curvature at all
-                self._probe = _random_like(before)
+                self._probe = np.random.default_rng(SEED).standard_normal(before.shape)
                 break
             steps = self._probe * (PROBE * self._longest / longest(self._probe)[1])
             self._positions[:] = before + steps
@@ -211,7 +212,3 @@ class FIRE:
         self._constraint_set.project(velocities, self._positions)
         if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):
             raise NonFiniteError(f"forces are not finite; the closest pair is {pair}, and constraints hold it there")
-
-
-def _random_like(positions: Array) -> Array:
-    return np.random.default_rng(1).standard_normal(positions.shape)

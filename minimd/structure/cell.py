@@ -174,7 +174,10 @@ def _reduced(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> tuple[NDAr
     lattice, reduction = np.zeros((3, 3)), np.zeros((3, 3), dtype=np.int64)
     reduction[np.ix_(periodic, periodic)] = steps
     lattice[periodic] = steps @ vectors[periodic]
-    return _completed(lattice, pbc), reduction
+    if len(periodic) < 3:  # open rows: unit vectors perpendicular to the periodic ones and to each other
+        directions = np.linalg.svd(lattice[pbc])[2] if len(periodic) else np.eye(3)
+        lattice[~pbc] = directions[len(periodic) :]
+    return lattice, reduction
 
 
 def _shorten_once(steps: NDArray[np.int64], rows: NDArray[np.float64]) -> bool:
@@ -197,13 +200,3 @@ def _neighbors(i: int, steps: NDArray[np.int64], current: NDArray[np.float64], l
     for j in others:
         near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]
     return gauss + near
-
-
-def _completed(lattice: NDArray[np.float64], pbc: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Open rows filled with unit vectors perpendicular to the periodic ones and to each other."""
-    complete = lattice.copy()
-    rank = int(pbc.sum())
-    if rank < 3:
-        _, _, directions = np.linalg.svd(lattice[pbc]) if rank else (None, None, np.eye(3))
-        complete[~pbc] = directions[rank:]
-    return complete

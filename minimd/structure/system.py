@@ -169,7 +169,7 @@ def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, N
     return tuple(names.tolist()), index.astype(np.int64)
 
 
-def _demand(name: str, what: str, is_good: NDArray[np.bool_], array: NDArray[np.float64]) -> None:
+def _demand(name: str, what: str, is_good: Any, array: NDArray[np.float64]) -> None:
     bad = np.flatnonzero(~is_good)
     if bad.size:
         others = f", and {bad.size - 1} more" if bad.size > 1 else ""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +13,15 @@ from minimd.forces.forces import Potential
 from minimd.neighbors.queries import closest_pair
 from minimd.simulation.simulation import Simulation
 from minimd.structure.errors import ConstraintError, NonFiniteError
+from minimd.structure.observables import longest
+from minimd.structure.units import UnitSystem
 
 PATIENCE = 20  # steps behind the failure, should it not come again: rounding is not the same on every processor
 LAST_ROWS, APART = 12, 10  # of the table: the last ones all, of the others every tenth
+HEAD = "    step       time  total energy   closest pair  distance largest force      on  fastest      speed"  # see ReplayedStep.__str__
+SERIES = {"energy": "total energy", "distance": "closest pair", "force": "largest force", "speed": "largest speed"}
+COLORS = ("#1f5fa8", "#1b7f5c", "#c8501e", "#5b3f99")
+WIDE = 50.0  # largest over smallest from which an axis is logarithmic
 
 
 class ReplayedStep(NamedTuple):
@@ -38,22 +44,14 @@ class ReplayedStep(NamedTuple):
     @classmethod
     def of(cls, simulation: Simulation) -> "ReplayedStep":
         """The present step; the forces are those of the last look."""
-        force, speed = (np.sqrt(np.einsum("ij,ij->i", array, array)) for array in (simulation.forces, simulation.velocities))
-        first, second, distance = closest_pair(simulation.system) or (-1, -1, np.nan)
-        pushed, fastest, record = int(np.argmax(force)), int(np.argmax(speed)), simulation.record
+        record, pair = simulation.record, closest_pair(simulation.system) or (-1, -1, np.nan)
         energy = float(record.total_energy[-1]) if record is not None and len(record) else np.nan
-        pair = (int(first), int(second), float(distance))
-        return cls(simulation.step, simulation.time, energy, *pair, pushed, float(force[pushed]), fastest, float(speed[fastest]))
+        return cls(simulation.step, simulation.time, energy, *pair, *longest(simulation.forces), *longest(simulation.velocities))
 
-    def cells(self) -> tuple[str, ...]:
-        """The row of a table."""
+    def __str__(self) -> str:
         pair = f"{self.first}-{self.second}" if self.first >= 0 else "none"
-        numbers = (f"{self.distance:.4g}", f"{self.force:.4g}", str(self.pushed), str(self.fastest), f"{self.speed:.4g}")
-        return (str(self.step), f"{self.time:.5g}", f"{self.energy:.8g}", pair, *numbers)
-
-
-HEADS = ("step", "time", "total energy", "closest pair", "distance", "largest force", "on", "fastest", "speed")
-WIDTHS = (8, 11, 14, 15, 10, 14, 8, 9, 11)
+        energies = f"{self.step:>8}{self.time:>11.5g}{self.energy:>14.8g}{pair:>15}{self.distance:>10.4g}"
+        return energies + f"{self.force:>14.4g}{self.pushed:>8}{self.fastest:>9}{self.speed:>11.4g}"
 
 
 @dataclass(frozen=True)
@@ -72,9 +70,8 @@ class Replay:
     picture: Path | None
 
     def __str__(self) -> str:
-        shown = [row.cells() for k, row in enumerate(self.rows) if k % APART == 0 or k >= len(self.rows) - LAST_ROWS]
-        lines = ["".join(f"{cell:>{width}}" for cell, width in zip(row, WIDTHS, strict=True)) for row in (HEADS, *shown)]
-        return "\n".join([*lines, self.ending])
+        shown = [str(row) for k, row in enumerate(self.rows) if k % APART == 0 or k >= len(self.rows) - LAST_ROWS]
+        return "\n".join([HEAD, *shown, self.ending])
 
 
 def replay(
@@ -109,9 +106,7 @@ def replay(
     failed_at, ending = _run(simulation, past.findings, frames, rows)
     rows = rows or [ReplayedStep.of(simulation)]
     if drawing is not None:
-        from minimd.analysis.replay_plot import plot_replay
-
-        plot_replay(rows, past.findings, simulation.system.units, drawing)
+        _draw(rows, past.findings, simulation.system.units, drawing)
     return Replay(rows, ending, failed_at, past.findings, frames if frames is not None and frames.exists() else None, drawing)
 
 
@@ -138,12 +133,33 @@ def _potentials(past: CrashFile, file: str | Path) -> list[Potential]:
 
 def _run(simulation: Simulation, findings: CrashReport, trajectory: Path | None, rows: list[ReplayedStep]) -> tuple[int | None, str]:
     """Make the steps; returns at which it failed, and a sentence."""
-    options: dict[str, Any] = {"every": 1, "store_forces": True, "overwrite": True, "crash_report": False, "progress": False}
-    observers = [lambda now: rows.append(ReplayedStep.of(now))]
+    n_steps, observers = findings.step - simulation.step + PATIENCE, [lambda now: rows.append(ReplayedStep.of(now))]
+    files = () if trajectory is None else trajectory
     try:
-        simulation.run(findings.step - simulation.step + PATIENCE, trajectory=trajectory or (), observers=observers, **options)
+        simulation.run(n_steps, every=1, trajectory=files, store_forces=True, overwrite=True, observers=observers, progress=False, crash_report=False)
     except (NonFiniteError, ConstraintError) as error:
         step = findings.step if error.crash_report is None else error.crash_report.step
         again = "again" if step == findings.step else f"at another step than the first time ({findings.step}): rounding differs"
         return step, f"failed {again}: {error}"
     return None, f"it did not fail again up to step {simulation.step}: something from outside acted on the first run, such as an observer"
+
+
+def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, picture: Path) -> None:
+    """Draw energy, distance of the closest pair, largest force and largest speed against the step.
+
+    Raises OSError if the picture cannot be written.
+    """
+    from minimd.analysis.picture import four_panels, save  # matplotlib takes its time to load
+
+    figure, panels = four_panels()
+    shown = (units.energy, units.length, f"{units.energy}/{units.length}", f"{units.length}/{units.time}")
+    for panel, (name, label), unit, color in zip(panels, SERIES.items(), shown, COLORS, strict=True):
+        numbers = np.array([getattr(row, name) for row in rows])
+        finite = numbers[np.isfinite(numbers)]
+        panel.plot([row.step for row in rows], numbers, color=color, lw=1.1, marker="o", ms=3.0)
+        if finite.size and finite.min() > 0.0 and finite.max() > WIDE * finite.min():
+            panel.set_yscale("log")
+        panel.axvline(findings.step, color="0.5", lw=1.0, ls="--")
+        panel.set(xlabel="step", ylabel=f"{label}  [{unit}]")
+    figure.suptitle(f"{findings.cause}\n(dashed: step {findings.step}, which failed)", fontsize=10, wrap=True)
+    save(figure, picture)

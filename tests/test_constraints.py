@@ -184,7 +184,7 @@ def test_bonds_across_a_boundary_are_given_by_offsets():
         (np.empty((0, 2), dtype=int), None, "at least one pair"),
         ([[0.5, 1.0]], None, "atom indices"),
         ([[0, 0]], None, "different atoms"),
-        ([[0, 1], [1, 0]], None, "comes 2 times"),
+        ([[2, 1], [0, 1], [1, 0], [1, 2], [0, 1]], None, r"pairs\[0\] = \[2, 1\] comes 2 times"),  # the first of them, as it is given
         ([[0, 1]], -1.0, "lengths must be positive"),
         ([[0, 99]], None, "atom 99"),
     ],

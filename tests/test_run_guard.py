@@ -95,6 +95,13 @@ def test_an_overlap_made_during_a_run_is_told_as_one():
     assert {found.pair.first, found.pair.second} == {0, 1}
 
 
+def test_atoms_flung_beyond_all_numbers_in_use_are_told_of():
+    """Their positions are still finite, but no System can hold them."""
+    system = md.System([[0.0, 0, 0], [1.0, 0, 0]], velocities=np.full((2, 3), [9e74, 0, 0]), bonds=[[0, 1]])
+    with pytest.raises(md.NonFiniteError, match=r"positions of 2 atoms are not finite, or beyond 1e\+75 .* Likely cause"):
+        md.Simulation(system, md.HarmonicBond(1e-3, 1.0), md.VelocityVerlet(10.0)).run(100)
+
+
 def tetrahedron():
     return np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(8.0)
 

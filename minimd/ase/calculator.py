@@ -77,7 +77,14 @@ class Calculator(ASECalculator):
         forces.compute(PER_ATOM if per_atom else TOTALS)
         if not (np.isfinite(forces.potential_energy) and np.isfinite(forces.forces).all()):
             raise NonFiniteError(f"forces or energies are not finite; the closest pair is {closest_pair(forces.system)}: move them apart")
-        self.results = _results(forces, volume_of(self.atoms), per_atom)
+        energy, volume = forces.potential_energy, volume_of(self.atoms)
+        self.results = {"energy": energy, "free_energy": energy, "forces": forces.forces.copy()}
+        if per_atom:
+            self.results["energies"] = forces.energies
+        if volume:
+            self.results["stress"] = -full_3x3_to_voigt_6_stress(forces.virial) / volume
+        if volume and per_atom:
+            self.results["stresses"] = -forces.virials / volume
 
     def check_state(self, atoms: Atoms, tol: float = 1e-15) -> list[str]:
         """ASE's list of what has changed; another label counts as another atomic number."""
@@ -104,15 +111,3 @@ class Calculator(ASECalculator):
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_plan": None}
-
-
-def _results(forces: Forces, volume: float, per_atom: bool) -> dict:
-    energy = forces.potential_energy
-    results = {"energy": energy, "free_energy": energy, "forces": forces.forces.copy()}
-    if per_atom:
-        results["energies"] = forces.energies
-    if volume:
-        results["stress"] = -full_3x3_to_voigt_6_stress(forces.virial) / volume
-    if volume and per_atom:
-        results["stresses"] = -forces.virials / volume
-    return results

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.diagnosis.hessian import bonded_pairs
 from minimd.potentials.bonded import BondPotential
 from minimd.potentials.law import is_user_law, law_at
 from minimd.potentials.laws import HarmonicLaw, LennardJonesLaw
 from minimd.potentials.pair import PairPotential
 from minimd.structure.bond_graph import pairs_by_bonds_apart
-from minimd.structure.images import nearest_images
+from minimd.structure.images import nearest_vectors
 from minimd.structure.system import System
 
 NEAREST = 16  # neighbors of each atom that are looked at: more than a dense shell of a liquid, 12 to 14, has
@@ -49,18 +50,21 @@ class Contact:
 
     @property
     def atoms(self) -> str:
-        """The pair, for people."""
+        """The pair in words."""
         return f"atoms {self.first} and {self.second}"
 
     @property
     def apart(self) -> str:
-        """The distance, for people."""
+        """The distance in words."""
         ratio = "" if self.ratio is None else f" (r/{'r₀' if self.is_bond else 'σ'} = {self.ratio:.3g})"
         return f"{self.distance:.3g} apart{ratio}"
 
     def stiffness(self, timestep: float) -> str:
-        """Δt·ω, for people; empty where the pair does not oscillate."""
+        """Δt·ω in words; empty where the pair does not oscillate."""
         return "" if self.frequency is None else f", Δt·ω = {self.frequency * abs(timestep):.3g}"
+
+
+Pair = tuple[int, int, float, float, tuple[float, ...]]  # two atoms, their distance, the factor on the law, and its numbers
 
 
 def contacts(system: System, potentials: Sequence[Any], inverse_masses: NDArray[np.float64], atoms: Iterable[int]) -> list[Contact]:
@@ -68,16 +72,13 @@ def contacts(system: System, potentials: Sequence[Any], inverse_masses: NDArray[
 
     inverse_masses : (N,) [1/mass], zero for atoms held fixed.  atoms : finite in their positions.
     """
-    known = sorted(set(atoms))
     found: list[Contact] = []
+    known = sorted(set(atoms))
     for potential in potentials:
-        pairs = _near_pairs if isinstance(potential, PairPotential) else _bonds if isinstance(potential, BondPotential) else None
-        for first, second, r, scale, numbers in pairs(potential, system, known) if pairs else ():
-            found.append(_contact(potential, (first, second), r, scale, numbers, float(inverse_masses[first] + inverse_masses[second])))
+        if isinstance(potential, (PairPotential, BondPotential)):
+            pairs = _near_pairs(potential, system, known) if isinstance(potential, PairPotential) else _bonds(potential, system, known)
+            found += [_contact(potential, pair, float(inverse_masses[list(pair[:2])].sum())) for pair in pairs]
     return found
-
-
-Pair = tuple[int, int, float, float, tuple[float, ...]]  # two atoms, their distance, the factor on the law, and its numbers
 
 
 def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> Iterator[Pair]:
@@ -87,57 +88,37 @@ def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> I
     scales = {frozenset(pair): factor for pairs, factor in zip(by_bonds, potential.bonded_scale, strict=False) for pair in pairs.tolist()}
     for atom in atoms:
         others = np.delete(np.arange(len(system)), atom)
-        distances = _distances(system, np.column_stack([np.full_like(others, atom), others]))
+        distances = np.linalg.norm(nearest_vectors(system.positions, system.cell, np.column_stack([np.full_like(others, atom), others])), axis=1)
         for k in np.argsort(distances)[:NEAREST]:
-            pair, r = frozenset((atom, int(others[k]))), float(distances[k])
-            cutoff2, *numbers = (table[index[atom], index[others[k]]] if len(table) > 1 else table[0, 0]).tolist()
-            if pair not in seen and r * r < cutoff2 and scales.get(pair, 1.0) != 0.0:
+            other, r = int(others[k]), float(distances[k])
+            pair = frozenset((atom, other))
+            scale = scales.get(pair, 1.0)
+            cutoff2, *numbers = (table[index[atom], index[other]] if len(table) > 1 else table[0, 0]).tolist()
+            if pair not in seen and r * r < cutoff2 and scale != 0.0:
                 seen.add(pair)
-                yield atom, int(others[k]), r, scales.get(pair, 1.0), tuple(numbers)
+                yield atom, other, r, scale, tuple(numbers)
 
 
 def _bonds(potential: BondPotential, system: System, atoms: list[int]) -> Iterator[Pair]:
     """The bonds of some atoms."""
-    pairs = np.asarray(system.bonds if potential.pairs is None else potential.pairs).reshape(-1, 2)
-    table = potential.table(len(pairs))
+    pairs = bonded_pairs(system, potential)
     rows = np.flatnonzero(np.isin(pairs, atoms).any(axis=1))
-    for row, r in zip(rows, _distances(system, pairs[rows]), strict=True):
-        yield int(pairs[row, 0]), int(pairs[row, 1]), float(r), 1.0, tuple(table[row, 1:].tolist())
+    distances = np.linalg.norm(nearest_vectors(system.positions, system.cell, pairs[rows]), axis=1)
+    for (i, j), r, numbers in zip(pairs[rows].tolist(), distances, potential.table(len(pairs))[rows, 1:], strict=True):
+        yield i, j, float(r), 1.0, tuple(numbers.tolist())
 
 
-def _distances(system: System, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
-    vectors = system.positions[pairs[:, 1]] - system.positions[pairs[:, 0]] + nearest_images(system.positions, system.cell, pairs)
-    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
-
-
-def _contact(potential: Any, pair: tuple[int, int], r: float, scale: float, numbers: tuple[float, ...], inverse_mass: float) -> Contact:
+def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass: float) -> Contact:
+    first, second, r, scale, numbers = pair
     u, f = law_at(potential.law, r, numbers)
     high, low = (-(1.0 + h) * law_at(potential.law, r * (1.0 + h), numbers)[1] for h in (STEP, -STEP))
     curvature = (high - low) / (2.0 * STEP) if r > 0.0 else nan  # u″ by a central difference of u′ = −f r
-    length, rest = _length_and_stiffness(potential, numbers)
-    return Contact(
-        *pair,
-        law=type(potential).__name__,
-        is_bond=isinstance(potential, BondPotential),
-        is_users=is_user_law(potential.law),
-        distance=r,
-        ratio=r / length if length else None,
-        energy=scale * u,
-        force=scale * f * r,
-        frequency=_frequency(scale * curvature, inverse_mass),
-        rest_frequency=_frequency(scale * rest, inverse_mass),
-    )
-
-
-def _length_and_stiffness(potential: Any, numbers: tuple[float, ...]) -> tuple[float | None, float]:
-    """σ or r₀, and u″ at the minimum: 72 ε/(2^{1/3} σ²) of Lennard-Jones pairs, k of harmonic bonds; None and NaN if unknown."""
+    length, rest = None, nan  # σ or r₀, and u″ at the minimum
     if isinstance(potential, PairPotential) and isinstance(potential.plain_law, LennardJonesLaw):
-        epsilon, sigma = numbers[-2:]
-        return sigma, 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * sigma * sigma)
-    if isinstance(potential, BondPotential) and isinstance(potential.law, HarmonicLaw):
-        return numbers[1] or None, numbers[0]
-    return None, nan
-
-
-def _frequency(stiffness: float, inverse_mass: float) -> float | None:
-    return sqrt(stiffness * inverse_mass) if 0.0 < stiffness < inf else None
+        epsilon, length = numbers[-2:]
+        rest = 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * length * length)
+    elif isinstance(potential.law, HarmonicLaw):
+        rest, length = numbers
+    kind = type(potential).__name__, isinstance(potential, BondPotential), is_user_law(potential.law)
+    frequencies = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
+    return Contact(first, second, *kind, r, r / length if length else None, scale * u, scale * f * r, *frequencies)

@@ -1,22 +1,19 @@
 """What a failed run died of: rules tried in turn, each of which knows one cause, and the report on the last good state."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.diagnosis.contacts import Contact, contacts
 from minimd.engine.engine import Engine, Snapshot
 from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair
+from minimd.structure.bond_graph import among
 from minimd.structure.constraints import DistanceConstraints
-from minimd.structure.observables import kinetic_energy
-from minimd.structure.system import System
-
-Array = NDArray[np.float64]
+from minimd.structure.observables import Array, longest, temperature
+from minimd.structure.system import LARGEST, System
 
 OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
 THROWN = 0.1  # of the distance by which a force moves a pair in one step: the same, of laws without a length of their own
@@ -51,7 +48,7 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True)
 class CrashReport:
-    """The findings. str() is the text for people.
+    """The findings. str() puts them into lines.
 
     fault : what went wrong.  step : in which step.  last_good_step : of the state described.  first_step : from which it can be replayed.
     kind, pair, cause, advice : as Verdict.  closest : two atoms and their distance [length], or None.
@@ -75,84 +72,53 @@ class CrashReport:
     timestep: float
     units: str
 
-    def asdict(self) -> dict[str, Any]:
-        """All of it in plain numbers and words."""
-        closest = None if self.closest is None else [int(self.closest[0]), int(self.closest[1]), float(self.closest[2])]
-        return {**asdict(self), "closest": closest}
-
-    @classmethod
-    def of(cls, found: dict[str, Any]) -> "CrashReport":
-        """The reverse of asdict."""
-        pair = None if found["pair"] is None else Contact(**found["pair"])
-        return cls(**{**found, "pair": pair, "closest": None if found["closest"] is None else ClosestPair(*found["closest"])})
-
     def __str__(self) -> str:
-        pair, lines = (
-            self.pair,
-            [f"fault          {self.fault}, at step {self.step}", f"cause          {self.cause}", f"what to do     {self.advice}"],
-        )
+        pair, largest = self.pair, f"largest force {self.largest_force:.3g} on atom {self.pushed}"
+        lines = [f"fault          {self.fault}, at step {self.step}", f"cause          {self.cause}", f"what to do     {self.advice}"]
         if pair is not None:
             what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms} ({pair.law})"
             lines.append(f"pair           {what}, {pair.apart}, −u′ {pair.force:.3g}{pair.stiffness(self.timestep)}")
         lines.append(f"last good      step {self.last_good_step}; closest {self.closest}")
-        largest = f"largest force {self.largest_force:.3g} on atom {self.pushed}"
         return "\n".join([*lines, f"               {largest}; atom {self.fastest} moves {self.displacement:.3g} in a step"])
 
 
 def examine(engine: Engine, failure: Failure) -> CrashReport:
     """Find the likely cause of a failure.  engine : in the last good state, with energies of single atoms (PER_ATOM)."""
-    force, speed = (np.sqrt(np.einsum("ij,ij->i", array, array)) for array in (engine.forces, engine.velocities))
-    pushed, fastest = int(np.argmax(np.where(np.isfinite(force), force, np.inf))), int(np.argmax(speed))
-    bad = np.flatnonzero(~(np.isfinite(force) & np.isfinite(engine.interactions.energies)))[:2]
+    (pushed, force), (fastest, speed) = longest(engine.forces), longest(engine.velocities)
+    bad = np.flatnonzero(~(np.isfinite(engine.forces).all(axis=1) & np.isfinite(engine.interactions.energies)))[:2]
     closest = closest_pair(engine.system)
-    near = () if closest is None else (int(closest.first), int(closest.second))
-    evidence = Evidence(engine, failure, [pushed, fastest, *near, *(failure.constraint or ()), *map(int, bad)])
-    judged = next(verdict for rule in RULES if (verdict := rule(evidence)) is not None)
-    return CrashReport(
-        fault=failure.fault,
-        step=failure.step,
-        last_good_step=engine.step,
-        first_step=failure.start.step,
-        **judged._asdict(),
-        closest=closest,
-        pushed=pushed,
-        largest_force=float(force[pushed]),
-        fastest=fastest,
-        displacement=float(speed[fastest] * abs(engine.method.timestep)),
-        timestep=engine.method.timestep,
-        units=engine.system.units.name,
-    )
+    evidence = Evidence(engine, failure, [pushed, fastest, *(closest[:2] if closest else ()), *(failure.constraint or ()), *bad.tolist()])
+    judged: tuple[Any, ...] = next(verdict for rule in RULES if (verdict := rule(evidence)) is not None)
+    timestep, units = engine.method.timestep, engine.system.units.name
+    seen: tuple[Any, ...] = (closest, pushed, force, fastest, speed * abs(timestep), timestep, units)
+    return CrashReport(failure.fault, failure.step, engine.step, failure.start.step, *judged, *seen)
 
 
 class Evidence:
-    """What is known about a failure.  suspects : atoms whose contacts are looked at."""
+    """What is known about a failure.
+
+    suspects : atoms whose contacts are looked at.  found : their contacts in the last good state, and those without a finite force in the
+    moment of the failure.  strongest : the contact with the largest force, or None.
+    """
 
     def __init__(self, engine: Engine, failure: Failure, suspects: list[int]) -> None:
-        self.engine, self.failure, self.system, self.suspects = engine, failure, engine.system, suspects
+        self.engine, self.failure, self.system = engine, failure, engine.system
         self.timestep = abs(engine.method.timestep)
         self.shown_timestep = engine.system.units.shown(self.timestep)
+        self.found = self.contacts(self.system, suspects)
+        if failure.at is not None and (np.abs(failure.at) <= LARGEST).all():
+            self.found += [one for one in self.contacts(self.moved(failure.at), suspects) if not one.is_finite]
+        self.strongest = max((one for one in self.found if one.is_finite), key=lambda one: abs(one.force), default=None)
 
     def contacts(self, system: System, atoms: list[int]) -> list[Contact]:
         """Of some atoms in some state."""
-        return contacts(system, self.engine.interactions.potentials, self.engine.inverse_masses, atoms)
+        return contacts(system, self.engine.interactions.potentials, self.engine.constraint_set.inverse_masses, atoms)
 
     def moved(self, positions: Array) -> System:
-        """The system with its atoms elsewhere."""
-        now = self.system
-        return System(positions, masses=now.masses, cell=now.cell, species=now.species, bonds=now.bonds, units=now.units)
-
-    @cached_property
-    def found(self) -> list[Contact]:
-        """Contacts of the suspects in the last good state, and those without a finite force in the moment of the failure."""
-        at, found = self.failure.at, self.contacts(self.system, self.suspects)
-        if at is not None and np.isfinite(at).all():
-            found += [one for one in self.contacts(self.moved(at), self.suspects) if not one.is_finite]
-        return found
-
-    @property
-    def strongest(self) -> Contact | None:
-        """The contact with the largest force."""
-        return max((one for one in self.found if one.is_finite), key=lambda one: abs(one.force), default=None)
+        """A copy of the system with its atoms elsewhere."""
+        copy = self.system.copy()
+        copy.positions = positions
+        return copy
 
 
 def law_without_number(evidence: Evidence) -> Verdict | None:
@@ -166,15 +132,16 @@ def law_without_number(evidence: Evidence) -> Verdict | None:
 
 def overlap_at_start(evidence: Evidence) -> Verdict | None:
     """The closest pair of a state to which no step led, if its atoms are on top of each other."""
-    start = evidence.moved(evidence.failure.start.positions)
+    step, start = evidence.failure.start.step, evidence.moved(evidence.failure.start.positions)
     closest = closest_pair(start) if evidence.failure.is_first else None
-    if closest is None or _are_joined(evidence.system, int(closest.first), int(closest.second)):
+    joined = [start.bonds, *(one.pairs for one in start.constraints if isinstance(one, DistanceConstraints))]  # these are close by right
+    if closest is None or among(np.array([closest[:2]]), np.concatenate(joined)).any():
         return None
-    found = evidence.contacts(start, [int(closest.first), int(closest.second)])
+    found = evidence.contacts(start, list(closest[:2]))
     over = [one for one in found if not one.is_bond and (_is_overlap(one) or _is_thrown(one, evidence))]
     if not over:
         return None
-    worst, step = min(over, key=lambda one: one.distance), evidence.failure.start.step
+    worst = min(over, key=lambda one: one.distance)
     cause = f"{worst.atoms} overlap at {f'step {step}' if step else 'the start'}, {worst.apart}"
     return Verdict("overlap", worst, cause, "minimize moves atoms apart; or lower the energy of the start in another way")
 
@@ -204,24 +171,22 @@ def too_hot(evidence: Evidence) -> Verdict | None:
     pairs = [one for one in evidence.found if one.ratio and not one.is_bond]
     if not pairs:
         return None
+    velocities, dt, units = evidence.failure.start.velocities, evidence.timestep, evidence.system.units
     sigma = min(one.distance / one.ratio for one in pairs if one.ratio)
-    fast = FAST * sigma * max((one.rest_frequency for one in pairs if one.rest_frequency), default=0.0)
-    velocities = evidence.failure.start.velocities
-    squares, dt = np.einsum("ij,ij->i", velocities, velocities), evidence.timestep
-    atom, mean = int(np.argmax(squares)), float(np.sqrt(squares.mean()))
-    speed, others = float(np.sqrt(squares[atom])), float(np.sqrt((squares.sum() - squares.max()) / max(1, len(squares) - 1)))
+    fast = sigma * max(HOT_STEP / dt, FAST * max(one.rest_frequency or 0.0 for one in pairs))
+    squares = np.einsum("ij,ij->i", velocities, velocities)
+    atom, n_others = int(np.argmax(squares)), max(1, len(squares) - 1)
+    speed, mean, others = np.sqrt([squares[atom], squares.mean(), (squares.sum() - squares[atom]) / n_others])
     passes = f"atom {atom} moves {speed * dt / sigma:.2g} σ in a step"
-    advice = "cool the start, or reduce the timestep in proportion to the speed"
-    if mean > fast and mean * dt > HOT_STEP * sigma and speed <= HOT_SPOT * others:
-        units = evidence.system.units
-        hot = 2.0 * kinetic_energy(velocities, evidence.system.masses) / (3 * len(squares) * units.k_B)
-        return Verdict(
-            "hot", evidence.strongest, f"too hot, timestep {evidence.shown_timestep} too large: at {hot:.3g} {units.temperature} {passes}", advice
-        )
-    if speed > max(fast, HOT_SPOT * others) and speed * dt > HOT_STEP * sigma:
-        than = f"{speed / others:.2g} times as fast as the others" if others > 0.0 else "the only one in motion"
-        return Verdict("hot", evidence.strongest, f"too hot, timestep {evidence.shown_timestep} too large: {passes}, {than}", advice)
-    return None
+    if mean > fast and speed <= HOT_SPOT * others:
+        hot = temperature(velocities, evidence.system.masses, units.k_B, n_dof=velocities.size)
+        passes = f"at {hot:.3g} {units.temperature} {passes}"
+    elif speed > max(fast, HOT_SPOT * others):
+        passes += f", {speed / others:.2g} times as fast as the others" if others > 0.0 else ", the only one in motion"
+    else:
+        return None
+    cause = f"too hot, timestep {evidence.shown_timestep} too large: {passes}"
+    return Verdict("hot", evidence.strongest, cause, "cool the start, or reduce the timestep in proportion to the speed")
 
 
 def long_step(evidence: Evidence) -> Verdict:
@@ -234,20 +199,7 @@ def long_step(evidence: Evidence) -> Verdict:
     return Verdict("pair", pair, f"timestep {evidence.shown_timestep} too large for the {what}", "halve it until the energy is conserved")
 
 
-RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (
-    law_without_number,
-    overlap_at_start,
-    broken_constraint,
-    unstable_bond,
-    too_hot,
-    long_step,
-)
-
-
-def _are_joined(system: System, i: int, j: int) -> bool:
-    """Whether a bond or a rigid length holds two atoms together, so that they are close by right."""
-    known = [system.bonds, *(one.pairs for one in system.constraints if isinstance(one, DistanceConstraints))]
-    return any(bool((np.sort(pairs, axis=1) == sorted((i, j))).all(axis=1).any()) for pairs in known)
+RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (law_without_number, overlap_at_start, broken_constraint, unstable_bond, too_hot, long_step)
 
 
 def _is_overlap(contact: Contact) -> bool:
@@ -257,5 +209,5 @@ def _is_overlap(contact: Contact) -> bool:
 
 def _is_thrown(contact: Contact, evidence: Evidence) -> bool:
     """Whether a law without a length of its own throws a pair apart within one step."""
-    inverse_mass = float(evidence.engine.inverse_masses[[contact.first, contact.second]].sum())
+    inverse_mass = float(evidence.engine.constraint_set.inverse_masses[[contact.first, contact.second]].sum())
     return contact.ratio is None and contact.force * inverse_mass * evidence.timestep**2 > THROWN * contact.distance

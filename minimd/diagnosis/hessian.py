@@ -14,7 +14,8 @@ from minimd.forces.forces import Forces
 from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import BondPotential, HarmonicBond
-from minimd.structure.images import nearest_images
+from minimd.structure.bond_graph import among
+from minimd.structure.images import nearest_vectors
 from minimd.structure.system import System
 
 Array = NDArray[np.float64]
@@ -42,15 +43,13 @@ def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: Con
 
     Beside other bonds, and where nothing is compressed, the stiffest mode is faster still: ω² is a lower bound of its square.
     """
-    found = [bond for potential in potentials if isinstance(potential, HarmonicBond) and (bond := _stiffest_of(system, potential, constraint_set))]
-    return max(found, key=lambda bond: bond.square, default=None)
-
-
-def _stiffest_of(system: System, potential: HarmonicBond, constraint_set: ConstraintSet) -> StiffBond | None:
-    pairs = bonded_pairs(system, potential)
-    squares = potential.parameters[0] * constraint_set.inverse_masses[pairs].sum(axis=1)
-    squares[_among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
-    found = [StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
+    found: list[StiffBond] = []
+    for potential in potentials:
+        if isinstance(potential, HarmonicBond):
+            pairs = bonded_pairs(system, potential)
+            squares = potential.parameters[0] * constraint_set.inverse_masses[pairs].sum(axis=1)
+            squares[among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
+            found += [StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
     if constraint_set.bonds is not None:
         found = [bond._replace(square=bond.square * _free_part(system, bond, constraint_set)) for bond in found]
     return max((bond for bond in found if bond.square > 0.0), key=lambda bond: bond.square, default=None)
@@ -59,7 +58,7 @@ def _stiffest_of(system: System, potential: HarmonicBond, constraint_set: Constr
 def _free_part(system: System, bond: StiffBond, constraint_set: ConstraintSet) -> float:
     """What constraints leave of 1/μ of a bond: the relative velocity that a unit impulse along it causes, times μ. Between 0 and 1."""
     pair, inverse_masses = np.array([[bond.i, bond.j]]), constraint_set.inverse_masses[[bond.i, bond.j]]
-    arm = (system.positions[bond.j] - system.positions[bond.i] + nearest_images(system.positions, system.cell, pair))[0]
+    arm = nearest_vectors(system.positions, system.cell, pair)[0]
     arm /= np.linalg.norm(arm)
     velocities = np.zeros_like(system.positions)
     velocities[[bond.i, bond.j]] = np.outer(inverse_masses * [-1.0, 1.0], arm)
@@ -70,7 +69,11 @@ def _free_part(system: System, bond: StiffBond, constraint_set: ConstraintSet) -
 
 def unstable_bond(engine: Engine) -> str | None:
     """That a time step is longer than a harmonic bond allows, in a sentence; None if it is not. Other forces may allow still less."""
-    bond, method, shown = stiffest_bond(engine.system, engine.potentials, engine.constraint_set), engine.method, engine.system.units.shown
+    bond, method, shown = (
+        stiffest_bond(engine.system, engine.interactions.potentials, engine.constraint_set),
+        engine.method,
+        engine.system.units.shown,
+    )
     if bond is None or abs(method.timestep) <= (limit := stability_limit(method.sequence()) / sqrt(bond.square)):
         return None
     return (
@@ -84,13 +87,6 @@ def bonded_pairs(system: System, potential: BondPotential) -> NDArray[np.int64]:
     return system.bonds if potential.pairs is None else np.asarray(potential.pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def _among(pairs: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of the pairs, (B,) bool, are among others, in either order."""
-    n_atoms = 1 + max(pairs.max(initial=0), others.max(initial=0))
-    names, known = (each.min(axis=1) * n_atoms + each.max(axis=1) for each in (pairs, others))
-    return np.isin(names, known)
-
-
 class Curvature:
     """Products of D = M^−1/2 (∇²U − Σ λ ∇²g) M^−1/2 with vectors, on the directions that constraints allow.
 
@@ -98,7 +94,7 @@ class Curvature:
     Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the forces, with the opposite sign,
     from central differences. Positions of the system are changed and put back.
 
-    n_evaluations : of the forces so far.  displacement : of the atom that is moved most [length].
+    is_finite : whether the forces of the state are finite numbers.  displacement : of the atom that is moved most [length].
     """
 
     def __init__(self, forces: Forces, constraint_set: ConstraintSet) -> None:
@@ -107,25 +103,21 @@ class Curvature:
         self._root = np.sqrt(constraint_set.inverse_masses)[:, None]
         self._start = self._system.positions.copy()
         self._first = forces.compute().copy()
-        self._springs = self._multipliers()
+        self.is_finite = bool(np.isfinite(self._first).all())
+        self._springs: list[tuple[NDArray[np.int64], Array]] = []  # (pairs, λ) of each group of constraints, for atoms at rest
+        if (bonds := constraint_set.bonds) is not None:
+            accelerations = self._first * constraint_set.inverse_masses[:, None]
+            found = bonds.multipliers(self._start, np.zeros_like(self._start), accelerations)
+            self._springs = [(bonds.pairs[order], multipliers) for order, multipliers in found]
         closest = closest_pair(self._system)
         scale = closest.distance if closest and closest.distance > 0.0 else 1.0
         self.displacement = max(DISPLACEMENT * scale, ROUNDINGS * float(np.abs(self._start).max()))
-
-    @property
-    def n_evaluations(self) -> int:
-        """Of the forces so far."""
-        return self._forces.n_evaluations
 
     @property
     def rounding(self) -> float:
         """What the rounding of forces makes of D [1/time²]: smaller eigenvalues are none."""
         largest = float(np.abs(self._first).max(initial=0.0)) * float(self._constraint_set.inverse_masses.max())
         return ROUNDINGS_OF_FORCES * EPS * largest / self.displacement
-
-    def is_finite(self) -> bool:
-        """Whether the forces of the state are finite numbers."""
-        return bool(np.isfinite(self._first).all())
 
     def times(self, vector: Array) -> Array:
         """D w, (3N,) both [1/time²]; what constraints do not allow is left out of w first."""
@@ -162,13 +154,10 @@ class Curvature:
     def stretching(self, pairs: NDArray[np.int64]) -> Array:
         """The mode of each pair by itself: its two atoms move apart. (B, N, 3), each of length one."""
         modes = np.zeros((len(pairs), *self._start.shape))
-        for mode, (i, j), arm in zip(modes, pairs, self._arms(pairs), strict=True):
+        for mode, (i, j), arm in zip(modes, pairs, nearest_vectors(self._start, self._system.cell, pairs), strict=True):
             mode[i], mode[j] = -self._root[i] * arm, self._root[j] * arm
             mode /= np.linalg.norm(mode)
         return modes
-
-    def _arms(self, pairs: NDArray[np.int64]) -> Array:
-        return self._start[pairs[:, 1]] - self._start[pairs[:, 0]] + nearest_images(self._system.positions, self._system.cell, pairs)
 
     def _forces_at(self, steps: Array, length: float) -> Array:
         try:
@@ -176,15 +165,6 @@ class Curvature:
             return self._forces.compute().copy()
         finally:
             self._system.positions[:] = self._start
-
-    def _multipliers(self) -> list[tuple[NDArray[np.int64], Array]]:
-        """(pairs, λ) of each group of constraints, for atoms at rest."""
-        bonds = self._constraint_set.bonds
-        if bonds is None:
-            return []
-        accelerations = self._first * self._constraint_set.inverse_masses[:, None]
-        found = bonds.multipliers(self._start, np.zeros_like(self._start), accelerations)
-        return [(bonds.pairs[order], multipliers) for order, multipliers in found]
 
     def _constraint_springs(self, steps: Array) -> Array:
         """−Σ λ ∇²g u, (N, 3): λ r_ij is the force on j, so that a step u changes it by λ (u_j − u_i)."""

@@ -19,6 +19,8 @@ ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum
 SETTLING = 0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
 LENGTHS_KEPT = 1e-8  # of d², violation of a rigid length that no one will see
 
+KEPT = {True: "conserved", False: "NOT CONSERVED"}
+
 
 @dataclass(frozen=True)
 class Line:
@@ -97,9 +99,8 @@ class Cost:
         """Lines of a report."""
         speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
         lines = [f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"]
-        if self.constraints:
-            lines.append(f"constraints    {self.constraints}")
-        return [*lines, f"not needed     {', '.join(self.skipped)}"] if self.skipped else lines
+        lines += [f"constraints    {self.constraints}"] if self.constraints else []
+        return lines + ([f"not needed     {', '.join(self.skipped)}"] if self.skipped else [])
 
 
 @dataclass(frozen=True)
@@ -164,12 +165,12 @@ class Report:
     @property
     def momentum_is_conserved(self) -> bool:
         """True if the change is what rounding explains, which adds up like a random walk, or if the momentum is no constant."""
-        return self.momentum_change is None or self.momentum_change < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        return (self.momentum_change or 0.0) < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
 
     @property
     def angular_momentum_is_conserved(self) -> bool:
         """Likewise."""
-        return self.angular_momentum_change is None or self.angular_momentum_change < ANGULAR_MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        return (self.angular_momentum_change or 0.0) < ANGULAR_MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
 
     @property
     def is_settling(self) -> bool:
@@ -179,23 +180,21 @@ class Report:
 
     def __str__(self) -> str:
         energy, time, temperature = self.units
-        slope, per, lines = self.energy_drift, f"{energy} per atom", []
+        slope, shadow, per, lines = self.energy_drift, self.shadow_drift, f"{energy} per atom", []
 
         def tell(name: str, words: str) -> None:
             lines.append(f"{name:<14} {words}")
 
         tell("E - reservoir" if self.has_bath else "total energy", f"drift {slope.slope:+.2e} ± {slope.error:.1e} {per} per {time}")
         tell("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)")
-        if self.shadow_drift is not None:
+        if shadow is not None:
             said = {None: "too few frames to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
-            tell("shadow energy", f"drift {self.shadow_drift.slope:+.2e} ± {self.shadow_drift.error:.1e} {per} per {time}: {said}")
+            tell("shadow energy", f"drift {shadow.slope:+.2e} ± {shadow.error:.1e} {per} per {time}: {said}")
             tell("", f"oscillation {self.shadow_oscillation:.2e} {per}")
         if self.momentum_change is not None:
-            said = "conserved" if self.momentum_is_conserved else "NOT CONSERVED"
-            tell("momentum", f"change {self.momentum_change:.1e} of the sum of |mv|: {said}")
+            tell("momentum", f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}")
         if self.angular_momentum_change is not None:
-            said = "conserved" if self.angular_momentum_is_conserved else "NOT CONSERVED"
-            tell("ang. momentum", f"change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {said}")
+            tell("ang. momentum", f"change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {KEPT[self.angular_momentum_is_conserved]}")
         if self.constraint_violation is not None:
             said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
             tell("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
@@ -227,8 +226,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
     linear, angular : whether the scene conserves momentum (no bath, nothing fixed) and angular momentum (nor anything periodic).
     lines : to show beside them.  Of a run with a thermostat, total energy minus reservoir energy is judged.
     """
-    units = record.units
-    has_bath = "conserved_energy" in record
+    units, has_bath = record.units, "conserved_energy" in record
     time, energy = record.time * units.to_picosecond, (record.conserved_energy if has_bath else record.total_energy) / record.n_atoms
     slope = (drift_of_walk if has_bath else drift)(time, energy)
     shadow = record.shadow_energy / record.n_atoms if "shadow_energy" in record else None

@@ -8,10 +8,8 @@ that depend on the past, a list that misses pairs, or a solver that stops early 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.diagnosis.run_guard import RunGuard
-from minimd.engine.engine import Engine
 from minimd.structure.observables import longest
 
 ROUNDING = {"double": 2.0**-52, "mixed": 2.0**-23}  # of the forces
@@ -60,19 +58,15 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
     guard.make_steps(n_steps)
     returned = engine.positions.copy()
     engine.restore(turning)
-    _disturb(engine, forces)
+    # the turning point is moved by some roundings, of random sign: of the coordinates, or of the tolerance of a solver; and of the forces
+    random, shape, moving = np.random.default_rng(1), engine.positions.shape, engine.constraint_set.inverse_masses[:, None]
+    precision, exact = AMPLIFIED * ROUNDING[engine.interactions.options.precision], AMPLIFIED * ROUNDING["double"]
+    kicks = np.abs(forces) * moving * abs(engine.method.timestep)
+    swept = 0.0 if engine.constraint_set.bonds is None else engine.constraint_set.bonds.accuracy
+    engine.positions[:] += random.choice([-1.0, 1.0], shape) * (AMPLIFIED * swept + exact * np.abs(engine.positions)) * (moving > 0.0)
+    engine.velocities[:] += random.choice([-1.0, 1.0], shape) * (precision * kicks + exact * np.abs(engine.velocities))
     guard.make_steps(n_steps)
     growth = longest(engine.positions - returned)[1]
     one = max(growth / AMPLIFIED, ROUNDING["double"] * way)  # two roundings may undo each other, as where nothing acts
     rounding = one * (2.0 * n_steps) ** 0.5 if growth <= CHAOS * way else np.inf
     return Reversibility(n_steps, longest(returned - start.positions)[1], way, rounding, engine.system.units.length)
-
-
-def _disturb(engine: Engine, forces: NDArray[np.float64]) -> None:
-    """Move the state by some roundings, of random sign: of the coordinates, or of the tolerance of a solver; and of the forces."""
-    random, shape, moving = np.random.default_rng(1), engine.positions.shape, engine.inverse_masses[:, None]
-    precision, exact = AMPLIFIED * ROUNDING[engine.options.precision], AMPLIFIED * ROUNDING["double"]
-    kicks = np.abs(forces) * moving * abs(engine.method.timestep)
-    swept = 0.0 if engine.rigid_bonds is None else engine.rigid_bonds.accuracy
-    engine.positions[:] += random.choice([-1.0, 1.0], shape) * (AMPLIFIED * swept + exact * np.abs(engine.positions)) * (moving > 0.0)
-    engine.velocities[:] += random.choice([-1.0, 1.0], shape) * (precision * kicks + exact * np.abs(engine.velocities))

@@ -11,20 +11,18 @@ from minimd.compiled.kernels import compile_clock
 from minimd.diagnosis.crash_report import Failure, examine
 from minimd.diagnosis.faults import RUNAWAY, fault_at_start, fault_of, runaway
 from minimd.diagnosis.hessian import unstable_bond
-from minimd.engine.engine import Array, Engine, Snapshot
+from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.observation import observe
 from minimd.engine.record import Frame
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM
-from minimd.structure import observables
 from minimd.structure.console import outside_minimd
 from minimd.structure.errors import ConstraintError, NonFiniteError
+from minimd.structure.observables import Array, longest
 
 BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
-SNAPSHOTS_APART, LEAST_REPLAY = (
-    40,
-    20,
-)  # steps between two snapshots that are kept, and from the one a replay begins with to the failure, if there were as many
+SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
+LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the failure, if there were as many
 
 
 class RunGuard:
@@ -48,8 +46,8 @@ class RunGuard:
         """Count from zero: steps, seconds, evaluations, list builds, iterations of constraints."""
         self.seconds, self.n_steps, self._first = 0.0, 0, None
         self.engine.interactions.reset_counts()
-        if self.engine.rigid_bonds is not None:
-            self.engine.rigid_bonds.iterations = 0
+        if self.engine.constraint_set.bonds is not None:
+            self.engine.constraint_set.bonds.iterations = 0
 
     @contextmanager
     def uncounted(self) -> Iterator[None]:
@@ -70,7 +68,7 @@ class RunGuard:
             self._checked_timestep = engine.method.timestep
             if warning := unstable_bond(engine):
                 warnings.warn(warning, stacklevel=outside_minimd())
-        engine.interactions.fit_skin(observables.largest_speed(engine.velocities) * abs(engine.method.timestep))
+        engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
         engine.evaluate()
         if fault := fault_at_start(engine):
             raise self._failure(fault, engine.step)
@@ -116,7 +114,7 @@ class RunGuard:
                 fault = fault_of(engine)
                 if not fault:
                     engine.evaluate()  # a method that ends with a drift has not
-                    fault = self._runaway()
+                    fault = runaway(engine, self._first) if self._first is not None else None
             except (NonFiniteError, ConstraintError) as reason:
                 self._reason, fault = reason, fault_of(engine) or "the forces are not finite"
             if fault:
@@ -139,7 +137,8 @@ class RunGuard:
         frame = observe(self.engine)
         if self._first is None:
             self._first = frame.observables
-        self._fail_if(self._runaway() if isfinite(frame.observables["total_energy"]) else "the potential energy is not finite")
+        is_finite = isfinite(frame.observables["total_energy"])
+        self._fail_if(runaway(self.engine, self._first) if is_finite else "the potential energy is not finite")
         return frame
 
     def check_kinetic_energy(self, most: float) -> None:
@@ -166,10 +165,6 @@ class RunGuard:
             if self._before is not None:
                 self.engine.restore(self._before)
             raise self._failure(fault, step, at)
-
-    def _runaway(self) -> str | None:
-        """Whether the energies, which are current, have run away from those of the first look."""
-        return None if self._first is None else runaway(self.engine, self._first)
 
     def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
         """The error for a run that failed in a step, with its crash report; the engine is in the last good state.  at : (N, 3), of the failure."""

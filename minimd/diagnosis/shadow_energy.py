@@ -54,7 +54,7 @@ def shadow_energy(simulation: HasEngine) -> float:
 def correction(engine: Engine) -> float:
     """H̃ − H [energy], with the forces current; v·(∇²U) v [energy/time²] is a central difference of the forces along v."""
     of_motion, of_forces = COEFFICIENTS[engine.method.sequence()]
-    squares = float(np.einsum("ij,ij,i->", engine.forces, engine.forces, engine.inverse_masses))
+    squares = float(np.einsum("ij,ij,i->", engine.forces, engine.forces, engine.constraint_set.inverse_masses))
     duration, change = NUDGE * abs(engine.method.timestep), np.zeros_like(engine.forces)
     for sign in (1.0, -1.0):
         with engine.displaced(sign * duration * engine.velocities) as forces:
@@ -88,5 +88,5 @@ def check_has_shadow(engine: Engine) -> None:
         raise ValueError(f"there is no shadow energy with a thermostat, which takes energy and gives it; the method is {method.name}")
     if method.sequence() not in COEFFICIENTS:
         raise ValueError(f"the shadow energy is known of velocity-verlet, leapfrog and position-verlet; the method is {method.name}")
-    if engine.rigid_bonds is not None:
+    if engine.constraint_set.bonds is not None:
         raise ValueError("the shadow energy is known without rigid bonds only; leave the constraints out, or do not ask for it")

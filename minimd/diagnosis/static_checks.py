@@ -10,7 +10,7 @@ from minimd.diagnosis.reversibility import Reversibility
 from minimd.engine.engine import Engine
 from minimd.potentials.law import law_at
 from minimd.potentials.pair import PairPotential
-from minimd.structure.observables import largest_speed
+from minimd.structure.observables import longest
 from minimd.structure.system import System
 
 CONTINUOUS = 1e-9  # of what the law is at INSIDE r_c: a jump below is rounding
@@ -21,7 +21,7 @@ TURNING = 1e-8  # of the speed, along a rigid bond
 
 def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[Line]:
     """All lines that apply to an engine as it stands."""
-    lines = [*cutoff_lines(engine.system, engine.potentials), *list_lines(engine), *constraint_lines(engine)]
+    lines = [*cutoff_lines(engine.system, engine.interactions.potentials), *list_lines(engine), *constraint_lines(engine)]
     if reversibility is not None:
         words, _, verdict = str(reversibility).rpartition(": ")
         lines.append(Line("reversibility", words, verdict, reversibility.is_reversible is not False))
@@ -57,8 +57,8 @@ def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float
 
 def list_lines(engine: Engine) -> Iterator[Line]:
     """How many steps of the fastest atom each list with a skin lasts."""
-    stride, length = largest_speed(engine.velocities) * abs(engine.method.timestep), engine.system.units.length
-    for skin in engine.skins:
+    stride, length = longest(engine.velocities)[1] * abs(engine.method.timestep), engine.system.units.length
+    for skin in engine.interactions.skins:
         steps = 0.5 * skin / stride if stride > 0.0 else np.inf
         words = f"skin/2 {0.5 * skin:.3g} {length}, fastest atom {stride:.2g} {length} a step: lasts {steps:.3g} steps"
         often = steps < FEW_STEPS
@@ -68,7 +68,7 @@ def list_lines(engine: Engine) -> Iterator[Line]:
 
 def constraint_lines(engine: Engine) -> Iterator[Line]:
     """How well the velocities of the present state obey the constraints."""
-    if engine.rigid_bonds is not None:
-        turning = float(engine.rigid_bonds.velocity_violation(engine.positions, engine.velocities).max())
+    if engine.constraint_set.bonds is not None:
+        turning = float(engine.constraint_set.bonds.velocity_violation(engine.positions, engine.velocities).max())
         good = turning < TURNING
         yield Line("rigid bonds", f"velocities along them {turning:.1e} of the speed", "obeyed" if good else "NOT OBEYED", good)

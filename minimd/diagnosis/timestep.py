@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan, pi
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +17,12 @@ from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import BondPotential
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import NonFiniteError
-from minimd.structure.system import System
+from minimd.structure.system import AnySystem, System
 from minimd.structure.units import UnitSystem
-
-if TYPE_CHECKING:
-    import ase
 
 OSCILLATION = 1.0 / 80.0  # of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
 SHOWN_ATOMS = 4  # of the stiffest mode, at most
+HALF = 0.5  # of a mode: a bond whose stretching makes up more is named
 SHOWN_SHARE = 0.05  # of its kinetic energy, at least
 
 
@@ -61,9 +58,13 @@ class StepAdvice:
     def __str__(self) -> str:
         if self.frequency == 0.0:
             return "stiffest mode  none: nothing oscillates in this state, which limits no time step"
+        shares = ", ".join(f"{atom} ({100.0 * share:.0f} %)" for atom, share in zip(self.atoms, self.shares, strict=True))
+        motion = f"{f'mostly of atoms {shares}, ' if shares else ''}spread over some {self.n_moving:.3g} atoms"
+        if self.bond is not None:
+            motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
         lines = [
             f"stiffest mode  ω = {self.frequency:.4g} / {self.units.time}, period {self.units.shown(self.period)}",
-            f"               {self._motion()}",
+            f"               {motion}",
             f"limit          {self.units.shown(self.limit)} for {self.method}: longer steps blow up, and at a temperature shorter ones may",
             f"recommended    {self.units.shown(self.recommended)}: {self.period / self.recommended:.3g} steps a period",
         ]
@@ -71,17 +72,9 @@ class StepAdvice:
             lines.append(f"given          {self.units.shown(self.timestep)}: {abs(self.timestep) / self.limit:.3g} of the limit")
         return "\n".join(lines)
 
-    def _motion(self) -> str:
-        """Who moves in the mode, in words."""
-        shares = ", ".join(f"{atom} ({100.0 * share:.0f} %)" for atom, share in zip(self.atoms, self.shares, strict=True))
-        if self.bond is not None:
-            return f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
-        among = f"mostly of atoms {shares}, " if shares else ""
-        return f"{among}spread over some {self.n_moving:.3g} atoms"
-
 
 def advise_timestep(
-    system: "System | ase.Atoms",
+    system: AnySystem,
     potentials: Potential | Sequence[Potential],
     constraints: Constraint | Sequence[Constraint] | None = None,
     method: Splitting | type[Splitting] = VelocityVerlet,
@@ -129,17 +122,15 @@ def advise_timestep(
         shares=tuple(float(shares[i]) for i in atoms),
         n_moving=float(1.0 / (shares**2).sum()) if shares.any() else nan,
         bond=_stretched(curvature, system, forces.potentials, mode),
-        n_evaluations=curvature.n_evaluations,
+        n_evaluations=forces.n_evaluations,
         units=system.units,
     )
 
 
-def _stiffest_mode(
-    curvature: Curvature, system: System, potentials: Sequence[Potential], constraint_set: ConstraintSet
-) -> tuple[float, NDArray[np.float64]]:
+def _stiffest_mode(curvature: Curvature, system: System, potentials: Sequence[Potential], held: ConstraintSet) -> tuple[float, NDArray[np.float64]]:
     """ω² and the mode, (N, 3) mass-weighted; or what is wrong with the state."""
-    if curvature.is_finite():
-        square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, constraint_set)))
+    if curvature.is_finite:
+        square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, held)))
         if np.isfinite(square):
             return (square, mode) if square > curvature.rounding else (0.0, np.zeros_like(mode))
     raise NonFiniteError(f"the forces around this state are not finite; the closest pair is {closest_pair(system)}: md.minimize moves atoms apart")
@@ -147,8 +138,8 @@ def _stiffest_mode(
 
 def _stretched(curvature: Curvature, system: System, potentials: Sequence[Potential], mode: NDArray[np.float64]) -> tuple[int, int] | None:
     """The bond whose stretching by itself makes up more than half of the mode, if there is one."""
-    pairs = np.concatenate([system.bonds, *(bonded_pairs(system, potential) for potential in potentials if isinstance(potential, BondPotential))])
+    pairs = np.concatenate([system.bonds, *(bonded_pairs(system, one) for one in potentials if isinstance(one, BondPotential))])
     at_most = np.argsort(-np.einsum("ij,ij->i", mode, mode))[:SHOWN_ATOMS]
     near = pairs[np.isin(pairs, at_most).all(axis=1)]
     parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2
-    return (int(near[np.argmax(parts), 0]), int(near[np.argmax(parts), 1])) if parts.max(initial=0.0) > 0.5 else None
+    return tuple(near[np.argmax(parts)].tolist()) if parts.max(initial=0.0) > HALF else None

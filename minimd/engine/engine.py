@@ -3,13 +3,9 @@
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import NamedTuple
 
 from minimd.constraints.constraint_set import ConstraintSet
-from minimd.constraints.solver import ConstraintSolver
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
@@ -17,14 +13,8 @@ from minimd.integrators.splitting.state import Bath, State, Surroundings
 from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint
-from minimd.structure.observables import kinetic_energy
-from minimd.structure.system import System
-from minimd.structure.velocities import maxwell_boltzmann, rescaled
-
-if TYPE_CHECKING:
-    import ase
-
-Array = NDArray[np.float64]
+from minimd.structure.observables import Array, kinetic_energy
+from minimd.structure.system import AnySystem, System
 
 
 class Snapshot(NamedTuple):
@@ -47,7 +37,7 @@ class Engine:
 
     def __init__(
         self,
-        system: "System | ase.Atoms",
+        system: AnySystem,
         potentials: Potential | Sequence[Potential],
         method: Splitting,
         constraints: Constraint | Sequence[Constraint] | None = None,
@@ -171,31 +161,6 @@ class Engine:
         return self.constraint_set.kept
 
     @property
-    def potentials(self) -> tuple[Potential, ...]:
-        """What acts on the atoms."""
-        return self.interactions.potentials
-
-    @property
-    def options(self) -> Options:
-        """Threads, precision and skin, as they were asked for."""
-        return self.interactions.options
-
-    @property
-    def skins(self) -> list[float]:
-        """Of all lists that have one [length]."""
-        return self.interactions.skins
-
-    @property
-    def rigid_bonds(self) -> ConstraintSolver | None:
-        """Lengths that are held, as they are kept in a run; None without."""
-        return self.constraint_set.bonds
-
-    @property
-    def inverse_masses(self) -> Array:
-        """(N,) [1/mass], zero of atoms that are held fixed."""
-        return self.constraint_set.inverse_masses
-
-    @property
     def positions(self) -> Array:
         """(N, 3) [length], never wrapped."""
         return self.system.positions
@@ -214,24 +179,6 @@ class Engine:
     def kinetic_energy(self) -> float:
         """K [energy]."""
         return kinetic_energy(self.velocities, self.system.masses)
-
-    def set_temperature(self, temperature: float, seed: int | None = None) -> None:
-        """Draw Maxwell-Boltzmann velocities: kinetic temperature exactly this one, total momentum zero (of several free atoms).
-
-        Raises ValueError if the temperature is negative or not finite.
-        """
-        self.velocities[:] = maxwell_boltzmann(self.system.masses, temperature, self.system.units.k_B, seed)
-        self.fit_images()
-        self.constraint_set.project(self.velocities, self.positions)
-        if temperature > 0.0:
-            self.rescale_temperature(temperature)
-
-    def rescale_temperature(self, temperature: float) -> None:
-        """Multiply all velocities so that the kinetic temperature is exactly this one.
-
-        Raises ValueError if the temperature is negative or not finite, or nothing moves.
-        """
-        self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B, self.n_dof)
 
 
 def _checked(method: Splitting) -> Splitting:

@@ -16,16 +16,12 @@ class Look:
     def __init__(self, engine: Engine) -> None:
         self.engine, self.system = engine, engine.system
         self.volume: Any = engine.system.volume
-        self.bonds: Any = engine.rigid_bonds
+        self.bonds: Any = engine.constraint_set.bonds
         self.motion = (engine.velocities, engine.system.masses)
         self.path = (engine.positions, *self.motion)
         self.potential_energy = engine.interactions.potential_energy
         self.kinetic_energy = observables.kinetic_energy(*self.motion)
-
-    @property
-    def total_energy(self) -> float:
-        """E = K + U [energy]."""
-        return self.potential_energy + self.kinetic_energy
+        self.total_energy = self.potential_energy + self.kinetic_energy
 
     @cached_property
     def virial(self) -> Any:
@@ -52,10 +48,7 @@ OBSERVABLES: dict[str, Observable] = {}
 
 
 def register(observable: Observable) -> None:
-    """Observe this in every run from now on, where it exists; files hold it without further ado.
-
-    Raises ValueError if there is one of this name.
-    """
+    """Observe this in every run from now on, where it exists; files hold it without further ado.  Raises ValueError if there is one of this name."""
     if observable.name in OBSERVABLES:
         raise ValueError(f"an observable must have a name of its own; {observable.name!r} is known already")
     OBSERVABLES[observable.name] = observable
@@ -77,15 +70,8 @@ for _observable in (
         lambda look: observables.pressure(look.kinetic_energy, look.virial, look.volume),
         lambda engine: engine.system.volume is not None,
     ),
-    Observable(
-        "conserved_energy", "energy", lambda look: look.total_energy - look.engine.reservoir_energy, lambda engine: engine.method.is_thermostat
-    ),
-    Observable(
-        "constraint_violation",
-        "",
-        lambda look: float(look.bonds.violation(look.system.positions).max()),
-        lambda engine: engine.rigid_bonds is not None,
-    ),
+    Observable("conserved_energy", "energy", lambda look: look.total_energy - look.engine.reservoir_energy, lambda one: one.method.is_thermostat),
+    Observable("constraint_violation", "", lambda look: float(look.bonds.violation(look.path[0]).max()), lambda one: bool(one.constraint_set.bonds)),
 ):
     register(_observable)
 

@@ -9,30 +9,30 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict
+from itertools import chain, count
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
-
+from minimd.diagnosis.contacts import Contact
 from minimd.diagnosis.crash_report import CrashReport
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Snapshot
 from minimd.engine.observation import observe
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
+from minimd.neighbors.queries import ClosestPair
 from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.system import System
 
 SUFFIX = ".crash.h5md"
 
 
-@dataclass(frozen=True)
-class CrashFile:
+class CrashFile(NamedTuple):
     """What such a file holds.
 
     findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.  method : as it was.
-    precision, skin, noise_shift : of the engine.  potentials : in words.  scene, title : texts; the scene is empty if the run came from a script.
+    precision, skin, noise_shift : of the engine.  potentials : in words.  scene : text, empty if the run came from a script.
     """
 
     findings: CrashReport
@@ -44,7 +44,6 @@ class CrashFile:
     noise_shift: int
     potentials: list[str]
     scene: str
-    title: str
 
 
 def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
@@ -81,11 +80,8 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
 def _free_name(path: Path) -> Path:
     """The path; where a file stands there, the first free one with a number."""
     suffix = SUFFIX if path.name.endswith(SUFFIX) else path.suffix
-    stem, number, found = path.name.removesuffix(suffix), 1, path
-    while found.exists():
-        number += 1
-        found = path.with_name(f"{stem}-{number}{suffix}")
-    return found
+    numbered = (path.with_name(f"{path.name.removesuffix(suffix)}-{number}{suffix}") for number in count(2))
+    return next(free for free in chain([path], numbered) if not free.exists())
 
 
 def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> None:
@@ -93,11 +89,12 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
 
     Raises OSError if it cannot be written.
     """
-    from minimd.files.h5md_writer import H5MDWriter, opened  # h5py takes its time to load
+    from minimd.files.h5md_schema import opened, write_state  # h5py takes its time to load
+    from minimd.files.h5md_writer import H5MDWriter
 
     part = path.with_name(f"{path.name}.part")  # so that nothing half written stands where somebody looks for a crash report
     engine, last = guard.engine, guard.engine.snapshot()
-    start = guard.failed_from or last
+    start, options = guard.failed_from or last, engine.interactions.options
     try:
         writer = H5MDWriter(part, engine, store_forces=True)
         try:
@@ -108,40 +105,34 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
         finally:
             engine.restore(last)
             writer.close(completed=False)
+        known = {"method": engine.method.name, "parameters": engine.method.parameters, "noise_shift": engine.noise_shift}
+        known |= {"precision": options.precision, "skin": options.skin}
+        known["potentials"] = [f"{type(one).__name__}: {one!r}" for one in engine.interactions.potentials]
         with opened(part, "r+") as h5:
             group = h5.create_group("minimd/crash_report")
-            group["positions"], group["velocities"] = start.positions, start.velocities
-            at = {"step": np.int64(start.step), "time": np.float64(start.time), "reservoir_energy": np.float64(start.reservoir_energy)}
-            group.attrs.update(at)
-            group["findings"], group["words"] = json.dumps(findings.asdict()), str(findings)
-            known = {"method": engine.method.name, "parameters": engine.method.parameters, "noise_shift": engine.noise_shift}
-            options = {"precision": engine.options.precision, "skin": engine.options.skin}
-            potentials = [f"{type(one).__name__}: {one!r}" for one in engine.potentials]
-            group["simulation"] = json.dumps({**known, **options, "potentials": potentials})
+            write_state(group, start)
+            group["findings"], group["words"], group["simulation"] = json.dumps(asdict(findings)), str(findings), json.dumps(known)
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
 
 
 def read_crash_report(path: str | Path) -> CrashFile:
-    """What the file of a failed run holds.
-
-    Raises FileNotFoundError, OSError, ValueError as read_file, or if it is not the file of a failed run.
-    """
-    from minimd.files.h5md_reader import opened, read_file
+    """What the file of a failed run holds.  Raises FileNotFoundError, OSError, ValueError as read_file, or if it is not the file of a failed run."""
+    from minimd.files.h5md_reader import read_file
+    from minimd.files.h5md_schema import opened, read_state
 
     contents = read_file(path)
     with opened(path, "r") as h5:
         if "minimd/crash_report" not in h5:
             raise ValueError(f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed")
         group = h5["minimd/crash_report"]
-        told, findings = (json.loads(group[name].asstr()[()]) for name in ("simulation", "findings"))
-        at, system = group.attrs, contents.system
-        system.positions[:], system.velocities[:] = group["positions"][:], group["velocities"][:]
-        start = Snapshot(int(at["step"]), float(at["time"]), group["positions"][:], group["velocities"][:], float(at["reservoir_energy"]))
+        told, found = (json.loads(group[name].asstr()[()]) for name in ("simulation", "findings"))
+        start, system = read_state(group), contents.system
+    system.positions, system.velocities = start.positions, start.velocities
     method, parameters = told.pop("method"), told.pop("parameters")
     if method not in METHODS:
         raise ValueError(f"the run in {str(path)!r} was made with the method {method!r}, which is not one of minimd; run it again from its script")
     made: Any = METHODS[method](**parameters)
-    texts: dict[str, Any] = {"scene": contents.scene, "title": contents.title}
-    return CrashFile(findings=CrashReport.of(findings), system=system, start=start, method=made, **told, **texts)
+    found["pair"], found["closest"] = found["pair"] and Contact(**found["pair"]), found["closest"] and ClosestPair(*found["closest"])
+    return CrashFile(CrashReport(**found), system, start, made, scene=contents.scene, **told)

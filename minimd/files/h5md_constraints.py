@@ -51,43 +51,29 @@ def difference(file: Sequence[Constraint], simulation: Sequence[Constraint], pos
 
     positions : (N, 3) [length], in which lengths that were not given have been measured.
     """
-    theirs, ours = _fixed(file), _fixed(simulation)
-    only = set(theirs) ^ set(ours)
-    if only:
+    theirs, ours = ([atom for one in both if isinstance(one, FixedAtoms) for atom in one.atoms.tolist()] for both in (file, simulation))
+    if only := set(theirs) ^ set(ours):
         return f"atom {min(only)} is fixed in the {'file' if min(only) in theirs else 'simulation'} alone"
-    before, now = _distances(file), _distances(simulation)
+    before, now = (next((one for one in both if isinstance(one, DistanceConstraints)), None) for both in (file, simulation))
     if before and now:
-        return _difference_of_lengths(before, now, positions) or _difference_of_solvers(before, now)
+        return _difference_of_lengths(before, now, positions)
     alone = before or now
     return f"the {'file' if before else 'simulation'} alone keeps lengths, {len(alone.pairs)} of them" if alone else ""
 
 
 def _difference_of_lengths(file: DistanceConstraints, simulation: DistanceConstraints, positions: NDArray[np.float64]) -> str:
     theirs, ours = _by_pair(file), _by_pair(simulation)
-    only = set(theirs) ^ set(ours)
-    if only:
+    if only := set(theirs) ^ set(ours):
         i, j = min(only)
         return f"the length of atoms {i}-{j} is kept in the {'file' if (i, j) in theirs else 'simulation'} alone"
     rounding = ROUNDINGS * EPS * float(np.abs(positions).max())
     for (i, j), length in theirs.items():
         if abs(ours[i, j] - length) > file.tolerance * length + rounding:
             return f"the length of atoms {i}-{j} is {length:.17g} in the file and {ours[i, j]:.17g} in the simulation"
-    return ""
-
-
-def _difference_of_solvers(file: DistanceConstraints, simulation: DistanceConstraints) -> str:
     for name in ("tolerance", "solver"):
         if getattr(file, name) != getattr(simulation, name):
             return f"the {name} of lengths is {getattr(file, name)!r} in the file and {getattr(simulation, name)!r} in the simulation"
     return ""
-
-
-def _fixed(constraints: Sequence[Constraint]) -> list[int]:
-    return [atom for one in constraints if isinstance(one, FixedAtoms) for atom in one.atoms.tolist()]
-
-
-def _distances(constraints: Sequence[Constraint]) -> DistanceConstraints | None:
-    return next((one for one in constraints if isinstance(one, DistanceConstraints)), None)
 
 
 def _by_pair(constraints: DistanceConstraints) -> dict[tuple[int, int], float]:

@@ -8,9 +8,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.engine.engine import Snapshot
 from minimd.engine.record import SERIES, Record
 from minimd.files.h5md_constraints import read_constraints
-from minimd.files.h5md_schema import STEPS, TRAJECTORY, all_series, opened
+from minimd.files.h5md_schema import STEPS, TRAJECTORY, all_series, opened, read_state
 from minimd.structure.cell import Cell
 from minimd.structure.system import System
 from minimd.structure.units import SYSTEMS
@@ -40,11 +41,6 @@ class H5MDContents:
     scene: str
 
 
-def whole_frames(h5: h5py.File) -> int:
-    """Frames of which every series has its part."""
-    return min((len(series) for series in all_series(h5)), default=0)
-
-
 def read_file(path: str | Path) -> H5MDContents:
     """Record, restart and description of a minimd file.
 
@@ -55,18 +51,19 @@ def read_file(path: str | Path) -> H5MDContents:
     with opened(path, "r") as h5:
         if "minimd/restart" not in h5:
             raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
-        n_frames, group = whole_frames(h5), h5["minimd"]
+        n_frames, group = min((len(series) for series in all_series(h5)), default=0), h5["minimd"]
         if n_frames == 0:
             raise ValueError(f"file {str(path)!r} holds no frame; the run ended before its first")
-        system, restart = _system(group), group["restart"].attrs
+        restart = read_state(group["restart"])
+        system = _system(group, restart)
         return H5MDContents(
             record=_record(h5, system, n_frames),
             system=system,
-            step=int(restart["step"]),
-            time=float(restart["time"]),
+            step=restart.step,
+            time=restart.time,
             timestep=float(group.attrs["timestep"]),
             method=str(group.attrs["method"]),
-            reservoir_energy=float(restart["reservoir_energy"]),
+            reservoir_energy=restart.reservoir_energy,
             conserves_momentum=bool(group.attrs["conserves_momentum"]),
             n_frames=n_frames,
             has_forces=f"{TRAJECTORY}/force" in h5,
@@ -75,13 +72,13 @@ def read_file(path: str | Path) -> H5MDContents:
         )
 
 
-def _system(group: h5py.Group) -> System:
+def _system(group: h5py.Group, restart: Snapshot) -> System:
     names = group["species_names"]
     labels = names.asstr()[:] if h5py.check_string_dtype(names.dtype) else names[:]
     return System(
-        group["restart/positions"][:],
+        restart.positions,
         masses=group["masses"][:],
-        velocities=group["restart/velocities"][:],
+        velocities=restart.velocities,
         cell=Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
         species=np.array(labels.tolist())[group["species_index"][:]],
         bonds=group["bonds"][:],

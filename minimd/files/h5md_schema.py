@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from minimd.compiled.machine import version
-from minimd.engine.engine import Engine
+from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.record import SERIES, Frame
 from minimd.files.h5md_constraints import describe_constraints
 from minimd.structure.cell import Cell
@@ -34,7 +34,7 @@ STEPS, TIMES = f"{TRAJECTORY}/position/step", f"{TRAJECTORY}/position/time"
 
 
 class Column(NamedTuple):
-    """One series of the file: where it lies, in which unit, and its entry for a frame."""
+    """One series of the file: where it lies, in which unit (empty for a pure number, or one that minimd does not know), and its entry for a frame."""
 
     path: str
     unit: str
@@ -50,7 +50,7 @@ def columns(system: System, observables: list[str], store_forces: bool) -> list[
         Column("minimd/time", units.time, lambda frame: frame.time),
         Column(STEPS, "", lambda frame: frame.step),
         Column(TIMES, "ps", lambda frame: frame.time * units.to_picosecond),
-        *(Column(f"observables/{name}/value", unit_of(name, system), partial(observable, name)) for name in observables),
+        *(Column(f"observables/{name}/value", getattr(units, SERIES.get(name) or "", ""), partial(observable, name)) for name in observables),
         *([Column(f"{TRAJECTORY}/box/edges/value", "Angstrom", lambda _: edges)] if has_edges(system.cell) else []),
         Column(f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda frame: frame.velocities * per_time),
         *([Column(f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", lambda frame: frame.forces * force)] if store_forces else []),
@@ -61,11 +61,6 @@ def columns(system: System, observables: list[str], store_forces: bool) -> list[
 def observable(name: str, frame: Frame) -> Any:
     """One observable of a frame."""
     return frame.observables[name]
-
-
-def unit_of(name: str, system: System) -> str:
-    """Name of the unit of an observable; empty for a pure number, or an observable that minimd does not know."""
-    return getattr(system.units, SERIES[name]) if SERIES.get(name) else ""
 
 
 def has_edges(cell: Cell) -> bool:
@@ -101,14 +96,26 @@ def describe(h5: h5py.File, engine: Engine) -> None:
     group.attrs["title"] = f"{len(system)} atoms of {', '.join(str(name) for name in system.species_names)}"
     describe_method(group, engine)
     describe_constraints(group, engine.constraints)
-    group["cell"] = system.cell.vectors
-    group["species_index"] = system.species_index
     names = system.species_names
     group["species_names"] = np.array(names, dtype=h5py.string_dtype() if isinstance(names[0], str) else np.int64)
+    group["cell"], group["species_index"] = system.cell.vectors, system.species_index
     group["masses"], group["bonds"] = h5[f"{TRAJECTORY}/mass"], h5["connectivity/bonds"]
-    restart = group.create_group("restart")
-    restart["positions"], restart["velocities"] = system.positions, system.velocities
-    restart.attrs.update({"step": np.int64(engine.step), "time": np.float64(engine.time), "reservoir_energy": np.float64(engine.reservoir_energy)})
+    write_state(group.create_group("restart"), engine)
+
+
+def write_state(group: h5py.Group, state: Engine | Frame | Snapshot) -> None:
+    """Write positions, velocities, step, time and reservoir energy into a group, or over those that it holds."""
+    for name in ("positions", "velocities"):
+        array = getattr(state, name)
+        group.require_dataset(name, array.shape, array.dtype)[...] = array
+    for name, kind in (("step", np.int64), ("time", np.float64), ("reservoir_energy", np.float64)):
+        group.attrs.modify(name, kind(getattr(state, name)))
+
+
+def read_state(group: h5py.Group) -> Snapshot:
+    """The state that write_state wrote, to the last bit."""
+    at = group.attrs
+    return Snapshot(int(at["step"]), float(at["time"]), group["positions"][:], group["velocities"][:], float(at["reservoir_energy"]))
 
 
 def describe_method(group: h5py.Group, engine: Engine) -> None:
@@ -136,14 +143,9 @@ def _describe_standard(h5: h5py.File, system: System) -> None:
 
 def all_series(h5: h5py.File) -> list[h5py.Dataset]:
     """Every dataset that grows with the frames, each once."""
-    found: list[h5py.Dataset] = []
-
-    def collect(_name: str, item: h5py.HLObject) -> None:
-        if isinstance(item, h5py.Dataset) and item.maxshape[:1] == (None,):
-            found.append(item)
-
-    h5.visititems(collect)
-    return found
+    found: list[h5py.HLObject] = []
+    h5.visititems(lambda _name, item: found.append(item))
+    return [item for item in found if isinstance(item, h5py.Dataset) and item.maxshape[:1] == (None,)]
 
 
 def opened(path: str | Path, mode: Literal["r", "r+", "w"]) -> h5py.File:

@@ -13,14 +13,13 @@ from time import monotonic
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files import h5md_schema as layout
 from minimd.files.h5md_constraints import difference, n_bytes
 from minimd.files.h5md_reader import H5MDContents, read_file
-from minimd.files.h5md_schema import opened
+from minimd.files.h5md_schema import opened, write_state
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 BUFFER_BYTES = 8 * 1024**2  # of frames kept in memory between two flushes
@@ -40,9 +39,8 @@ class H5MDWriter:
     Raises OSError if the file cannot be created or has no room.
     """
 
-    _n_frames: int  # in the file
-    _last_step: int  # that was taken
-    _flushed: float  # when [s]
+    _last_step: int
+    _flushed: float
 
     def __init__(self, file: Path, engine: Engine, store_forces: bool) -> None:
         self._begin(Path(file), engine, opened(file, "w"), store_forces)
@@ -66,7 +64,9 @@ class H5MDWriter:
         writer = cls.__new__(cls)
         writer._begin(Path(file), engine, opened(file, "r+"), contents.has_forces)
         with writer._telling("be continued"):
-            writer._cut(int(np.searchsorted(contents.record.step, contents.step, side="right")))
+            writer._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
+            writer._take_back()
+            writer._last_step = int(writer._h5[layout.STEPS][-1])
             layout.describe_method(writer._h5["minimd"], engine)
         return writer
 
@@ -100,21 +100,15 @@ class H5MDWriter:
             engine = self._engine
             if completed and engine.step > self._last_step:
                 with self._telling(f"take the end of the run, step {engine.step}"):
-                    self._write_restart(engine.step, engine.time, engine.positions, engine.velocities, engine.reservoir_energy)
+                    self._write_restart(engine)
         finally:
             self._shut()
 
     def _begin(self, file: Path, engine: Engine, h5: h5py.File, store_forces: bool) -> None:
         self._file, self._engine, self._h5, self._store_forces = file, engine, h5, store_forces
         self._pending: list[Frame] = []
-        self._n_frames, self._last_step = 0, -1
-        self._flushed = -np.inf
-
-    def _cut(self, n_frames: int) -> None:
-        """Keep the first n_frames frames, n_frames > 0."""
-        self._n_frames = n_frames
-        self._take_back()
-        self._last_step = int(self._h5[layout.STEPS][-1])
+        self._n_frames: int = 0  # in the file
+        self._last_step, self._flushed = -1, -np.inf  # that was taken; when [s]
 
     def _flush(self) -> None:
         """Append the pending frames, all of them or none."""
@@ -122,37 +116,23 @@ class H5MDWriter:
         if not frames:
             return
         with self._telling(f"take the frame of step {frames[0].step}"):
-            self._append(frames)
-            last = frames[-1]
-            self._write_restart(last.step, last.time, last.positions, last.velocities, last.reservoir_energy)
+            table = layout.columns(self._engine.system, list(frames[0].observables), self._store_forces)
+            entries = [np.asarray(column.entry(frames[0])) for column in table]
+            self._reserve(sum(one.nbytes * (len(frames) + layout.chunk_rows(one)) for one in entries))  # one chunk of each series may be new
+            for column in table:
+                series = layout.series_of(self._h5, column, frames[0])
+                series.resize(self._n_frames + len(frames), axis=0)
+                series[self._n_frames :] = np.array([column.entry(frame) for frame in frames])
+            self._write_restart(frames[-1])
         self._n_frames += len(frames)
-        self._pending = []
-        self._flushed = monotonic()
+        self._pending, self._flushed = [], monotonic()
 
-    def _append(self, frames: list[Frame]) -> None:
-        table = layout.columns(self._engine.system, list(frames[0].observables), self._store_forces)
-        self._reserve(sum(_room(column, frames) for column in table))
-        end = self._n_frames + len(frames)
-        for column in table:
-            series = layout.series_of(self._h5, column, frames[0])
-            series.resize(end, axis=0)
-            series[self._n_frames :] = np.array([column.entry(frame) for frame in frames])
-
-    def _write_restart(
-        self, step: int, time: float, positions: NDArray[np.float64], velocities: NDArray[np.float64], reservoir_energy: float
-    ) -> None:
-        restart = self._h5["minimd/restart"]
-        restart["positions"][...], restart["velocities"][...] = positions, velocities
-        restart.attrs.modify("step", np.int64(step))
-        restart.attrs.modify("time", np.float64(time))
-        restart.attrs.modify("reservoir_energy", np.float64(reservoir_energy))
+    def _write_restart(self, state: Engine | Frame) -> None:
+        write_state(self._h5["minimd/restart"], state)
         self._h5.flush()
 
     def _reserve(self, n_bytes: int) -> None:
-        """Make sure that the disk has room for so many bytes more [B].
-
-        Raises OSError if it has not. A filesystem that cannot reserve is trusted.
-        """
+        """Make sure that the disk has room for so many bytes more [B].  Raises OSError if it has not. A filesystem that cannot reserve is trusted."""
         if not hasattr(os, "posix_fallocate"):
             return
         try:
@@ -167,7 +147,10 @@ class H5MDWriter:
         try:
             yield
         except (OSError, RuntimeError) as error:
-            self._give_up()
+            self._pending = []
+            for give_up in (self._take_back, self._shut):
+                with suppress(OSError, RuntimeError):
+                    give_up()
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
             raise OSError(f"trajectory {str(self._file)!r} could not {what}: {reason}; its {self._n_frames} frames before that are valid") from error
         except BaseException:
@@ -180,13 +163,6 @@ class H5MDWriter:
             if len(series) > self._n_frames:
                 series.resize(self._n_frames, axis=0)
         self._h5.flush()
-
-    def _give_up(self) -> None:
-        self._pending = []
-        with suppress(OSError, RuntimeError):
-            self._take_back()
-        with suppress(OSError, RuntimeError):
-            self._shut()
 
     def _shut(self) -> None:
         """Close the file and return the room that was reserved and not needed."""
@@ -209,12 +185,6 @@ def annotate(path: str | Path, *, title: str | None = None, scene: str | None = 
         h5["minimd"].attrs.update({name: text for name, text in (("title", title), ("scene", scene)) if text is not None})
 
 
-def _room(column: layout.Column, frames: list[Frame]) -> int:
-    """Bytes that some entries of a series take at most, in chunks of which one may be new [B]."""
-    entry = np.asarray(column.entry(frames[0]))
-    return entry.nbytes * (len(frames) + layout.chunk_rows(entry))
-
-
 def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_forces: bool) -> None:
     """Raise ValueError unless the simulation can continue the file."""
     ours, theirs = engine.system, contents.system
@@ -229,8 +199,7 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
     for name, is_same in same.items():
         if not is_same:
             raise ValueError(f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new file")
-    held = difference(theirs.constraints, engine.constraints, theirs.positions)
-    if held:
+    if held := difference(theirs.constraints, engine.constraints, theirs.positions):
         raise ValueError(f"trajectory {str(file)!r} holds a run with other constraints: {held}; go on with those of the file, or write to a new file")
     if engine.step != contents.step:
         raise ValueError(f"trajectory {str(file)!r} continues from step {contents.step}; the simulation stands at step {engine.step}")

@@ -1,9 +1,9 @@
 """Trajectories written by MDAnalysis: .xtc .dcd .trr .ncdf .nc."""
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from errno import ENOSPC
+from functools import partial
 from pathlib import Path
 from shutil import disk_usage
 from typing import Any
@@ -21,15 +21,8 @@ from minimd.structure.console import outside_minimd
 
 FORMATS = {".nc": "NCDF"}  # of suffixes that are not their name
 XTC_DECIMALS = 4  # of nm, one more than usual, because σ is written as 0.1 nm
+quiet = partial(warnings.catch_warnings, action="ignore")  # MDAnalysis warns about what minimd files mean not to hold
 ROOM = 2**18  # B that must stay free beside a frame, for what C libraries buffer
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Without MDAnalysis' warnings about what minimd files mean not to hold."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 class MDAnalysisWriter:
@@ -51,7 +44,13 @@ class MDAnalysisWriter:
         self._writer: Any = None
         with quiet():
             self._universe = MDAnalysis.Universe.empty(len(system), trajectory=True, velocities=True)
-        _warn_if_turned(self._file, system.cell)
+        dimensions, vectors = cell_dimensions(system.cell, 1.0), system.cell.vectors
+        if dimensions is not None and not np.allclose(triclinic_vectors(dimensions), vectors, atol=1e-4 * abs(vectors).max()):
+            warnings.warn(
+                f"trajectory {str(file)!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the "
+                "xy plane, which they do not; distances across the boundary will be wrong, write .h5md too",
+                stacklevel=outside_minimd(),
+            )
 
     def write(self, frame: Frame) -> None:
         """Append one frame."""
@@ -68,8 +67,9 @@ class MDAnalysisWriter:
         waiting, self._waiting = self._waiting, []
         for frame in waiting:
             try:
+                if disk_usage(self._file.absolute().parent).free < frame.positions.nbytes + ROOM:
+                    raise OSError(ENOSPC, "no room on the disk")  # not every format notices that it could not write
                 with quiet():
-                    _check_room(self._file, frame.positions.nbytes + ROOM)
                     self._writer = self._writer or self._opened(waiting)
                     self._place(frame)
                     self._writer.write(self._universe)
@@ -85,13 +85,10 @@ class MDAnalysisWriter:
             writer.close()
 
     def _opened(self, waiting: list[Frame]) -> Any:
-        options: dict[str, dict[str, Any]] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": self._spacing(waiting)}
+        steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1  # between frames
+        spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
+        options: dict[str, dict[str, Any]] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": spacing}
         return MDAnalysis.Writer(str(self._file), n_atoms=len(self._universe.atoms), format=self._format, **options.get(self._format, {}))
-
-    def _spacing(self, waiting: list[Frame]) -> dict[str, Any]:
-        """Steps between frames, their time [ps] and the first step."""
-        steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1
-        return {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
 
     def _place(self, frame: Frame) -> None:
         ts = self._universe.trajectory.ts
@@ -101,22 +98,6 @@ class MDAnalysisWriter:
         ts.time, ts.data["step"] = frame.time * self._picosecond, frame.step
 
 
-def _check_room(file: Path, n_bytes: int) -> None:
-    """Raise OSError where a disk has less room [B]: not every format notices that it could not write."""
-    if disk_usage(file.absolute().parent).free < n_bytes:
-        raise OSError(ENOSPC, "no room on the disk")
-
-
 def cell_dimensions(cell: Cell, to_angstrom: float) -> NDArray[np.float32] | None:
     """Lengths and angles of a cell [Å, °], or None where nothing repeats or three independent vectors are missing."""
     return triclinic_box(*(cell.vectors * to_angstrom)) if has_edges(cell) else None
-
-
-def _warn_if_turned(file: Path, cell: Cell) -> None:
-    dimensions = cell_dimensions(cell, 1.0)
-    if dimensions is not None and not np.allclose(triclinic_vectors(dimensions), cell.vectors, atol=1e-4 * abs(cell.vectors).max()):
-        warnings.warn(
-            f"trajectory {str(file)!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the "
-            "xy plane, which they do not; distances across the boundary will be wrong, write .h5md too",
-            stacklevel=outside_minimd(),
-        )

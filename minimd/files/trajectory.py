@@ -1,7 +1,9 @@
 """Trajectory files: which writer a suffix means, and that all are closed whatever happens."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
@@ -19,31 +21,10 @@ class Writer(Protocol):
         """Finish the file; it is valid afterwards, however many frames it got.  completed : whether the run came to its end."""
 
 
-def _h5md() -> Callable[..., Writer]:
-    """Float64, with observables and restart."""
-    from minimd.files.h5md_writer import H5MDWriter
-
-    return H5MDWriter
-
-
-def _mdanalysis() -> Callable[..., Writer]:
-    """Float32, by MDAnalysis."""
-    from minimd.files.mdanalysis_writer import MDAnalysisWriter
-
-    return MDAnalysisWriter
-
-
-def _ase() -> Callable[..., Writer]:
-    """By ASE."""
-    from minimd.files.ase_writer import ASEWriter
-
-    return ASEWriter
-
-
-FORMATS: dict[str, Callable[[], Callable[..., Writer]]] = {  # suffix: its writer, called with file, engine and store_forces; loaded when needed
-    ".h5md": _h5md,
-    **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), _mdanalysis),
-    **dict.fromkeys((".xyz", ".extxyz", ".traj"), _ase),
+FORMATS = {  # suffix: module and class of its writer, loaded when needed and called with file, engine and store_forces
+    ".h5md": ("minimd.files.h5md_writer", "H5MDWriter"),
+    **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter")),
+    **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter")),
 }
 
 
@@ -57,23 +38,20 @@ def open_trajectories(paths: str | Path | Sequence[str | Path], engine: Engine, 
     several = [paths] if isinstance(paths, (str, Path)) else list(paths)
     files = [checked_output(path, overwrite) for path in several]
     with ExitStack() as closing, ExitStack() as undoing:
-        writers = []
+        writers: list[Writer] = []
         for file in files:
             if not file.exists():
                 undoing.callback(file.unlink, missing_ok=True)
-            writers.append(FORMATS[file.suffix.lower()]()(file, engine, store_forces))
-            closing.push(_close_of(writers[-1]))
+            module, name = FORMATS[file.suffix.lower()]
+            writers.append(getattr(import_module(module), name)(file, engine, store_forces))
+            closing.push(partial(_close, writers[-1]))
         undoing.pop_all()
         yield writers
 
 
-def _close_of(writer: Writer) -> Callable[..., None]:
-    """An exit of a context that closes a writer and tells it whether the body came to its end."""
-
-    def close(failure: type[BaseException] | None, *_: object) -> None:
-        writer.close(completed=failure is None)
-
-    return close
+def _close(writer: Writer, failure: type[BaseException] | None, *_: object) -> None:
+    """The exit of a context: close a writer, and tell it whether the body came to its end."""
+    writer.close(completed=failure is None)
 
 
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:

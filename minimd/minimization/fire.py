@@ -8,25 +8,24 @@ power iterations now and then. And no atom moves farther than a given length in 
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces
 from minimd.neighbors.queries import closest_pair
 from minimd.structure.errors import ConstraintError, NonFiniteError
-from minimd.structure.images import nearest_images
-from minimd.structure.observables import longest
-
-Array = NDArray[np.float64]
+from minimd.structure.images import nearest_vectors
+from minimd.structure.observables import Array, longest
 
 DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99  # N_delay, f_inc, f_dec, α_start, f_α: Guénolé et al., table 2
 FIRST, LONGEST = 0.3, 1.0  # √κ Δt at the start, and at most; symplectic Euler blows up at 2, and κ may be seen too small
 PROBE = 1e-3  # of the longest step: displacements that try the curvature
 PROBES, PROBE_EVERY = 5, 50  # displacements, each along the change of the forces in the one before; steps between two such series
 FIRST_SERIES = 4  # of them
+SEED = 1  # of the first displacement
 FALLING = 0.9  # the largest force must fall by this factor in a step of steepest descent
 LARGEST = 1e100  # of a force: larger ones are scaled down, all alike, so that their squares are numbers
 PUSHES = 100  # of pairs whose forces are infinite
@@ -85,10 +84,8 @@ class FIRE:
     def __init__(self, forces: Forces, constraint_set: ConstraintSet, max_step_length: float) -> None:
         self._engine, self._constraint_set, self._longest = forces, constraint_set, max_step_length
         self._system, self._positions = forces.system, forces.system.positions
-        self._forces = np.zeros_like(self._positions)
-        self._velocities = np.zeros_like(self._positions)
-        self._curvature = 0.0
-        self._probe = _random_like(self._positions)
+        self._forces, self._velocities = np.zeros_like(self._positions), np.zeros_like(self._positions)
+        self._curvature, self._probe = 0.0, np.random.default_rng(SEED).standard_normal(self._positions.shape)
         self._tolerance, self._max_steps = 0.0, 0
         self.n_steps, self.largest_force, self.stop_requested = 0, 0.0, False
 
@@ -101,10 +98,9 @@ class FIRE:
         bonds = self._constraint_set.bonds
         if bonds is not None and bonds.violation(self._positions).max() > bonds.tolerance:
             bonds.project_positions(self._positions)
-        n_pushes = self._evaluate()
-        return np.inf if n_pushes else self.largest_force
+        return np.inf if self._evaluate() else self.largest_force
 
-    def run(self, tolerance: float, max_steps: int, tell: Callable[[int], None]) -> None:
+    def run(self, tolerance: float, max_steps: int, tell: Callable[[int], Any]) -> None:
         """Descend until no force is longer than the tolerance, or after max_steps.  tell : is called with the number of steps made.
 
         Raises as begin.
@@ -121,8 +117,7 @@ class FIRE:
         while self._goes_on():
             before, forces, largest = self._positions.copy(), self._forces.copy(), self.largest_force
             if self._moved(self._forces * (self._longest / largest), 1.0):
-                self._evaluate()
-                self._count()
+                self._evaluate_step()
                 if self.largest_force < FALLING * largest:
                     continue
             self._positions[:], self._forces[:], self.largest_force = before, forces, largest
@@ -130,7 +125,11 @@ class FIRE:
 
     def _descend(self) -> None:
         """FIRE with its rules beside their lines; Δt is shortened, and v set to zero, after a step that constraints refuse."""
-        timestep, mixing, downhill, refused = self._first_timestep(), MIXING, 0, 0
+        if not self._goes_on():
+            return
+        for _ in range(FIRST_SERIES):
+            self._try_curvature()
+        timestep, mixing, downhill, refused = FIRST / np.sqrt(self._curvature), MIXING, 0, 0
         while self._goes_on():
             if overlap(self._forces, self._velocities) > 0.0:  # P = F·v > 0
                 downhill += 1
@@ -143,8 +142,7 @@ class FIRE:
             timestep = min(timestep, LONGEST / np.sqrt(self._curvature))
             steer(self._velocities, self._forces, timestep, mixing, self._longest)  # v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|
             if self._moved(self._velocities, timestep):  # r ← r + Δt v
-                self._evaluate()
-                self._count()
+                self._evaluate_step()
                 if self.n_steps % PROBE_EVERY == 0:
                     self._try_curvature()
                 refused = 0
@@ -154,21 +152,13 @@ class FIRE:
                 if refused > REFUSALS:
                     raise ConstraintError(f"no step of the minimization keeps the constraints; the closest pair is {closest_pair(self._system)}")
 
-    def _first_timestep(self) -> float:
-        """A part of 1/√κ."""
-        if not self._goes_on():
-            return 0.0
-        for _ in range(FIRST_SERIES):
-            self._try_curvature()
-        return FIRST / np.sqrt(self._curvature)
-
     def _try_curvature(self) -> None:
         """κ from power iterations, which go on where the last series ended; at least so large that a first step is no longer than the longest."""
         before, forces, largest, shown = self._positions.copy(), self._forces.copy(), self.largest_force, 0.0
         for _ in range(PROBES):
             self._constraint_set.project(self._probe, before)
             if not self._probe.any():  # no curvature at all
-                self._probe = _random_like(before)
+                self._probe = np.random.default_rng(SEED).standard_normal(before.shape)
                 break
             steps = self._probe * (PROBE * self._longest / longest(self._probe)[1])
             self._positions[:] = before + steps
@@ -178,7 +168,8 @@ class FIRE:
         self._positions[:], self._forces[:], self.largest_force = before, forces, largest
         self._curvature = max(shown, largest / self._longest)
 
-    def _count(self) -> None:
+    def _evaluate_step(self) -> None:
+        self._evaluate()
         self.n_steps += 1
         self._tell(self.n_steps)
 
@@ -215,14 +206,9 @@ class FIRE:
             raise NonFiniteError(f"forces are not finite; the closest pair is {pair}")
         if pair.distance == 0.0:
             raise NonFiniteError(f"atoms {pair.first} and {pair.second} lie on one spot: no force tells where they should go; move or remove one")
-        i, j = pair.first, pair.second
-        arm = self._positions[j] - self._positions[i] + nearest_images(self._system.positions, self._system.cell, np.array([[i, j]]))[0]
+        arm = nearest_vectors(self._positions, self._system.cell, np.array([pair[:2]]))[0]
         velocities = np.zeros_like(self._positions)
-        velocities[i], velocities[j] = -arm / pair.distance, arm / pair.distance
+        velocities[pair.first], velocities[pair.second] = -arm / pair.distance, arm / pair.distance
         self._constraint_set.project(velocities, self._positions)
         if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):
             raise NonFiniteError(f"forces are not finite; the closest pair is {pair}, and constraints hold it there")
-
-
-def _random_like(positions: Array) -> Array:
-    return np.random.default_rng(1).standard_normal(positions.shape)

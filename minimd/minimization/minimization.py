@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 from numbers import Real
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,13 +11,10 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces, Potential
 from minimd.minimization.fire import FIRE
 from minimd.potentials.term import TOTALS
-from minimd.structure.console import Progress, stop_on_interrupt
+from minimd.structure.console import progress_of, stop_on_interrupt
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import Interrupted, checked_count
-from minimd.structure.system import System
-
-if TYPE_CHECKING:
-    import ase
+from minimd.structure.system import AnySystem, System
 
 FORCE_TOLERANCE = 1e-6  # [energy/length], in reduced units and in eV/Å
 MAX_STEPS = 10_000
@@ -59,7 +55,7 @@ class Minimization:
 
 
 def minimize(
-    system: "System | ase.Atoms",
+    system: AnySystem,
     potentials: Potential | Sequence[Potential],
     constraints: Constraint | Sequence[Constraint] | None = None,
     *,
@@ -102,15 +98,16 @@ def minimized(
     forces: Forces, constraint_set: ConstraintSet, force_tolerance: float, max_steps: int, max_step_length: float, progress: bool | None
 ) -> Minimization:
     """Minimize the system of some forces in place; see minimize."""
-    _check(force_tolerance, max_steps, max_step_length)
-    system = forces.system
-    evaluated = forces.n_evaluations
-    energy_before = _potential_energy(forces)
+    for name, value in (("force_tolerance", force_tolerance), ("max_step_length", max_step_length)):
+        if not (isinstance(value, Real) and isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} must be positive and finite; {name} = {value!r}")
+    checked_count("max_steps", max_steps, 0)
+    system, evaluated, energy_before = forces.system, forces.n_evaluations, _potential_energy(forces)
     constraint_set.fit(system)
     descent = FIRE(forces, constraint_set.with_equal_masses(system), max_step_length)
-    with Progress(max_steps, "minimizing", progress) as bar, stop_on_interrupt(descent):
+    with progress_of(max_steps, "minimizing", progress) as tell, stop_on_interrupt(descent):
         largest_before = descent.begin()
-        descent.run(force_tolerance, max_steps, bar.advance_to)
+        descent.run(force_tolerance, max_steps, tell)
     constraint_set.project(system.velocities, system.positions)
     result = Minimization(
         system=system,
@@ -133,10 +130,3 @@ def _potential_energy(forces: Forces) -> float:
         forces.compute(TOTALS)
         energy = forces.potential_energy
     return energy if isfinite(energy) else inf
-
-
-def _check(force_tolerance: float, max_steps: int, max_step_length: float) -> None:
-    for name, value in (("force_tolerance", force_tolerance), ("max_step_length", max_step_length)):
-        if not (isinstance(value, Real) and isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} must be positive and finite; {name} = {value!r}")
-    checked_count("max_steps", max_steps, 0)

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
@@ -24,33 +24,32 @@ from minimd.forces.forces import Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
-from minimd.structure import observables
-from minimd.structure.console import Progress, stop_on_interrupt
+from minimd.structure.console import progress_of, stop_on_interrupt
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import checked_count
-from minimd.structure.system import System
-
-if TYPE_CHECKING:
-    import ase
+from minimd.structure.observables import Array, momentum
+from minimd.structure.system import AnySystem, System
+from minimd.structure.velocities import maxwell_boltzmann, rescaled
 
 Observer = Callable[["Simulation"], None]
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 
 class EngineAttribute(Generic[T]):
-    """An attribute of a simulation that is one of its engine, under the same name."""
+    """An attribute of a simulation that is one of its engine, under the same name; or, only to be read, one of a part of the engine."""
 
-    def __init__(self, doc: str) -> None:
-        self.__doc__ = doc
+    def __init__(self, doc: str, path: str = "") -> None:
+        self.__doc__, self._path = doc, path
 
     def __set_name__(self, _owner: type, name: str) -> None:
         self._name = name
 
     def __get__(self, simulation: "Simulation", _owner: type) -> T:
-        return self if simulation is None else getattr(simulation.engine, self._name)
+        return self if simulation is None else attrgetter(self._path or self._name)(simulation.engine)
 
     def __set__(self, simulation: "Simulation", value: T) -> None:
+        if self._path:
+            raise AttributeError(f"{self._name} of a Simulation cannot be set; make a new Simulation")
         setattr(simulation.engine, self._name, value)
 
 
@@ -87,14 +86,14 @@ class Simulation:
     n_dof = EngineAttribute[int]("Degrees of freedom that share the kinetic energy.")
     conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant: nothing is fixed, no bath acts on atoms one by one.")
     constraints = EngineAttribute[tuple[Constraint, ...]]("What is held fixed, with the lengths that are kept; also those of system.")
-    rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.")
-    potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.")
-    options = EngineAttribute[Options]("Threads, precision and skin, as they were asked for.")
-    skins = EngineAttribute[list[float]]("Of all lists that have one [length].")
+    rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds")
+    potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.", "interactions.potentials")
+    options = EngineAttribute[Options]("Threads, precision and skin, as they were asked for.", "interactions.options")
+    skins = EngineAttribute[list[float]]("Of all lists that have one [length].", "interactions.skins")
 
     def __init__(
         self,
-        system: "System | ase.Atoms",
+        system: AnySystem,
         potentials: Potential | Sequence[Potential],
         method: Splitting,
         constraints: Constraint | Sequence[Constraint] | None = None,
@@ -149,12 +148,12 @@ class Simulation:
         n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
         check_extras(engine, engine.extra_observables)
         place, start, end = crash_file_place(crash_report, trajectory), engine.step, engine.step + n_steps
-        with self._running(), crash_file_left(place, guard, overwrite):  # the file is left after all others are closed
+        with self._running(engine.noise_shift), crash_file_left(place, guard, overwrite):  # the file is left after all others are closed
             guard.check_start()
             with (
                 stop_on_interrupt(engine.surroundings),
                 open_trajectories(trajectory, engine, store_forces=store_forces, overwrite=overwrite) as writers,
-                Progress(n_steps, "running", progress) as bar,
+                progress_of(n_steps, "running", progress) as tell,
             ):
                 self.record = record = Record(self.system.units, len(self.system))
                 guard.begin_run()
@@ -163,7 +162,7 @@ class Simulation:
                     next_look = engine.step + every - (engine.step - start) % every
                     n_now = min(BLOCK, next_look - engine.step, end - engine.step)
                     guard.advance(n_now, with_energy=engine.step + n_now in (next_look, end))
-                    bar.advance_to(engine.step - start)
+                    tell(engine.step - start)
                     if engine.step == next_look:
                         self._observe(writers, observers)
                     elif engine.step == end or guard.is_hot():
@@ -188,7 +187,7 @@ class Simulation:
     def _fingerprint(self) -> tuple[Any, ...]:
         """Numbers that change when somebody moves atoms, changes velocities or the cell."""
         masses = self.system.masses
-        sums = observables.momentum(self.positions, masses), observables.momentum(self.velocities, masses)
+        sums = momentum(self.positions, masses), momentum(self.velocities, masses)
         return self.engine.kinetic_energy, *np.concatenate(sums).tolist(), id(self.system.cell)
 
     def make_steps(self, n_steps: int) -> None:
@@ -212,11 +211,10 @@ class Simulation:
         self._equilibrated += n_steps
         place = crash_file_place(crash_report or False, ())
         with (
-            self._running(),
-            self._noise_shifted(),
+            self._running(noise_shift=-self._equilibrated - self.step),
             guard.uncounted(),
             crash_file_left(place, guard, overwrite=False),
-            Progress(n_steps, "equilibrating", progress) as bar,
+            progress_of(n_steps, "equilibrating", progress) as tell,
             stop_on_interrupt(engine.surroundings),
         ):
             guard.check_start()
@@ -225,19 +223,10 @@ class Simulation:
             for done in range(every, n_steps + every, every):
                 guard.advance(min(every, n_steps - done + every), with_energy=False)
                 guard.check_kinetic_energy(most)
-                engine.rescale_temperature(temperature)
+                self.rescale_temperature(temperature)
                 guard.drop_snapshots()  # a replay does not rescale
-                bar.advance_to(min(done, n_steps))
+                tell(min(done, n_steps))
         engine.step, engine.time, engine.reservoir_energy = 0, 0.0, 0.0
-
-    @contextmanager
-    def _noise_shifted(self) -> Iterator[None]:
-        """While active, the noise is that of steps before the start."""
-        self.engine.noise_shift = -self._equilibrated - self.step
-        try:
-            yield
-        finally:
-            self.engine.noise_shift = 0
 
     def minimize(
         self,
@@ -281,15 +270,15 @@ class Simulation:
         return self.reversibility
 
     @contextmanager
-    def _running(self) -> Iterator[None]:
-        """Refuse a run inside a run."""
+    def _running(self, noise_shift: int) -> Iterator[None]:
+        """Refuse a run inside a run.  noise_shift : of the engine as long as this one lasts."""
         if self._is_running:
             raise RuntimeError("this simulation is running: an observer can look and change things, but not run or equilibrate")
-        self._is_running = True
+        before, self._is_running, self.engine.noise_shift = self.engine.noise_shift, True, noise_shift
         try:
             yield
         finally:
-            self._is_running = False
+            self._is_running, self.engine.noise_shift = False, before
 
     def report(self) -> Report:
         """How well the last run conserved what it should, and how fast it was.
@@ -301,7 +290,7 @@ class Simulation:
         if self.record is None:
             raise ValueError("there is nothing to report yet; call run first")
         self.engine.fit_images()
-        interactions, bonds, is_free = self.engine.interactions, self.engine.rigid_bonds, self.engine.conserves_momentum
+        interactions, bonds, is_free = self.engine.interactions, self.engine.constraint_set.bonds, self.engine.conserves_momentum
         cost = Cost(
             n_steps=self.guard.n_steps,
             seconds=self.guard.seconds,
@@ -327,7 +316,12 @@ class Simulation:
         ------
         ValueError : if the temperature is negative or not finite.
         """
-        self.engine.set_temperature(temperature, seed)
+        system, constraint_set = self.system, self.engine.constraint_set
+        system.velocities[:] = maxwell_boltzmann(system.masses, temperature, system.units.k_B, seed)
+        self.engine.fit_images()
+        constraint_set.project(system.velocities, system.positions)
+        if temperature > 0.0:
+            self.rescale_temperature(temperature)
 
     def rescale_temperature(self, temperature: float) -> None:
         """Multiply all velocities so that the kinetic temperature is exactly this one.
@@ -336,7 +330,7 @@ class Simulation:
         ------
         ValueError : if the temperature is negative or not finite, or nothing moves.
         """
-        self.engine.rescale_temperature(temperature)
+        self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B, self.n_dof)
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""

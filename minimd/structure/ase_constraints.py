@@ -25,7 +25,8 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
     fixed: list[int] = []
     for constraint in atoms.constraints:
         if isinstance(constraint, FixBondLengths):
-            lengths.append(_bonds(atoms, constraint))
+            pairs, given = np.asarray(constraint.pairs, dtype=np.int64), constraint.bondlengths
+            lengths.append((pairs, _distances(atoms, pairs) if given is None else np.asarray(given, dtype=float)))
             tolerances.append(float(constraint.tolerance))
         elif isinstance(constraint, FixLinearTriatomic):
             lengths.append(_rods(atoms, constraint))
@@ -58,11 +59,6 @@ def ases_constraints_of(system: Any) -> list[FixConstraint]:
 def fixes_center(atoms: Atoms) -> bool:
     """Whether the center of mass is held: minimd conserves momentum, so that it is enough to begin with none."""
     return any(isinstance(constraint, FixCom) for constraint in atoms.constraints)
-
-
-def _bonds(atoms: Atoms, constraint: FixBondLengths) -> Pairs:
-    pairs = np.asarray(constraint.pairs, dtype=np.int64)
-    return pairs, _distances(atoms, pairs) if constraint.bondlengths is None else np.asarray(constraint.bondlengths, dtype=float)
 
 
 def _rods(atoms: Atoms, constraint: FixLinearTriatomic) -> Pairs:

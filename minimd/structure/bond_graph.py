@@ -29,14 +29,21 @@ def pairs_by_bonds_apart(bonds: NDArray[np.int64], n_atoms: int) -> list[NDArray
 def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int | None = None) -> NDArray[np.int64]:
     """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none; n_atoms None: as many atoms as you like.
 
-    Raises ValueError if the shape is another, an atom is missing, paired with itself, or a pair comes twice.
+    Raises ValueError if the shape is another, an atom is missing, paired with itself, or a pair comes twice, in either order.
     """
     array = checked_groups(name, pairs, 2, n_atoms)
     _, first, counts = np.unique(np.sort(array, axis=1), axis=0, return_index=True, return_counts=True)
-    if np.any(counts > 1):
-        twice = int(first[counts > 1][0])
-        raise ValueError(f"{name} must name each pair once; {name}[{twice}] = {array[twice].tolist()} comes {counts.max()} times")
+    if (counts > 1).any():
+        row, times = min(zip(first[counts > 1].tolist(), counts[counts > 1].tolist(), strict=True))  # the one that is given first, as it is given
+        raise ValueError(f"{name} must name each pair once; {name}[{row}] = {array[row].tolist()} comes {times} times")
     return array
+
+
+def among(pairs: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of the pairs, (B,) bool, are among others, in either order."""
+    n_atoms = 1 + max(pairs.max(initial=0), others.max(initial=0))
+    names, known = (each.min(axis=1) * n_atoms + each.max(axis=1) for each in (pairs, others))
+    return np.isin(names, known)
 
 
 def checked_groups(name: str, groups: ArrayLike, size: int, n_atoms: int | None = None) -> NDArray[np.int64]:

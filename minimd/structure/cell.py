@@ -38,12 +38,9 @@ class Cell:
         _check_independent(self.vectors, self.pbc)
         lattice, reduction = _reduced(self.vectors, self.pbc)
         inverse = np.linalg.inv(lattice)
-        set_field = object.__setattr__
-        set_field(self, "lattice", np.ascontiguousarray(lattice))
-        set_field(self, "reduction", reduction)
-        set_field(self, "inverse", np.ascontiguousarray(inverse))
-        set_field(self, "heights", 1.0 / np.linalg.norm(inverse, axis=0))
-        for array in (self.vectors, self.pbc, self.lattice, self.reduction, self.inverse, self.heights):
+        made = {"lattice": lattice, "reduction": reduction, "inverse": inverse, "heights": 1.0 / np.linalg.norm(inverse, axis=0)}
+        self.__dict__.update({name: np.ascontiguousarray(array) for name, array in made.items()})
+        for array in self.__dict__.values():
             array.setflags(write=False)
 
     @classmethod
@@ -58,8 +55,8 @@ class Cell:
         matrix = _as_matrix(vectors)
         given = np.any(matrix != 0.0, axis=1)
         periodic = given if pbc is None else np.array(np.broadcast_to(np.asarray(pbc, dtype=bool), 3))
-        if np.any(periodic & ~given):
-            direction = int(np.flatnonzero(periodic & ~given)[0])
+        if (periodic & ~given).any():
+            direction = int(np.argmax(periodic & ~given))
             raise ValueError(f"pbc[{direction}] is True but cell[{direction}] is zero; give a lattice vector or set pbc to False there")
         return cls(matrix, periodic)
 
@@ -177,7 +174,10 @@ def _reduced(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> tuple[NDAr
     lattice, reduction = np.zeros((3, 3)), np.zeros((3, 3), dtype=np.int64)
     reduction[np.ix_(periodic, periodic)] = steps
     lattice[periodic] = steps @ vectors[periodic]
-    return _completed(lattice, pbc), reduction
+    if len(periodic) < 3:  # open rows: unit vectors perpendicular to the periodic ones and to each other
+        directions = np.linalg.svd(lattice[pbc])[2] if len(periodic) else np.eye(3)
+        lattice[~pbc] = directions[len(periodic) :]
+    return lattice, reduction
 
 
 def _shorten_once(steps: NDArray[np.int64], rows: NDArray[np.float64]) -> bool:
@@ -200,13 +200,3 @@ def _neighbors(i: int, steps: NDArray[np.int64], current: NDArray[np.float64], l
     for j in others:
         near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]
     return gauss + near
-
-
-def _completed(lattice: NDArray[np.float64], pbc: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Open rows filled with unit vectors perpendicular to the periodic ones and to each other."""
-    complete = lattice.copy()
-    rank = int(pbc.sum())
-    if rank < 3:
-        _, _, directions = np.linalg.svd(lattice[pbc]) if rank else (None, None, np.eye(3))
-        complete[~pbc] = directions[rank:]
-    return complete

@@ -3,45 +3,35 @@
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import FrameType, TracebackType
-from typing import Protocol
+from types import FrameType
+from typing import Any, Protocol
 
 TENTHS = 10
 
 
-class Progress:
-    """Shows how much of n_steps is done, on standard error.
+@contextmanager
+def progress_of(n_steps: int, label: str, show: bool | None = None) -> Iterator[Callable[[int], Any]]:
+    """Show on standard error how much of n_steps is done; yields a function to be called with the number of steps made.
 
     show : True for a bar on a terminal and ten lines elsewhere; False for nothing; None for a bar on a terminal only.
     """
+    is_terminal, told = sys.stderr is not None and sys.stderr.isatty(), 0
 
-    def __init__(self, n_steps: int, label: str, show: bool | None = None) -> None:
-        terminal = sys.stderr is not None and sys.stderr.isatty()
-        self._n_steps, self._label = n_steps, label
-        self._lines = bool(show) and not terminal
-        self._done = 0
-        self._bar = None
-        if terminal and show is not False:
-            from tqdm import tqdm
+    def tell_tenths(done: int) -> None:
+        nonlocal told
+        if show and done * TENTHS // n_steps > told:
+            told = done * TENTHS // n_steps
+            print(f"{label}: step {done} of {n_steps}", file=sys.stderr, flush=True)
 
-            self._bar = tqdm(total=n_steps, desc=label, unit="step", unit_scale=True, file=sys.stderr)
+    if show is False or not is_terminal:
+        yield tell_tenths
+        return
+    from tqdm import tqdm
 
-    def advance_to(self, done: int) -> None:
-        """The run has made so many steps."""
-        if self._bar is not None:
-            self._bar.update(done - self._done)
-        elif self._lines and done * TENTHS // self._n_steps > self._done * TENTHS // self._n_steps:
-            print(f"{self._label}: step {done} of {self._n_steps}", file=sys.stderr, flush=True)
-        self._done = done
-
-    def __enter__(self) -> "Progress":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._bar is not None:
-            self._bar.close()
+    with tqdm(total=n_steps, desc=label, unit="step", unit_scale=True, file=sys.stderr) as bar:
+        yield lambda done: bar.update(done - bar.n)
 
 
 class Stoppable(Protocol):

@@ -31,7 +31,15 @@ class DistanceConstraints:
         self.pairs = checked_pairs("pairs", pairs)
         if not len(self.pairs):
             raise ValueError("pairs of DistanceConstraints must name at least one pair; there is none")
-        self.lengths = None if lengths is None else _checked_lengths(lengths, len(self.pairs))
+        self.lengths: NDArray[np.float64] | None = None
+        if lengths is not None:
+            given, n_pairs = np.asarray(lengths, dtype=float), len(self.pairs)
+            if given.shape not in ((), (1,), (n_pairs,)):
+                raise ValueError(f"lengths must be one number or {n_pairs}, one for each pair; their shape is {given.shape}")
+            self.lengths = np.broadcast_to(given, (n_pairs,)).copy()
+            wrong = np.flatnonzero(~(np.isfinite(self.lengths) & (self.lengths > 0.0)))
+            if wrong.size:
+                raise ValueError(f"lengths must be positive and finite; that of constraint {wrong[0]} is {self.lengths[wrong[0]]}")
         if not tolerance > 0.0:
             raise ValueError(f"tolerance must be positive; tolerance = {tolerance!r}")
         if solver not in SOLVERS:
@@ -40,17 +48,6 @@ class DistanceConstraints:
 
     def __repr__(self) -> str:
         return f"DistanceConstraints({len(self.pairs)} pairs, solver={self.solver!r})"
-
-
-def _checked_lengths(lengths: ArrayLike, n_pairs: int) -> NDArray[np.float64]:
-    given = np.asarray(lengths, dtype=float)
-    if given.shape not in ((), (1,), (n_pairs,)):
-        raise ValueError(f"lengths must be one number or {n_pairs}, one for each pair; their shape is {given.shape}")
-    checked = np.broadcast_to(given, (n_pairs,)).copy()
-    wrong = np.flatnonzero(~(np.isfinite(checked) & (checked > 0.0)))
-    if wrong.size:
-        raise ValueError(f"lengths must be positive and finite; that of constraint {wrong[0]} is {checked[wrong[0]]}")
-    return checked
 
 
 class FixedAtoms:

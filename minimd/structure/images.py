@@ -20,6 +20,11 @@ def nearest_images(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Ar
     return translations
 
 
+def nearest_vectors(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Array:
+    """(K, 3) r_j − r_i of each pair, to the nearest image [length]."""
+    return positions[pairs[:, 1]] - positions[pairs[:, 0]] + nearest_images(positions, cell, pairs)
+
+
 def images_of_length(positions: Array, cell: Cell, pairs: NDArray[np.int64], lengths: Array) -> Array:
     """(K, 3) lattice vectors [length] for which |r_j − r_i| of each pair is closest to its length.
 
@@ -36,7 +41,5 @@ def images_of_length(positions: Array, cell: Cell, pairs: NDArray[np.int64], len
 
 def lengths_of(positions: Array, cell: Cell, constraints: DistanceConstraints) -> Array:
     """(K,) [length], as given; else the present distances to the nearest image."""
-    if constraints.lengths is not None:
-        return constraints.lengths
-    i, j = constraints.pairs.T
-    return np.linalg.norm(positions[j] - positions[i] + nearest_images(positions, cell, constraints.pairs), axis=1)
+    given = constraints.lengths
+    return np.linalg.norm(nearest_vectors(positions, cell, constraints.pairs), axis=1) if given is None else given

@@ -1,6 +1,7 @@
 """What can be measured on a state: energies, temperature, pressure, linear and angular momentum.
 
 Sums are compiled: they need no memory, and no threads of BLAS, which would spin for a while on the cores that the forces need.
+velocities, positions : (N, 3).  masses : (N,).
 """
 
 from math import sqrt
@@ -14,16 +15,12 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def _kinetic_energy(velocities, masses):
+def kinetic_energy(velocities, masses):
+    """K = Σ ½ m v² [energy]."""
     total = 0.0
     for i in range(velocities.shape[0]):
         total += 0.5 * masses[i] * (velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
     return total
-
-
-def kinetic_energy(velocities: Array, masses: Array) -> float:
-    """K = Σ ½ m v² [energy].  velocities : (N, 3).  masses : (N,)."""
-    return _kinetic_energy(np.ascontiguousarray(velocities), masses)
 
 
 def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True) -> int:
@@ -58,17 +55,19 @@ def pressure(kinetic: float, virial: Array, volume: float) -> float:
 
 
 @kernel
-def _momentum(velocities, masses):
+def momentum(velocities, masses):
+    """P = Σ m v [mass length/time], (3,)."""
     px = py = pz = 0.0
     for i in range(masses.size):
         px += masses[i] * velocities[i, 0]
         py += masses[i] * velocities[i, 1]
         pz += masses[i] * velocities[i, 2]
-    return px, py, pz
+    return np.array([px, py, pz])
 
 
 @kernel
-def _absolute_momentum(velocities, masses):
+def absolute_momentum(velocities, masses):
+    """Σ |m v| [mass length/time]: the scale against which a change of the total momentum is seen."""
     total = 0.0
     for i in range(masses.size):
         total += masses[i] * sqrt(velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
@@ -89,7 +88,8 @@ def longest(vectors):
 
 
 @kernel
-def _angular_momentum(positions, velocities, masses):
+def angular_momentum(positions, velocities, masses):
+    """L = Σ m r × v about the origin [mass length²/time], (3,); a constant only where nothing is periodic."""
     lx = ly = lz = 0.0
     for i in range(masses.size):
         x, y, z = positions[i]
@@ -97,40 +97,19 @@ def _angular_momentum(positions, velocities, masses):
         lx += masses[i] * (y * vz - z * vy)
         ly += masses[i] * (z * vx - x * vz)
         lz += masses[i] * (x * vy - y * vx)
-    return lx, ly, lz
+    return np.array([lx, ly, lz])
+
+
+def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
+    """Σ m |r − r_cm| |v| [mass length²/time]: the scale against which a change of the angular momentum is seen."""
+    return _absolute_moments(positions, velocities, masses, momentum(positions, masses) / masses.sum())  # r_cm = Σ m r / Σ m: the same sum
 
 
 @kernel
-def _absolute_angular_momentum(positions, velocities, masses, center):
+def _absolute_moments(positions, velocities, masses, center):
     total = 0.0
     for i in range(masses.size):
         arm2 = (positions[i, 0] - center[0]) ** 2 + (positions[i, 1] - center[1]) ** 2 + (positions[i, 2] - center[2]) ** 2
         speed2 = velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2
         total += masses[i] * sqrt(arm2 * speed2)
     return total
-
-
-def momentum(velocities: Array, masses: Array) -> Array:
-    """P = Σ m v [mass length/time], (3,)."""
-    return np.array(_momentum(velocities, masses))
-
-
-def absolute_momentum(velocities: Array, masses: Array) -> float:
-    """Σ |m v| [mass length/time]: the scale against which a change of the total momentum is seen."""
-    return _absolute_momentum(velocities, masses)
-
-
-def largest_speed(velocities: Array) -> float:
-    """max |v| [length/time]."""
-    return longest(velocities)[1]
-
-
-def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
-    """Σ m |r − r_cm| |v| [mass length²/time]: the scale against which a change of the angular momentum is seen."""
-    center = momentum(positions, masses) / masses.sum()  # Σ m r: the same sum
-    return _absolute_angular_momentum(positions, velocities, masses, center)
-
-
-def angular_momentum(positions: Array, velocities: Array, masses: Array) -> Array:
-    """L = Σ m r × v about the origin [mass length²/time], (3,); a constant only where nothing is periodic."""
-    return np.array(_angular_momentum(positions, velocities, masses))

@@ -1,7 +1,7 @@
 """The state of a scene: checked once, here, and trusted everywhere afterwards."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,7 @@ from minimd.structure.units import UnitSystem
 if TYPE_CHECKING:
     import ase
 
+AnySystem: TypeAlias = "System | ase.Atoms"
 READ_ONLY = ("masses", "species_names", "species_index", "bonds", "units")
 LARGEST = 1e75  # of positions and velocities: their fourth powers are still numbers
 
@@ -69,7 +70,7 @@ class System:
             raise ValueError("pbc is part of a Cell; give pbc only beside lattice vectors")
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
         self.species_names, self.species_index = _species(species, len(self))
-        self.bonds = _bonds(bonds, len(self))
+        self.bonds = checked_pairs("bonds", () if bonds is None else bonds, len(self))
         for fixed in (self.masses, self.species_index, self.bonds):
             fixed.setflags(write=False)
 
@@ -103,16 +104,8 @@ class System:
 
     def copy(self) -> "System":
         """An independent copy."""
-        return System(
-            self.positions,
-            masses=self.masses,
-            velocities=self.velocities,
-            cell=self.cell,
-            species=self.species,
-            bonds=self.bonds,
-            units=self.units,
-            constraints=self.constraints,
-        )
+        names = ("masses", "velocities", "cell", "species", "bonds", "units", "constraints")
+        return System(self.positions, **{name: getattr(self, name) for name in names})
 
     @classmethod
     def from_ase(cls, atoms: "ase.Atoms", bonds: ArrayLike | None = None) -> "System":
@@ -144,9 +137,7 @@ def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArra
         raise ValueError(f"{name} must be an (N, 3) array with N > 0; its shape is {array.shape}")
     if n_atoms is not None and len(array) != n_atoms:
         raise ValueError(f"{name} must have one row for each of the {n_atoms} atoms; it has {len(array)}")
-    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
-    if bad.size:
-        raise ValueError(f"{name} must be finite; {name}[{bad[0]}] = {array[bad[0]].tolist()}" + _and_others(bad))
+    _demand(name, "finite", np.isfinite(array).all(axis=1), array)
     if np.abs(array).max() > LARGEST:
         raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {np.abs(array).max():g}: take other units")
     return array
@@ -162,9 +153,7 @@ def _masses(masses: ArrayLike | None, n_atoms: int, units: UnitSystem) -> NDArra
         array = np.full(n_atoms, float(array))
     if array.shape != (n_atoms,):
         raise ValueError(f"masses must be one number or {n_atoms}, one for each atom; their shape is {array.shape}")
-    bad = np.flatnonzero(~(np.isfinite(array) & (array > 0.0)))
-    if bad.size:
-        raise ValueError(f"masses must be positive and finite; masses[{bad[0]}] = {array[bad[0]]}" + _and_others(bad))
+    _demand("masses", "positive and finite", np.isfinite(array) & (array > 0.0), array)
     return array
 
 
@@ -180,14 +169,11 @@ def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, N
     return tuple(names.tolist()), index.astype(np.int64)
 
 
-def _bonds(bonds: ArrayLike | None, n_atoms: int) -> NDArray[np.int64]:
-    if bonds is None:
-        return np.zeros((0, 2), dtype=np.int64)
-    return checked_pairs("bonds", bonds, n_atoms)
-
-
-def _and_others(bad: NDArray) -> str:
-    return f", and {bad.size - 1} more" if bad.size > 1 else ""
+def _demand(name: str, what: str, is_good: Any, array: NDArray[np.float64]) -> None:
+    bad = np.flatnonzero(~is_good)
+    if bad.size:
+        others = f", and {bad.size - 1} more" if bad.size > 1 else ""
+        raise ValueError(f"{name} must be {what}; {name}[{bad[0]}] = {array[bad[0]].tolist()}{others}")
 
 
 def number_density(system: System, thickness: float) -> float:

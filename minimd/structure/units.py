@@ -18,40 +18,41 @@ DEGREE = math.pi / 180.0  # rad
 
 @dataclass(frozen=True)
 class UnitSystem:
-    """A consistent set of units, and what its numbers must be multiplied with to be Å, ps and kJ/mol.
+    """A consistent set of units, and what its numbers must be multiplied with to be Å, ps and kJ/mol; by default reduced units.
 
     name : "ASE" or "LJ".
     k_B : Boltzmann constant [energy/temperature].
     to_angstrom, to_picosecond, to_kj_per_mol : factors for files that know only these units. Reduced numbers are written
         unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), the convention of most tools.
-    shown_time : name of the unit of time · to_picosecond, for people.  small_time : the same for time steps, of which
+    shown_time : name of the unit of time · to_picosecond, as it is shown.  small_time : the same for time steps, of which
         shown_small_time make one.
     length, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files, plots and reports.
     """
 
-    name: str
-    k_B: float  # noqa: N815 - the symbol of the constant
-    to_angstrom: float
-    to_picosecond: float
-    to_kj_per_mol: float
-    length: str
-    time: str
-    shown_time: str
-    small_time: str
-    shown_small_time: float
-    energy: str
-    temperature: str
-    pressure: str
-    momentum: str
-    angular_momentum: str
+    name: str = "LJ"
+    k_B: float = 1.0  # noqa: N815 - the symbol of the constant
+    to_angstrom: float = 1.0
+    to_picosecond: float = 1.0
+    to_kj_per_mol: float = 1.0
+    length: str = "σ"
+    time: str = "τ"
+    shown_time: str = "τ"
+    small_time: str = "τ"
+    shown_small_time: float = 1.0
+    energy: str = "ε"
+    temperature: str = "ε/k_B"
+    pressure: str = "ε/σ³"
+    momentum: str = "√(m ε)"
+    angular_momentum: str = "σ √(m ε)"
 
     def shown(self, time: float) -> str:
-        """A time for people: to 4 digits in the unit of time steps below 1000 of them, else to 6 digits; "2.5 fs", "12.5 ps", "0.004 τ"."""
+        """A time in words: to 4 digits in the unit of time steps below 1000 of them, else to 6 digits; "2.5 fs", "12.5 ps", "0.004 τ"."""
         shown = time * self.to_picosecond
         small = shown * self.shown_small_time
         return f"{small:.4g} {self.small_time}" if abs(small) < 1000.0 else f"{shown:.6g} {self.shown_time}"
 
 
+LJ = UnitSystem()
 ASE = UnitSystem(
     name="ASE",
     k_B=BOLTZMANN_EV_PER_K,
@@ -68,24 +69,6 @@ ASE = UnitSystem(
     pressure="eV/Å³",
     momentum="√(u eV)",
     angular_momentum="Å √(u eV)",
-)
-
-LJ = UnitSystem(
-    name="LJ",
-    k_B=1.0,
-    to_angstrom=1.0,
-    to_picosecond=1.0,
-    to_kj_per_mol=1.0,
-    length="σ",
-    time="τ",
-    shown_time="τ",
-    small_time="τ",
-    shown_small_time=1.0,
-    energy="ε",
-    temperature="ε/k_B",
-    pressure="ε/σ³",
-    momentum="√(m ε)",
-    angular_momentum="σ √(m ε)",
 )
 
 fs = FEMTOSECOND

@@ -1,11 +1,8 @@
 """Velocities for a start: Maxwell-Boltzmann's, without drift of the whole, at a temperature exactly."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.structure.observables import momentum, temperature
-
-Array = NDArray[np.float64]
+from minimd.structure.observables import Array, momentum, temperature
 
 
 def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int | None = None) -> Array:  # noqa: N803

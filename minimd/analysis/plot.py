@@ -24,9 +24,7 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
     periodic in all directions, else the mean-square displacement.
     out : the picture, in a format that matplotlib knows by its suffix; the name of the file with .png if not given.
 
-    Raises
-    ------
-    FileNotFoundError, OSError, ValueError : as universe, or if the picture cannot be written.
+    Raises FileNotFoundError, OSError, ValueError as universe, or if the picture cannot be written.
     """
     figure, panels = four_panels()
     with universe_of(path) as made:

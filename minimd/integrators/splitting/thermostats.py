@@ -29,15 +29,13 @@ STEPS = 2**64  # numbers of steps are taken modulo this; those of an equilibrati
 class Thermostat(Splitting):
     """A splitting with a bath.
 
-    Parameters
-    ----------
     timestep : Δt [time], positive.  temperature : of the bath, ≥ 0.  seed : int ≥ 0, of the noise, below 2¹²⁸.
 
-    Raises
-    ------
-    ValueError : for a time step that is not positive, a temperature or a rate below zero, or a seed out of range.
+    Raises ValueError for a time step that is not positive, a temperature or a rate below zero, or a seed out of range.
     """
 
+    temperature: float
+    seed: int
     is_symmetric = is_symplectic = False
     is_thermostat = True
     order = 2
@@ -150,6 +148,11 @@ class StochasticVelocityRescaling(Thermostat):
         self.relaxation_time = _not_negative("relaxation_time", relaxation_time)
         if not self.relaxation_time > 0.0:
             raise ValueError(f"relaxation_time must be positive; relaxation_time = {relaxation_time!r}")
+
+    @classmethod
+    def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
+        """See Thermostat."""
+        return cls(timestep, temperature, relaxation_time, seed)
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The exact change of the kinetic energy over a duration."""

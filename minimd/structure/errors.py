@@ -1,4 +1,4 @@
-"""The exceptions of failed physics, the one that ends an interrupted computation, and the check of counts."""
+"""The exceptions of failed physics, the one of an interrupted computation, and the check of counts."""
 
 from numbers import Integral
 from typing import Any
@@ -30,7 +30,7 @@ class ConvergenceError(ArithmeticError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C in a computation that has something to show for itself. result : how far it came."""
+    """Ctrl-C in a computation that has a partial result.  result : that result."""
 
     def __init__(self, message: str, result: Any = None) -> None:
         super().__init__(message)

@@ -59,7 +59,7 @@ class CalculatorTerm:
         return ()
 
     def _shares_of_energy(self, detail: int) -> NDArray[np.float64]:
-        """(N,), with the right sum; the calculator's own shares if it has them and somebody asks."""
+        """(N,), with the right sum; the calculator's own shares if it has them and PER_ATOM asks for them."""
         total = self._atoms.get_potential_energy(force_consistent="free_energy" in self._implemented)
         own = detail == PER_ATOM and "energies" in self._implemented
         shares = self._atoms.get_potential_energies() if own else np.zeros(len(self._atoms))

@@ -20,7 +20,7 @@ CHAOS = 0.01  # of the way that atoms went: beyond it, rounding has grown too mu
 
 @dataclass(frozen=True)
 class Reversibility:
-    """How far from its start a simulation came back. str() is a line for people.
+    """How far from its start a simulation came back. str() puts it into a line.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
     guard.make_steps(n_steps)
     returned = engine.positions.copy()
     engine.restore(turning)
-    # the turning point is moved by some roundings, of random sign: of the coordinates, or of the tolerance of a solver; and of the forces
+    # the turning point is displaced by some roundings of random sign: of coordinates (or the tolerance of a solver), forces and velocities
     random, shape, moving = np.random.default_rng(1), engine.positions.shape, engine.constraint_set.inverse_masses[:, None]
     precision, exact = AMPLIFIED * ROUNDING[engine.interactions.options.precision], AMPLIFIED * ROUNDING["double"]
     kicks = np.abs(forces) * moving * abs(engine.method.timestep)

@@ -60,7 +60,7 @@ class Engine:
     def advance(self, n_steps: int, with_energy: bool = True) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many. step and time stay as they are.
 
-        Raises NonFiniteError, ConstraintError if a step fails; the state is then spoilt.
+        Raises NonFiniteError, ConstraintError if a step fails; the state is then of no use: restore another.
         """
         self._bath.step, self._bath.contact = self.step + self.noise_shift, 0
         return self.method.advance(self._state, self._compute_forces, n_steps, with_energy, self.surroundings)
@@ -76,7 +76,7 @@ class Engine:
         self.surroundings.constraints = self.constraint_set.bonds
 
     def moved(self) -> None:
-        """Somebody has moved atoms, or changed the cell: the forces are no longer those of the positions."""
+        """To be called where atoms were moved or the cell was changed: the forces are no longer those of the positions."""
         self._state.forces_are_current = False
 
     def evaluate(self) -> None:

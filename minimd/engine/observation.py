@@ -48,7 +48,7 @@ OBSERVABLES: dict[str, Observable] = {}
 
 
 def register(observable: Observable) -> None:
-    """Observe this in every run from now on, where it exists; files hold it without further ado.  Raises ValueError if there is one of this name."""
+    """Observe this in every later run in which it exists, in record and files.  Raises ValueError if there is one of this name."""
     if observable.name in OBSERVABLES:
         raise ValueError(f"an observable must have a name of its own; {observable.name!r} is known already")
     OBSERVABLES[observable.name] = observable

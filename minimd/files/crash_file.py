@@ -92,7 +92,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     from minimd.files.h5md_schema import opened, write_state  # h5py takes its time to load
     from minimd.files.h5md_writer import H5MDWriter
 
-    part = path.with_name(f"{path.name}.part")  # so that nothing half written stands where somebody looks for a crash report
+    part = path.with_name(f"{path.name}.part")  # a crash report that is half written never has the final name
     engine, last = guard.engine, guard.engine.snapshot()
     start, options = guard.failed_from or last, engine.interactions.options
     try:

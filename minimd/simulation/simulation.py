@@ -185,13 +185,13 @@ class Simulation:
             self.engine.begin()
 
     def _fingerprint(self) -> tuple[Any, ...]:
-        """Numbers that change when somebody moves atoms, changes velocities or the cell."""
+        """Numbers that change when an observer moves atoms, changes velocities or the cell."""
         masses = self.system.masses
         sums = momentum(self.positions, masses), momentum(self.velocities, masses)
         return self.engine.kinetic_energy, *np.concatenate(sums).tolist(), id(self.system.cell)
 
     def make_steps(self, n_steps: int) -> None:
-        """Make steps that nobody looks at.  Raises ValueError for a negative count, and as run."""
+        """Make steps without observations.  Raises ValueError for a negative count, and as run."""
         self.guard.make_steps(checked_count("n_steps", n_steps, 0))
 
     def equilibrate(

@@ -21,7 +21,7 @@ def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: 
     Species are the chemical symbols, or the labels that atoms_from_system left there.
 
     bonds : (B, 2) int, pairs of bonded atoms; ASE's atoms carry none.
-    constraints : whether those of the atoms are kept; if not, they are somebody else's business.
+    constraints : whether those of the atoms are kept; if not, the caller keeps them.
 
     Raises TypeError for something that is no ase.Atoms.  ValueError for constraints that minimd does not know.
     """

@@ -31,7 +31,7 @@ class ConvergenceError(ArithmeticError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C in a computation that has something to show for itself. result : how far it came."""
+    """Ctrl-C in a computation that has a partial result.  result : that result."""
 
     def __init__(self, message: str, result: Any = None) -> None:
         super().__init__(message)

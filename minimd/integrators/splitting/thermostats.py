@@ -38,6 +38,8 @@ class Thermostat(Splitting):
     ValueError : for a time step that is not positive, a temperature or a rate below zero, or a seed out of range.
     """
 
+    temperature: float
+    seed: int
     is_symmetric = is_symplectic = False
     is_thermostat = True
     order = 2

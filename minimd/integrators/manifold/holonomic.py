@@ -10,16 +10,14 @@ at most, because a constrained drift is not an exact flow: two of them in a row 
 """
 
 import warnings
-from collections.abc import Callable
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, Step
 from minimd.integrators.ode.functions import Function, central_differences
-from minimd.integrators.ode.newton import Newton, Solver
+from minimd.integrators.ode.newton import Iteration, Newton, Solver
 from minimd.integrators.ode.partitioned import SecondOrder, SequenceStep, push
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substeps
@@ -146,12 +144,12 @@ def is_made_of_verlet(substeps: Substeps) -> bool:
     return all(abs(kick.coefficient - (one + other) / 2.0) < COEFFICIENT_ROUNDING for kick, (one, other) in zip(kicks, pairwise(drifts), strict=True))
 
 
-def projected(problem: Holonomic, q0: Array, q: Array, iteration: Any = None) -> Array:
+def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | None = None) -> Array:
     """The point q + M⁻¹ G(q0)ᵀ λ with g = 0.  Raises ConvergenceError if there is none near q."""
     directions = problem.inverse_mass_gradient(q0)
-    solve: Callable[..., Array] = (iteration or problem.solver.iteration()).solve
     residual, jacobian = lambda x: problem.violation(q + directions @ x), lambda x: problem.gradient(q + directions @ x) @ directions
-    return q + directions @ solve(residual, np.zeros(directions.shape[1]), jacobian, scale=np.abs(q).max() / np.abs(directions).max())
+    solve, scale = (iteration or problem.solver.iteration()).solve, np.abs(q).max() / np.abs(directions).max()
+    return q + directions @ solve(residual, np.zeros(directions.shape[1]), jacobian, scale=scale)
 
 
 def tangent(problem: Holonomic, q: Array, v: Array) -> Array:

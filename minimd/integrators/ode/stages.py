@@ -45,8 +45,7 @@ class StageEquations:
                 rows[:, i * n : (i + 1) * n] += of_slope
             return matrix
 
-        solved = self._iteration.solve(residual, guess.reshape(-1), jacobian, (h, *weights[0]), *self._sizes(base, guess, h))
-        return solved.reshape(guess.shape)
+        return self._iteration.solve(residual, guess.reshape(-1), jacobian, (h, *weights[0]), *self._sizes(base, guess, h)).reshape(guess.shape)
 
     def _residual(self, t: float, y: Array, slope: Array) -> Array:
         self.nfev += 1

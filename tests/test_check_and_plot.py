@@ -10,7 +10,7 @@ import minimd as md
 from minimd.analysis import picture
 from minimd.analysis.check import check_file
 from minimd.analysis.plot import plot_file
-from minimd.files import h5md_schema
+from minimd.files import h5md_reader
 
 
 def simulation(units=md.units.LJ, pbc=(True, True, True)):
@@ -169,7 +169,7 @@ def test_a_file_is_read_once(run_file, tmp_path, monkeypatch, look):
     """By minimd, what is no frame; by one reader of MDAnalysis, the frames."""
     path, calls = tmp_path / "a.h5md", []
     path.write_bytes(run_file.read_bytes())
-    for place, name in ((h5md_schema, "opened"), (H5MDReader, "__init__")):
+    for place, name in ((h5md_reader, "opened"), (H5MDReader, "__init__")):
         original = getattr(place, name)
         monkeypatch.setattr(place, name, lambda *a, name=name, original=original, **k: calls.append(name) or original(*a, **k))
     look(path)

@@ -190,7 +190,7 @@ class DynamicsSection(Section):
     def integrator(self) -> Splitting:
         """The method with its time step; a thermostat with its bath."""
         if self.method in THERMOSTATS:
-            return THERMOSTATS["stochastic-velocity-rescaling"].with_relaxation_time(self.timestep, self.temperature, self.relaxation_time, self.seed)
+            return THERMOSTATS[self.method].with_relaxation_time(self.timestep, self.temperature, self.relaxation_time, self.seed)
         return SPLITTINGS[self.method](self.timestep)
 
 

@@ -252,14 +252,14 @@ def test_evaluate_takes_atoms_of_ase():
 
 def test_laws_run_as_plain_python_too():
     from minimd.potentials.pair_loop import SameForAll, add_pair_forces, fixed_pairs
-    from minimd.potentials.term import TOTALS, Accumulators
+    from minimd.potentials.term import TOTALS
 
     system = chain(None)
     pairs, _ = fixed_pairs(np.argwhere(np.triu(np.ones((10, 10)), k=1)), 10, periodic=False)
     for potential in (md.LennardJones(1.0, 1.0, CUTOFF, "switched"), md.PairPotential(yukawa, (1.0, 2.0), CUTOFF)):
         numbers = SameForAll(tuple(potential.table(("A", "B"))[0, 0].tolist()))
         forces, energies, virials = np.zeros((10, 3)), np.zeros(10), np.zeros((10, 6))
-        add_pair_forces.py_func(system.positions, pairs, potential.law, numbers, TOTALS, Accumulators(forces, energies, virials))
+        add_pair_forces.py_func(system.positions, pairs, potential.law, numbers, TOTALS, (forces, energies, virials))
         result = md.evaluate(system, potential)
         assert forces == pytest.approx(result.forces, rel=1e-13, abs=1e-14)
         assert energies.sum() == pytest.approx(result.potential_energy, rel=1e-13)

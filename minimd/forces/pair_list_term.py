@@ -10,7 +10,7 @@ from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws, skin_for
 from minimd.neighbors.pair_list import PairList
 from minimd.potentials.pair_loop import by_species, pair_loop_for
-from minimd.potentials.term import FORCES, Accumulators, Term
+from minimd.potentials.term import FORCES, Term
 from minimd.structure.system import System, number_density
 
 ALL_PAIRS_UP_TO = 100  # atoms: below, an open scene is faster without a list that has to be rebuilt
@@ -34,7 +34,7 @@ class PairListTerm(Term):
         self.list = PairList(n, cutoff, skin, laws.excluded)
         self._laws, self._loops = laws, [pair_loop_for(one.law) for one in laws.members]
         self._parameters_of = 0  # which build of the list
-        self._positions, self._sums = np.empty((n, 3)), Accumulators(np.empty((n, 3)), np.empty(n), np.empty((n, 6)))
+        self._positions, self._sums = np.empty((n, 3)), (np.empty((n, 3)), np.empty(n), np.empty((n, 6)))
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
@@ -43,19 +43,19 @@ class PairListTerm(Term):
             species = system.species_index[self.list.order]
             self._parameters, self._parameters_of = [by_species(one.table, species) for one in self._laws.members], self.list.n_builds
         if self._in_users_order:
-            self._run_loops(system.positions, detail, Accumulators(forces, energies, virials))
+            self._run_loops(system.positions, detail, (forces, energies, virials))
             return
-        local = self._sums
-        gather(system.positions, self.list.order, self.list.offsets, self._positions, local.forces)
+        local_forces, local_energies, local_virials = self._sums
+        gather(system.positions, self.list.order, self.list.offsets, self._positions, local_forces)
         if detail != FORCES:
-            local.energies[:], local.virials[:] = 0.0, 0.0
-        self._run_loops(self._positions, detail, local)
-        scatter(local.forces, self.list.order, forces)
+            local_energies[:], local_virials[:] = 0.0, 0.0
+        self._run_loops(self._positions, detail, self._sums)
+        scatter(local_forces, self.list.order, forces)
         if detail != FORCES:
-            energies[self.list.order] += local.energies
-            virials[self.list.order] += local.virials
+            energies[self.list.order] += local_energies
+            virials[self.list.order] += local_virials
 
-    def _run_loops(self, positions: NDArray, detail: int, sums: Accumulators) -> None:
+    def _run_loops(self, positions: NDArray, detail: int, sums: tuple[NDArray, NDArray, NDArray]) -> None:
         for one, loop, parameters in zip(self._laws.members, self._loops, self._parameters, strict=True):
             loop(positions, self.list.pairs, one.law, parameters, detail, sums)
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.kernels import kernel
-from minimd.potentials.term import FORCES, PER_ATOM, Accumulators, Term
+from minimd.potentials.term import FORCES, PER_ATOM, Term
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.system import System
@@ -59,7 +59,7 @@ def add_angle_forces(positions, angles, detail, sums):
 
         F_i = s (b/(|a||b|) − cos θ a/|a|²),   F_k = s (a/(|a||b|) − cos θ b/|b|²),   F_j = −F_i − F_k,   s = u′(θ)/sin θ
 
-    positions : (N, 3) [length].  angles : Angles.  detail, sums : see Term.add and Accumulators.
+    positions : (N, 3) [length].  angles : Angles.  detail : see Term.add.  sums : its accumulators forces, energies and virials.
     The virial a ⊗ F_i + b ⊗ F_k is symmetric because angles feel no torque. TOTALS adds an angle to its middle atom, PER_ATOM a third of it
     to each atom.
     """
@@ -110,7 +110,7 @@ class AngleTerm(Term):
             lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
             minimum_image_translations(system.positions, angles.middle, angles.first, *lattice, angles.first_translations)
             minimum_image_translations(system.positions, angles.middle, angles.last, *lattice, angles.last_translations)
-        add_angle_forces(system.positions, angles, detail, Accumulators(forces, energies, virials))
+        add_angle_forces(system.positions, angles, detail, (forces, energies, virials))
 
 
 def _one_each(name: str, values: ArrayLike, n: int) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from minimd.compiled.kernels import by_type, kernel, without_cache
 from minimd.neighbors.pair_list import fixed_pairs
 from minimd.potentials.law import evaluate_law, is_user_law
-from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, Accumulators, Term
+from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, Term
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.system import System
 
@@ -74,7 +74,7 @@ def add_pair_forces(positions, pairs, law, parameters, detail, sums):
     positions : (N, 3) [length].  pairs : Pairs.  law : law type.  parameters : see parameters_of_pair.
     detail : with FORCES only forces are changed. TOTALS adds each pair to energies and virials of its first atom, so that their
         sums are right; PER_ATOM adds half of it to both atoms.
-    sums : Accumulators.
+    sums : the accumulators forces, energies and virials, see Term.add.
     """
     forces, energies, virials = sums
     shifted = pairs.translations.shape[0] > 0
@@ -138,4 +138,4 @@ class FixedPairs(Term):
         if cell.is_periodic:
             lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
             minimum_image_translations(system.positions, self._first, self._second, *lattice, self._pairs.translations)
-        self._loop(system.positions, self._pairs, self._law, self._parameters, detail, Accumulators(forces, energies, virials))
+        self._loop(system.positions, self._pairs, self._law, self._parameters, detail, (forces, energies, virials))

@@ -1,6 +1,5 @@
 """The one door for forces: a potential has bind(system), which returns a Term; a Term adds its forces to the sum."""
 
-from collections import namedtuple
 from collections.abc import Iterable
 from math import inf
 from typing import Any, NamedTuple, Protocol
@@ -12,10 +11,6 @@ from minimd.structure.system import System
 
 FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes the ones before
 BOND_LOOP = "bond loop"
-
-
-class Accumulators(namedtuple("Accumulators", "forces energies virials")):
-    """What kernels add to: forces (N, 3) [energy/length], energies (N,) and virials (N, 6), xx yy zz yz xz xy [energy], see Term.add."""
 
 
 class PairLaw(NamedTuple):

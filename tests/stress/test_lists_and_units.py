@@ -10,6 +10,8 @@ from stress_scenes import OPEN, ROUNDING, SMOOTH, assert_stops, forces_of, oscil
 import minimd as md
 from minimd.structure.lattice import crystal
 
+pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
+
 POWERS = [(1e-30, 1.0, 1.0), (1e30, 1.0, 1.0), (1.0, 1e-30, 1.0), (1.0, 1e30, 1.0), (1.0, 1.0, 1e-30), (1.0, 1.0, 1e30), (1e-30, 1e30, 1e-30)]
 SI = (3.4e-10, 1.65e-21, 6.63e-26)  # m, J, kg: argon
 

@@ -10,6 +10,8 @@ import minimd as md
 from minimd.neighbors.queries import closest_pair
 from minimd.structure.lattice import crystal
 
+pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
+
 
 def test_a_planet_and_a_moon_a_million_times_lighter():
     """Gravity by a user's law without cutoff: a thousand orbits close."""

@@ -9,6 +9,8 @@ import minimd as md
 from minimd.structure.cell import Cell
 from minimd.structure.lattice import BASES, crystal
 
+pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
+
 GAUSS = md.PairPotential(lambda r2: (np.exp(-r2), 2.0 * np.exp(-r2)), (), 2.5, "force-shifted")
 SHAPES = {
     "needle": np.diag([200.0, 3.0, 3.0]),

@@ -6,6 +6,8 @@ from stress_scenes import SMOOTH, assert_stops, is_finite, oscillation, ran, sol
 
 import minimd as md
 
+pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
+
 WEAK = md.LennardJones(1e-3, 0.5)
 
 

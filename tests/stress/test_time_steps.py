@@ -6,6 +6,8 @@ from stress_scenes import BOTTOM, CURVATURE, LAST_GOOD, OPEN, SMOOTH, assert_sto
 
 import minimd as md
 
+pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
+
 BELOW = [0.1, 0.5, 1.0, 1.5, 1.9, 1.99]  # Δt ω
 ABOVE = [2.001, 2.01, 2.1, 2.5, 4.0]
 FREQUENCY = np.sqrt(2.0)  # of two unit masses on a spring with k = 1

@@ -43,6 +43,7 @@ def test_errors_are_about_the_line_of_regression():
     assert about_line(np.array([0.0, 1.0]), np.array([1.0, np.nan])) == (np.inf, np.inf)
 
 
+@pytest.mark.slow
 def test_work_precision_of_minimd_falls_with_the_order_of_the_method(monkeypatch):
     """Real runs of a few atoms: the errors of velocity Verlet fall with the square of the time step, and so do those of its paths."""
     monkeypatch.setattr(work_precision, "CELLS_QUICK", 4)

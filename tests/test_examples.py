@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-SHORTER = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 20, "every": 10}
+SHORTER = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 20, "every": 10, "duration": 200.0}
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 

@@ -212,6 +212,7 @@ def random_walk(method, n_steps, forget):
     return errors
 
 
+@pytest.mark.slow
 def test_the_compensated_sum_is_what_keeps_them_to_rounding():
     """Without it each step adds a rounding; with it the error has no memory: it does not grow."""
     kept, forgotten = (np.abs(random_walk(GaussLegendre2, 4000, forget)).max() for forget in (False, True))

@@ -117,6 +117,7 @@ def exact_gradients():
     return Holonomic(lambda q: np.tile(GRAVITY, 2), problem._g, jacobian, masses=[1.0, 1.0, 2.0, 2.0])
 
 
+@pytest.mark.slow
 def test_energy_of_a_bead_on_an_ellipse_oscillates_and_does_not_drift():
     bead = Holonomic(lambda q: GRAVITY, lambda q: [0.5 * (q[0] ** 2 / 4.0 + q[1] ** 2 - 1.0)])
 

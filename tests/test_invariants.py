@@ -80,7 +80,10 @@ def test_the_energy_is_kept_to_rounding(wrapper, method):
     assert np.abs(kept + 0.5).max() < (10 if method is ImplicitEuler else 1) * ROUNDING  # its steps are noisier than g
 
 
-@pytest.mark.parametrize(("method", "h"), [(VelocityVerlet, 0.05), (ImplicitEuler, 0.01), (RadauIIA2, 0.1)])
+@pytest.mark.parametrize(
+    ("method", "h"),
+    [(VelocityVerlet, 0.05), pytest.param(ImplicitEuler, 0.01, marks=pytest.mark.slow), pytest.param(RadauIIA2, 0.1, marks=pytest.mark.slow)],
+)
 def test_the_energy_does_not_drift_in_10_000_steps(method, h):
     kept = run_steps(KEPLER, projected(method, ENERGY)(h), START, 10_000, every=10)
     assert np.abs(values(energy, kept) + 0.5).max() < ROUNDING

@@ -55,6 +55,7 @@ def test_stabilization_with_one_invariant_is_the_energy_form():
     assert np.concatenate(halves) == pytest.approx(expected, abs=ROUNDING)
 
 
+@pytest.mark.slow
 def test_stabilization_bounds_an_energy_that_drifts_otherwise():
     plain = values(energy, run_steps(KEPLER, RadauIIA2(0.05), START, 2000))
     steadied = values(energy, run_steps(stabilized(KEPLER, ENERGY, 5.0), RadauIIA2(0.05), START, 2000))
@@ -69,7 +70,7 @@ def test_a_problem_on_its_manifold_is_not_changed_by_stabilization():
     assert np.abs(run_until(problem, GaussLegendre4(0.02), START, PERIOD).y - exact.y).max() < 1e-10  # truncation of both
 
 
-@pytest.mark.parametrize(("method", "h"), [(ImplicitEuler, 0.002), (RadauIIA2, 0.02), (RadauIIA3, 0.05)])
+@pytest.mark.parametrize(("method", "h"), [pytest.param(ImplicitEuler, 0.002, marks=pytest.mark.slow), (RadauIIA2, 0.02), (RadauIIA3, 0.05)])
 def test_the_problem_of_index_2_has_the_solutions_of_the_problem_itself(method, h):
     """The energy is a constraint, to rounding; the multiplier vanishes with h, and the error as hᵖ."""
     problem = index_two(KEPLER, ENERGY)

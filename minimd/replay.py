@@ -56,10 +56,10 @@ class ReplayedStep(NamedTuple):
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay saw. str() is a table.
+    """The result of a replay. str() gives a table.
 
-    rows : a ReplayedStep of each step that could be made.  ending : what ended it, in words.  failed_at : step, or None if it did not fail again.
-    findings : CrashReport of the first failure.  trajectory, picture : files, or None where none was written.
+    rows : a ReplayedStep for each step that succeeded.  ending : why it ended, as text.  failed_at : step, or None if it did not fail again.
+    findings : CrashReport of the original failure.  trajectory, picture : paths of the files, or None if not written.
     """
 
     rows: list[ReplayedStep]

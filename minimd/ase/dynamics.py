@@ -36,7 +36,7 @@ class VelocityVerlet(MolecularDynamics):
     _made_with: Potential | Sequence[Potential]
 
     def run(self, steps: int = 50) -> bool:
-        """Make so many steps; True at their end, False if an observer lowered max_steps."""
+        """Make this many steps. Returns False if an observer lowered max_steps below nsteps, else True."""
         next(self.irun(steps))  # what ASE does before the first step
         while self.nsteps < self.max_steps:
             self._advance(self._next_look() - self.nsteps)

@@ -62,9 +62,9 @@ def _double(rows: Sequence[EngineSpeed], threads: int, scene: str) -> EngineSpee
 
 
 class PeersOptions(NamedTuple):
-    """What to run.
+    """Options of run_peers.
 
-    threads : empty for one and all cores.  peers : names in PEERS; empty for those installed, "none" for none.
+    threads : if empty, one thread and all cores.  peers : names in PEERS; if empty, all that are installed; "none" for no peer.
     """
 
     scene: str = MELT

@@ -148,7 +148,7 @@ def finish_and_take(worker, phase, n):
 
 @scalar
 def barrier(worker, phase):
-    """Wait while a phase is open (not at all for a helper that comes too early or too late); returns the next phase."""
+    """Wait as long as this phase is open, then return the next phase. If another phase is open, a helper does not wait."""
     reads = 0
     while _read(worker.counters, OPEN) == phase:
         reads += 1

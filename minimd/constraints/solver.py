@@ -26,12 +26,12 @@ class ConstraintSolver:
     ----------
     constraints : DistanceConstraints.  positions : (N, 3) [length].  inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
     offsets : (K, 3) [length], added to r_j − r_i: lattice translations of bonds across a periodic boundary.
-    threads : at most so many; results have the same bits for any number.
+    threads : maximum number of threads; results have the same bits for any number.
 
     Attributes
     ----------
-    n_constraints : the degrees of freedom that they remove.  lengths : (K,) [length], in the order of the user.
-    accuracy : error of lengths after sweeps [length]; 0 for the other solvers, whose error is rounding.
+    n_constraints : number of degrees of freedom removed.  lengths : (K,) [length], in the order of constraints.pairs.
+    accuracy : error of the lengths with solver="shake" [length]; 0 for the other solvers, whose error is rounding.
 
     Raises
     ------

@@ -142,7 +142,7 @@ class RunGuard:
         return frame
 
     def check_kinetic_energy(self, most: float) -> None:
-        """Raise NonFiniteError, as observe, if the kinetic energy [energy] is larger than this."""
+        """Raise NonFiniteError if the kinetic energy is larger than most [energy]; the state is then restored as in observe."""
         kinetic = self.engine.kinetic_energy
         self._fail_if(f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}" if kinetic > most else None)
 

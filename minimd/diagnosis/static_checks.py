@@ -1,4 +1,4 @@
-"""Lines of the report that need no run: what jumps at a cutoff, how long a list is good for, how well velocities obey constraints."""
+"""Lines of the report that need no run: jumps at the cutoff, number of steps that a list lasts, velocities along rigid bonds."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -67,7 +67,7 @@ def list_lines(engine: Engine) -> Iterator[Line]:
 
 
 def constraint_lines(engine: Engine) -> Iterator[Line]:
-    """How well the velocities of the present state obey the constraints."""
+    """One line on how well the present velocities obey the distance constraints; no line if there are none."""
     if engine.constraint_set.bonds is not None:
         turning = float(engine.constraint_set.bonds.velocity_violation(engine.positions, engine.velocities).max())
         good = turning < TURNING

@@ -1,7 +1,7 @@
 """The vector loop over clusters: the same pair laws as pair_loop, applied to eight pairs at a time.
 
-Atoms near each other form clusters of eight; see neighbors.clusters for the picture. A row belongs to one atom i and names the
-clusters j that hold atoms within its reach; a mask says which lanes of each count.
+Atoms near each other form clusters of eight; see neighbors.clusters for the picture. A row belongs to one atom i and lists the
+clusters j with atoms within its reach. For each of these clusters a mask marks the lanes that count.
 """
 
 import functools
@@ -149,7 +149,7 @@ def separation(coordinates, place, x, unit):
 
 @scalar
 def add(sums, place, vector):
-    """Add eight numbers to those from a place on."""
+    """sums[place : place + LANES] += vector."""
     store(sums, place, load(sums, place, LANES) + vector)
 
 

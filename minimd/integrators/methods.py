@@ -1,4 +1,4 @@
-"""The tables of methods, by name: every class with a name in the modules below is in them."""
+"""The tables of methods, by name: all public classes of the integrator modules that have an attribute `name`."""
 
 from types import ModuleType
 from typing import Any

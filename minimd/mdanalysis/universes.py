@@ -111,7 +111,7 @@ def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
 
 
 class _TurnedRDF(InterRDF):
-    """g(r) of frames that are turned into the reduced lattice as MDAnalysis places it; all periodic distances stay."""
+    """g(r) of frames rotated to MDAnalysis' orientation of the reduced lattice; distances between nearest images do not change."""
 
     def _prepare(self) -> None:
         super()._prepare()

@@ -69,7 +69,7 @@ class ClusterList(VerletList):
         self.arrays = ClusterArrays(self.clusters, self.domains.cluster, self.ghosts, self.rows, self.memory)
 
     def _find_rows(self, layout: Layout) -> Rows:
-        """The rows, in as much memory as they turn out to need."""
+        """Find the rows. If the memory is too small, it is enlarged and the search repeated."""
         start, stop = (self._memory.array(name, np.int32, len(self.clusters.atom)) for name in ("row start", "row stop"))
         if len(self._entry_start) != self.n_domains + 1:
             self._make_entries(np.diff(self.domains.cluster) * LANES * ENTRIES_GUESSED)

@@ -104,7 +104,7 @@ def _candidates(k, n_ahead, layout, work):
 
 @scalar
 def _prune(k, n, layout, rows, n_entries, last, work):
-    """The rows of the atoms of cluster k: each of n candidates with an atom within reach, its own cluster last."""
+    """Write the rows of the atoms of cluster k: those of the n candidates that are within reach, then k itself. Returns the end of the entries."""
     if n_entries + LANES * (n + 1) >= last:  # no room: an upper bound tells how much is missing
         return n_entries + LANES * (n + 1) + 1
     ghosts, coordinates, reach, filled = layout.ghosts, layout.coordinates, layout.columns.distance, layout.clusters.filled[k]

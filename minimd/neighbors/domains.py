@@ -121,7 +121,7 @@ def _seen(run_x, run_y, image_z, clusters, columns):
 
 @scalar
 def fill_ghosts(domain, layout):
-    """Make the ghosts of one domain, except which are used."""
+    """Write the ghosts of one domain. is_used is true for the domain's own clusters only; find_rows sets it for the others."""
     columns, clusters, domains, ghosts, coordinates = layout
     lattice = columns.lattice
     run = domains.run[domain]

@@ -91,7 +91,7 @@ def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterabl
 
 
 def evaluate_law(law, r2, parameters):
-    """u(r) and −u′(r)/r of the law that a law type stands for, at r² = r2, for one pair.
+    """u(r) [energy] and −u′(r)/r [energy/length²] of one pair at r² = r2.
 
     law : law type.  r2 : [length²].  parameters : tuple of numbers, those of the truncation first.
     """

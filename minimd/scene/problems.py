@@ -93,7 +93,7 @@ def _written(loc: tuple, reading: Reading) -> tuple[str, Any, Keys]:
 
 
 def _joined(sentences: list[str]) -> str:
-    """Sentences about one value that may be of several kinds: "x must be a boolean; x = 3", "x must be a list; x = 3"."""
+    """One sentence from several: "x must be a boolean; x = 3", "x must be a list; x = 3" give "x must be a boolean or a list; x = 3"."""
     first, *others = dict.fromkeys(sentences)
     for other in others:
         head, _, tail = first.partition(";")

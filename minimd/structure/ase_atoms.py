@@ -16,14 +16,14 @@ LABELS = "species_labels"  # the array of an ase.Atoms that holds species which 
 
 
 def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True) -> dict[str, Any]:
-    """What System takes, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and constraints.
+    """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and constraints.
 
-    Species are the chemical symbols, or the labels that atoms_from_system left there.
+    Species are the chemical symbols, or the labels that atoms_from_system stored in the atoms.
 
     bonds : (B, 2) int, pairs of bonded atoms; ASE's atoms carry none.
-    constraints : whether those of the atoms are kept; if not, the caller keeps them.
+    constraints : True to take those of the atoms; False if the caller handles them.
 
-    Raises TypeError for something that is no ase.Atoms.  ValueError for constraints that minimd does not know.
+    Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know.
     """
     if not isinstance(atoms, Atoms):
         raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")

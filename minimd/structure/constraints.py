@@ -73,7 +73,7 @@ class FixedAtoms:
         return f"FixedAtoms({len(self.atoms)} atoms)"
 
     def check_size(self, n_atoms: int) -> None:
-        """ValueError unless so many atoms can be meant."""
+        """Raise ValueError if the indices or the bools do not fit a system of n_atoms atoms."""
         if self._n_bools not in (None, n_atoms):
             raise ValueError(f"fixed atoms must be given as indices, or as one bool for each of {n_atoms} atoms; got {self._n_bools} bools")
         if self.atoms.max(initial=-1) >= n_atoms:

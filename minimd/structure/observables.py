@@ -76,7 +76,7 @@ def absolute_momentum(velocities, masses):
 
 @kernel
 def longest(vectors):
-    """Index and length of the longest of (N, 3) vectors; the first that is not finite, if there is one, is infinitely long."""
+    """Index and length of the longest of (N, 3) vectors. If vectors are not finite: index of the first of them, and infinity."""
     where, longest2 = 0, -1.0
     for i in range(vectors.shape[0]):
         length2 = vectors[i, 0] ** 2 + vectors[i, 1] ** 2 + vectors[i, 2] ** 2

@@ -75,7 +75,10 @@ class System:
             fixed.setflags(write=False)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Positions and velocities are copied into the arrays that a running simulation works on; what is read-only stays."""
+        """New positions and velocities are copied into the existing arrays, which a running simulation uses.
+
+        Raises AttributeError for a read-only attribute.  TypeError for a cell that is no Cell.
+        """
         if name in ("positions", "velocities") and name in self.__dict__:
             self.__dict__[name][:] = _vectors(name, value, len(self))
         elif name in READ_ONLY and name in self.__dict__:

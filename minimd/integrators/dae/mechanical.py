@@ -53,7 +53,7 @@ class Mechanical(Hessenberg3):
         return np.concatenate([parts[1], self._highest_derivative(t, *parts), np.zeros(parts[2].size)])
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y: −1 for v in q′ − v, the given G and Gᵀ, the rest by finite differences."""
+        """∂F/∂y, by blocks: ∂(q′ − v)/∂v = −1, G and Gᵀ; the others by finite differences."""
         q, v, multipliers = self.parts(y)
         v_slope = self.parts(slope)[1]
         of_q, of_v, of_multipliers = self._slices

@@ -32,16 +32,16 @@ SMALL = 1e-8  # corrections, relative to the unknowns, that are taken for roundi
 
 
 class Newton:
-    """Newton's method with the Jacobian of the problem, or one by finite differences.
+    """Newton's method with the Jacobian of the problem; if it has none, with one by finite differences.
 
     Parameters
     ----------
-    max_iterations : int, after which the equations count as unsolved.
-    small : relative size below which corrections are taken for rounding once they no longer shrink.
+    max_iterations : int; without convergence after so many, the solution has failed.
+    small : an iteration has converged if its corrections, relative to x, are below this and no longer shrink.
 
     Raises
     ------
-    ValueError : if max_iterations is not a whole number, at least 1.
+    ValueError : if max_iterations is not a whole number of at least 1.
     """
 
     slow = SLOW

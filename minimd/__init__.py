@@ -1,4 +1,4 @@
-"""minimd: a molecular-dynamics mini-engine, fast and exact. docs/architecture.md shows the house; a step is a few files of it."""
+"""minimd: a molecular-dynamics mini-engine, fast and exact. Its modules are described in docs/architecture.md."""
 
 from minimd import integrators
 from minimd.compiled.machine import version

@@ -105,7 +105,7 @@ class Cost:
 
 @dataclass(frozen=True)
 class Report:
-    """What a run conserved, and what it cost. str() puts it into lines.
+    """What a run conserved, and what it cost. str() gives the report as text.
 
     Attributes
     ----------
@@ -115,11 +115,11 @@ class Report:
     angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None where L is not a constant.
     constraint_violation : largest |r² − d²|/d², or None without constraints.
     mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
-    duration : [ps or τ].  n_frames, n_steps : observed, and between the first and the last.  cost : of the run, if known.
+    duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run, if known.
     kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
-    shadow_drift, shadow_oscillation : as those of the energy, of the shadow energy; None and 0 where it was not recorded.
+    shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
     temperatures : means of the first and of the last fifth of the run.
-    lines : what can be said without a run: see diagnosis.static_checks.
+    lines : results that need no run: see diagnosis.static_checks.
     """
 
     energy_drift: Drift

@@ -20,12 +20,12 @@ CHAOS = 0.01  # of the way that atoms went: beyond it, rounding has grown too mu
 
 @dataclass(frozen=True)
 class Reversibility:
-    """How far from its start a simulation came back. str() puts it into a line.
+    """The result of Simulation.probe_reversibility. str() gives one line.
 
     Attributes
     ----------
-    n_steps : forth, and back.  distance : largest of an atom from where it started [length].  way : largest that an atom had gone [length].
-    rounding : what one rounding at the turning point grows to, times the square root of 2 n_steps [length]; infinite if that cannot be told.
+    n_steps : in each direction.  distance : largest of an atom from its start, at the end [length].  way : the same, at the reversal [length].
+    rounding : growth of one rounding error from the turning point to the end, times √(2 n_steps) [length]; infinite if too chaotic to tell.
     """
 
     n_steps: int

@@ -28,14 +28,14 @@ SHOWN_SHARE = 0.05  # of its kinetic energy, at least
 
 @dataclass(frozen=True)
 class StepAdvice:
-    """What the stiffest mode of a state allows. Print it.
+    """Advice on the time step from the stiffest mode of a state; print it.
 
     Attributes
     ----------
     frequency : ω of the stiffest mode [1/time], angular; 0 if nothing oscillates.  period : 2π/ω [time].
     limit : the longest stable step of the method [time].
-    recommended : the step at which the energy of this mode swings by ±1/80 of itself, at most half the limit [time].
-    method : name of the method.  timestep : of the method, if it came with one [time].
+    recommended : the step at which the energy of this mode oscillates by ±1/80 of its mean, at most half the limit [time].
+    method : name of the method.  timestep : of the method, if it has one [time].
     atoms, shares : those that move most in the mode, and the fraction of its kinetic energy that each of them has.
     n_moving : over how many atoms the mode is spread, 1/Σ share².
     bond : (i, j), if the mode is the stretching of one bond.
@@ -84,7 +84,7 @@ def advise_timestep(
         limit = h_max/ω, h_max = 2 for velocity Verlet; recommended = h/ω with (E_max − E_min)/(E_max + E_min) = 1/80 for the mode,
         which velocity Verlet has at h²/8 ≈ 1/80, 20 steps a period.  See integrators.stability for other methods.
 
-    The Hessian is never built: Lanczos iterations ask for its products with vectors, central differences of the forces. With
+    The Hessian is never built: Lanczos iterations need only its products with vectors, central differences of the forces. With
     constraints the modes are those of the allowed directions, and the curvature of the constraints counts too.
 
     The advice is for the state that is given. In a run at a finite temperature atoms come closer to each other than in a crystal
@@ -95,7 +95,7 @@ def advise_timestep(
     ----------
     system : the state, System or ase.Atoms.  potentials : one or several.
     constraints : as for Simulation; those of the system if not given.
-    method : a splitting, such as VelocityVerlet, or one with its time step, which is then compared.
+    method : a splitting, such as VelocityVerlet; or one with its time step, which is then compared with the advice.
 
     Raises
     ------

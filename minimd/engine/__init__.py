@@ -1,1 +1,1 @@
-"""One system, its forces, its constraints and one method: what advances, and what is observed of it."""
+"""The engine (one system, its forces, its constraints and one method) and the observables of its state."""

@@ -18,7 +18,7 @@ from minimd.structure.system import AnySystem, System
 
 
 class Snapshot(NamedTuple):
-    """A state to go back to.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy]."""
+    """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy]."""
 
     step: int
     time: float
@@ -30,9 +30,9 @@ class Snapshot(NamedTuple):
 class Engine:
     """One system, its forces, its constraints and one method; see Simulation for the parameters.
 
-    system : System, the state; its arrays can be changed.  step, time : made so far, [time].
+    system : System, the state; its arrays can be changed.  step : number of steps made.  time : [time].
     interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  surroundings : Surroundings of the method.
-    noise_shift : the noise of step n is that of n + noise_shift.  extra_observables : names of observables beside the usual ones.
+    noise_shift : step n has the noise with number n + noise_shift.  extra_observables : names of additional observables.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Engine:
     def advance(self, n_steps: int, with_energy: bool = True) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many. step and time stay as they are.
 
-        Raises NonFiniteError, ConstraintError if a step fails; the state is then of no use: restore another.
+        Raises NonFiniteError, ConstraintError if a step fails; the state is then invalid, and a snapshot must be restored.
         """
         self._bath.step, self._bath.contact = self.step + self.noise_shift, 0
         return self.method.advance(self._state, self._compute_forces, n_steps, with_energy, self.surroundings)
@@ -69,30 +69,30 @@ class Engine:
         self.interactions.compute(TOTALS if with_energy else FORCES)
 
     def begin(self) -> None:
-        """Take the state as it is now: images of rigid bonds, lengths and velocities put right, forces to be computed anew."""
+        """Prepare a run from the present state: choose images of rigid bonds, project onto the constraints, mark the forces as outdated."""
         self.moved()
         self._describe_bath()
         self.constraint_set.begin(self.system)
         self.surroundings.constraints = self.constraint_set.bonds
 
     def moved(self) -> None:
-        """To be called where atoms were moved or the cell was changed: the forces are no longer those of the positions."""
+        """Mark the forces as outdated. To be called after atoms were moved or the cell was changed."""
         self._state.forces_are_current = False
 
     def evaluate(self) -> None:
-        """Make sure that forces, energy and virial are those of the present positions."""
+        """Compute forces, energy and virial at the present positions, unless they are current."""
         if not (self._state.forces_are_current and self.interactions.has_energy):
             self.interactions.compute(TOTALS)
             self._state.forces_are_current = True
 
     def fit_images(self) -> None:
-        """Take rigid bonds at their present images: between two runs atoms may have been moved by lattice vectors."""
+        """Choose the images of rigid bonds again: between two runs atoms may have been moved by lattice vectors."""
         self.constraint_set.fit(self.system)
         self.surroundings.constraints = self.constraint_set.bonds
 
     @contextmanager
     def displaced(self, displacements: Array) -> Iterator[Array]:
-        """While active, all atoms stand elsewhere, moved by (N, 3) [length], with the forces there, (N, 3); then all is as before."""
+        """Context in which atoms are displaced by (N, 3) [length]. Yields the forces there, (N, 3). Afterwards the state is as before."""
         here = self.positions.copy()
         with self.interactions.set_aside():
             self.positions[:] += displacements
@@ -106,18 +106,18 @@ class Engine:
         return Snapshot(self.step, self.time, self.positions.copy(), self.velocities.copy(), self.reservoir_energy)
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back to a state."""
+        """Restore the state of a snapshot."""
         self.step, self.time, self.positions[:], self.velocities[:], self.reservoir_energy = snapshot
         self.moved()
 
     @property
     def system(self) -> System:
-        """The state; its arrays can be changed, not replaced by those of another system."""
+        """The state. Its arrays can be changed, but it cannot be replaced by another system."""
         return self._system
 
     @property
     def method(self) -> Splitting:
-        """The integrator with its time step; another one can take over.
+        """The integrator with its time step; it can be replaced.
 
         Raises, when it is set
         ----------------------
@@ -132,7 +132,7 @@ class Engine:
         self._describe_bath()
 
     def _describe_bath(self) -> None:
-        """Tell the bath which motions share the kinetic energy."""
+        """Set n_dof and conserves_momentum of the bath."""
         self._bath.n_dof = self.n_dof
         self._bath.conserves_momentum = self.conserves_momentum and len(self.system) > 1
 
@@ -148,7 +148,7 @@ class Engine:
 
     @property
     def reservoir_energy(self) -> float:
-        """Given by a thermostat since the start [energy]; set it when a run is resumed."""
+        """Energy given to the system by the thermostat since the start [energy]. It is set when a run is resumed."""
         return self._bath.energy
 
     @reservoir_energy.setter
@@ -157,7 +157,7 @@ class Engine:
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
-        """What is held fixed, with the lengths that are kept."""
+        """The constraints, with the lengths in use."""
         return self.constraint_set.kept
 
     @property
@@ -188,7 +188,7 @@ def _checked(method: Splitting) -> Splitting:
 
 
 def _warn_of_dropped(those_of_system: Sequence[Constraint], given: Constraint | Sequence[Constraint] | None) -> None:
-    """Say that constraints of a kind were not given again, where others are given instead of those of the system."""
+    """Warn if the given constraints replace those of the system and one kind of the latter is missing."""
     if given is None:
         return
     kinds = {type(one) for one in (given if isinstance(given, Sequence) else [given])}

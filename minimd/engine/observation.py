@@ -1,4 +1,4 @@
-"""What is observed of an engine: the table of observables, and one look at all of them."""
+"""Observables of an engine: the table of all of them, and their values for one state."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from minimd.structure import observables
 
 
 class Look:
-    """One look at an engine whose forces, energy and virial are current: what several observables share is computed once."""
+    """Quantities that several observables share, each computed once. Forces, energy and virial of the engine must be current."""
 
     def __init__(self, engine: Engine) -> None:
         self.engine, self.system = engine, engine.system
@@ -35,7 +35,7 @@ class Observable:
     """A number, or an array of numbers, that frames, records and files hold under a name.
 
     name : in record and file.  unit : the attribute of UnitSystem that names its unit, empty for a pure number.
-    measure : its value, from a Look.  exists : whether it means anything for an engine.
+    measure : its value, from a Look.  exists : whether it is defined for an engine.
     """
 
     name: str
@@ -48,7 +48,7 @@ OBSERVABLES: dict[str, Observable] = {}
 
 
 def register(observable: Observable) -> None:
-    """Observe this in every later run in which it exists, in record and files.  Raises ValueError if there is one of this name."""
+    """Add an observable to record and files of all later runs in which it exists.  Raises ValueError if its name is in use."""
     if observable.name in OBSERVABLES:
         raise ValueError(f"an observable must have a name of its own; {observable.name!r} is known already")
     OBSERVABLES[observable.name] = observable

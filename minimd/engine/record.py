@@ -11,7 +11,7 @@ SERIES: dict[str, str] = {}  # name in record and file: attribute of UnitSystem 
 
 
 class Frame(NamedTuple):
-    """One observed moment. Arrays are those of the running simulation: copy what is to be kept.
+    """The observed state of one step. Arrays are those of the running simulation; copy them to keep their values.
 
     step, time [time].  positions, velocities, forces : (N, 3).  observables : name in SERIES to number or (3,) array;
     pressure is missing unless the cell has a volume.  reservoir_energy : given by a thermostat since the start [energy].
@@ -54,7 +54,7 @@ class Record:
         return record
 
     def append(self, frame: Frame) -> None:
-        """Keep the observables of a frame."""
+        """Append the observables of a frame."""
         self._series["step"].append(frame.step)
         self._series["time"].append(frame.time)
         for name, value in frame.observables.items():

@@ -41,7 +41,7 @@ def parameters_of_lanes(source, slot, cluster):
 
 @by_type
 def _loaded(columns, start):
-    """Eight elements of each column, from an index, unrolled by the compiler."""
+    """LANES elements of each column, starting at an index; unrolled by the compiler."""
     if len(columns) == 1:
         return lambda columns, start: (load(columns[0], start, LANES),)
     return lambda columns, start: (load(columns[0], start, LANES),) + _loaded(columns[1:], start)
@@ -137,7 +137,7 @@ def separations(coordinates, ghost, at, unit):
 
 @by_type
 def separation(coordinates, place, x, unit):
-    """Eight coordinates from a place on, minus x [length].
+    """coordinates[place : place + LANES] − x [length].
 
     In double precision coordinates are float64 [length]. In mixed precision they are int32 in units of a length; their
     difference has no rounding error, however far the atoms are from the origin, and becomes float32.
@@ -155,7 +155,7 @@ def add(sums, place, vector):
 
 @functools.cache
 def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
-    """Whether a law compiles for vectors. Those of minimd do; one of the user's that branches on its arguments does not."""
+    """Whether a law compiles for vectors. Those of minimd do; a law of the user's that branches on its arguments does not."""
     if not is_user_law(law):
         return True
 

@@ -82,7 +82,7 @@ class ClusterTerm(Term):
             self._add_each(sums, energies, virials)
 
     def _prepare(self, system: System) -> None:
-        """What a new list asks for: parameters in the order of its clusters, the array of its forces."""
+        """After a list build: parameters in the order of its clusters, and the array of its forces."""
         of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(self._pair_laws.members)]
         self._laws = tuple((one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True))
         self._force_sums = ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
@@ -150,7 +150,7 @@ def net_force(forces):
 
 @kernel
 def take_out(before, forces):
-    """forces −= (Σ F − before) / N, if finite: the net force of pairs is rounding, and without it momentum is conserved."""
+    """forces −= (Σ F − before) / N, if finite. The net force of pairs is only rounding; without it momentum is conserved."""
     x, y, z = net_force(forces)
     x, y, z = x - before[0], y - before[1], z - before[2]
     if np.isfinite(x) and np.isfinite(y) and np.isfinite(z):

@@ -1,4 +1,4 @@
-"""Forces: the sum of all terms of a scene at each step, energies and virial when they are asked for; the plan, which list each pair law gets."""
+"""Forces: the sum of all terms of a scene at each step, with energies and virial on request; the plan decides which list a pair law gets."""
 
 import warnings
 from collections.abc import Iterator, Sequence
@@ -48,7 +48,7 @@ class Forces:
 
     Raises
     ------
-    TypeError, ValueError : for something that is no potential, a species without parameters, a periodic scene without a
+    TypeError, ValueError : for an object that is no potential, a species without parameters, a periodic scene without a
         cutoff, bonded terms that name missing atoms.
     """
 
@@ -76,7 +76,7 @@ class Forces:
         self._compiled: set[int] = set()  # details that the terms have been computed with
 
     def fit_skin(self, displacement: float) -> None:
-        """Choose the skin for a fastest atom that moves so far in a step [length], unless the user chose it or it is still right."""
+        """Choose the skin anew if the displacement of the fastest atom in a step [length] has changed much, unless the user gave a skin."""
         if self.options.skin is None and not self._displacement / CHANGED_SPEED <= displacement <= self._displacement * CHANGED_SPEED:
             self._displacement = displacement
             self._plan(self._bound)
@@ -87,7 +87,7 @@ class Forces:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Evaluations and list builds; set them to forget those that have come since."""
+        """Numbers of evaluations and of list builds. Assigning earlier numbers discards the counts made since."""
         return self.n_evaluations, self.n_builds
 
     @counts.setter
@@ -115,7 +115,7 @@ class Forces:
 
     @contextmanager
     def _compiling(self, detail: int) -> Iterator[None]:
-        """Around the first compute with a detail; a law of the user's may not compile."""
+        """Context of the first compute with a detail.  Raises TypeError if a law of the user's does not compile."""
         try:
             with announce_compilation():
                 yield
@@ -126,7 +126,7 @@ class Forces:
         self._compiled.add(detail)
 
     def _clear_accumulators(self, detail: int) -> None:
-        """Zeros for energies and virials: one for each atom, or a single one if only totals are wanted and all terms can do with it."""
+        """Set energies and virials to zero: one element for each atom, or a single one for TOTALS if all terms support it."""
         n = 1 if detail == TOTALS and all(term.needs_one_accumulator for term in self.terms) else len(self.system)
         if len(self._energies) != n:
             self._energies, self._virials = np.empty(n), np.empty((n, 6))
@@ -134,7 +134,7 @@ class Forces:
 
     @contextmanager
     def set_aside(self) -> Iterator[None]:
-        """Within this context compute may be called at displaced positions; after it forces, energies and virials are what they were."""
+        """Context in which compute may be called at displaced positions. Afterwards forces, energies and virials are restored."""
         forces, energies, virials, detail = self.forces.copy(), self._energies, self._virials, self._detail
         self._energies, self._virials = np.zeros(0), np.zeros((0, 6))
         try:
@@ -170,17 +170,17 @@ class Forces:
 
     @property
     def largest_cutoff(self) -> float:
-        """The largest finite cutoff [length]: an atom that moves farther in one step may pass its neighbors unseen."""
+        """The largest finite cutoff [length]: an atom that moves farther in one step may pass another without interacting."""
         return max((term.cutoff for term in self._bound if np.isfinite(term.cutoff)), default=np.inf)
 
     @property
     def n_builds(self) -> int:
-        """How often a list was built, since the last reset_counts."""
+        """Number of list builds since the last reset_counts."""
         return self._builds_before + _n_builds(self.terms)
 
     @property
     def skins(self) -> list[float]:
-        """Of all lists that are rebuilt as atoms move [length]."""
+        """Skins of all lists that are rebuilt as atoms move [length]."""
         return [one.skin for one in _lists(self.terms) if np.isfinite(one.cutoff)]
 
     @property
@@ -189,7 +189,7 @@ class Forces:
         return ", ".join(term.summary for term in self.terms if term.summary) or "no list"
 
     def skipped(self) -> list[str]:
-        """What this scene lacks and therefore does not pay for, for the report."""
+        """Names of the computations that this scene does not need, for the report."""
         absent = [] if self.system.cell.is_periodic else ["periodic images"]
         absent += [BOND_LOOP] if all(term.ingredient != BOND_LOOP for term in self.terms) else []
         return absent + [what for term in self.terms for what in term.skipped()]
@@ -224,7 +224,7 @@ def plan(terms_bound: Sequence[Term], system: System, options: Options, displace
 
 
 def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
-    """Each law times its factors on the pairs one, two and three bonds apart, which the list leaves out."""
+    """Terms for the pairs one, two and three bonds apart, which the list leaves out: each law times its factor."""
     for one in laws.members:
         for pairs, factor in laws.special:
             if factor != 0.0:

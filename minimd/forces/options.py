@@ -1,4 +1,4 @@
-"""How forces are computed, apart from what they are: threads, precision, skin."""
+"""Options of the computation of forces: threads, precision, skin."""
 
 from dataclasses import dataclass
 from numbers import Integral, Real
@@ -12,9 +12,9 @@ Precision = Literal["double", "mixed"]
 
 @dataclass(frozen=True)
 class Options:
-    """Choices of a user about the computation of forces.
+    """Options of the computation of forces.
 
-    threads : how many at most; all cores of the process if not given. The result has the same bits for any number.
+    threads : maximum number; all cores of the process if not given. The result has the same bits for any number.
     precision : "double": all arithmetic in float64. "mixed": pairs of cluster lists, and the sums of their forces
         within a domain, in float32; positions, velocities, energies, virials and the sums over ghosts in float64.
     skin : of the lists of neighbors [length]; chosen by neighbors.verlet_list.best_skin if not given.

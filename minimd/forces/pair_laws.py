@@ -1,4 +1,4 @@
-"""Pair laws that share one list of neighbors: their reach, the pairs left out, the skin, and the rule which list they get."""
+"""Pair laws that share one list of neighbors: largest cutoff, excluded pairs, skin, and the choice of the list."""
 
 from collections.abc import Sequence
 from math import isfinite
@@ -22,7 +22,7 @@ TRIED_AT = (0.3, 0.5, 0.7, 0.9)  # of the cutoff
 class PairLaws:
     """Pair laws with one bonded_scale, for one system.
 
-    members : the laws.  cutoff : the largest of theirs [length].
+    members : the laws.  cutoff : their largest cutoff [length].
     special : pairs (P, 2) with a factor other than 1, and that factor.  excluded : (P, 2) all of them: the list leaves out their nearest images.
     """
 
@@ -38,7 +38,7 @@ class PairLaws:
         return (["parameter table"] if is_alike else []) + ([] if len(self.excluded) else ["exclusions"])
 
     def fit_clusters(self, system: System, options: Options, displacement: float) -> bool:
-        """Whether clusters serve: CLUSTERS_FROM atoms or more, a finite cutoff, heights of at least cutoff + skin, laws that run on vectors."""
+        """Whether clusters are used: for CLUSTERS_FROM atoms or more, a finite cutoff, heights ≥ cutoff + skin, laws that run on vectors."""
         if len(system) < CLUSTERS_FROM or self.cutoff == np.inf:
             return False
         reach = self.cutoff + skin_for(system, self, options, displacement)
@@ -59,9 +59,9 @@ class PairLaws:
 
 
 def skin_for(system: System, laws: PairLaws, options: Options, displacement: float) -> float:
-    """The skin that the user gave, or the best one that the cell has room for [length].
+    """The skin that the user gave, or the best one that fits into the cell [length].
 
-    displacement : of the fastest atom in a step [length], 0 if unknown. There is no skin where the nearest image of a pair in
+    displacement : of the fastest atom in a step [length], 0 if unknown. The skin is 0 if the nearest image of a pair in
     laws.excluded could change while the list is in use.
     """
     cutoff, cell = laws.cutoff, system.cell

@@ -23,14 +23,14 @@ MAX_STEP_LENGTH = 0.1  # [length], in σ and in Å
 
 @dataclass(frozen=True)
 class Minimization:
-    """What a minimization did. Print it.
+    """The result of a minimization; print it.
 
     Attributes
     ----------
-    system : System, where it ended.  converged : whether largest_force is within the tolerance.
-    n_steps : made.  n_evaluations : of the forces.
+    system : System, the final state.  converged : whether largest_force is within the tolerance.
+    n_steps : number of steps.  n_evaluations : number of force evaluations.
     largest_force, largest_force_before : the longest of the forces on single atoms, without the part that constraints take [energy/length].
-    potential_energy, potential_energy_before : U [energy]; infinite where it could not be told.
+    potential_energy, potential_energy_before : U [energy]; infinity also where it is NaN.
     force_tolerance : the one asked for [energy/length].
     """
 
@@ -67,17 +67,17 @@ def minimize(
     """A minimum of the potential energy near the given state, by FIRE; the system that is given stays as it is.
 
     No step moves an atom farther than max_step_length, so that atoms far too close to each other find their way out, whatever
-    their forces. Two atoms on exactly one spot are refused: no force tells where they should go, and nearly always one of them is
-    there twice. A start where all forces vanish stays as it is, even if it is no minimum: shake a crystal whose symmetry should break.
-    Constraints are kept, fixed atoms stay; velocities stay too, but for what constraints forbid in the new place.
+    their forces. Two atoms on exactly one spot are refused: the direction of their force is undefined, and nearly always one atom was
+    entered twice. A start where all forces vanish stays as it is, even if it is no minimum: shake a crystal whose symmetry should break.
+    Constraints are kept and fixed atoms stay. Velocities are kept too, but projected onto the constraints at the end.
 
     Parameters
     ----------
     system, potentials, constraints : as for Simulation.
-    force_tolerance : converged when no atom feels a longer force [energy/length]. Where the force jumps at the cutoff (truncation
+    force_tolerance : converged when the force on each atom is at most this [energy/length]. Where the force jumps at the cutoff (truncation
         "shifted" or "truncated"), there may be no place where all forces vanish, and the search ends with max_steps.
-    max_steps : at most; the result tells whether they sufficed.
-    max_step_length : longest way of an atom in a step [length].
+    max_steps : maximum number of steps; see converged of the result.
+    max_step_length : largest displacement of an atom in a step [length].
     progress : as for Simulation.run.
 
     Raises

@@ -1,4 +1,4 @@
-"""The one door for forces: a potential has bind(system), which returns a Term; a Term adds its forces to the sum."""
+"""The interface of all forces: a potential has bind(system), which returns a Term; a Term adds its forces to the sum."""
 
 from collections.abc import Iterable
 from math import inf
@@ -51,9 +51,9 @@ class Term:
     Attributes
     ----------
     pair_law : a PairLaw for the planner to run on a list of neighbors; None for a term that adds its forces itself.
-    cutoff : an atom that moves farther in one step has passed its neighbors unseen [length].
+    cutoff : an atom that moves farther in one step may pass another without interacting [length].
     list : the list of neighbors, if the term keeps one.  summary : that list, for the report.
-    ingredient : of a scene, what this term brings, to be told where it is absent.  warning : for the user, said once.
+    ingredient : name of what this term adds to a scene; the report lists it where absent.  warning : for the user, given once.
     needs_one_accumulator : whether add with TOTALS adds to the first elements of energies and virials only.
     """
 
@@ -82,7 +82,7 @@ class Term:
 
 
 class NoTerm(Term):
-    """What a potential binds to where there is nothing for it to act on."""
+    """The term of a potential in a system where it has nothing to act on."""
 
     def __init__(self, warning: str = "") -> None:
         self.warning = warning

@@ -1,1 +1,1 @@
-"""The face of minimd: runs, equilibration, minimization, report."""
+"""The user interface of minimd: runs, equilibration, minimization, report."""

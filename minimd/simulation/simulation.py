@@ -1,4 +1,4 @@
-"""Simulation: runs an engine, and lets observers look between its steps."""
+"""Simulation: runs an engine, and calls observers between its steps."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 class EngineAttribute(Generic[T]):
-    """An attribute of a simulation that is one of its engine, under the same name; or, only to be read, one of a part of the engine."""
+    """Attribute of a simulation that reads and sets the attribute of its engine with the same name; with a path it is read-only."""
 
     def __init__(self, doc: str, path: str = "") -> None:
         self.__doc__, self._path = doc, path
@@ -124,7 +124,7 @@ class Simulation:
         progress: bool | None = None,
         crash_report: str | Path | bool = True,
     ) -> Record:
-        """Make n_steps steps and observe the first state and every few steps after it.
+        """Make n_steps steps and observe the first state and then the state every `every` steps.
 
         Parameters
         ----------
@@ -135,7 +135,7 @@ class Simulation:
         observers : functions called with this simulation at each observation.
         progress : show a progress bar; if not given, on a terminal only.
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere
-            (False). It holds the last good state and what minimd.replay needs; where one stands that may not be replaced, it gets a number.
+            (False). It holds the last good state and what minimd.replay needs; an existing file is kept unless overwrite, and the new one numbered.
 
         Raises
         ------
@@ -197,7 +197,7 @@ class Simulation:
     def equilibrate(
         self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None, crash_report: str | Path | None = None
     ) -> None:
-        """Run n_steps and rescale the velocities to a temperature after every few of them; step and time start at 0 again.
+        """Run n_steps and rescale the velocities to a temperature every `every` steps. At the end step and time are set to 0.
 
         The noise of a thermostat is that of steps before the start, and differs between the equilibrations of a simulation.
         crash_report : a file to leave if it fails, as that of run.
@@ -247,9 +247,9 @@ class Simulation:
             return minimized(self.engine.interactions, self.engine.constraint_set, force_tolerance, max_steps, max_step_length, progress)
 
     def probe_reversibility(self, n_steps: int) -> Reversibility:
-        """Make n_steps, reverse all velocities, make as many again, and say how far from the start that ends; the state is restored.
+        """Make n_steps, reverse all velocities, make n_steps again, and measure the distance from the start. The state is restored.
 
-        Three times n_steps are made: how far rounding alone would lead is measured too. Later reports repeat the answer.
+        Another n_steps from the reversal measure the distance that rounding alone explains. Later reports include the result.
 
         Raises
         ------
@@ -271,7 +271,7 @@ class Simulation:
 
     @contextmanager
     def _running(self, noise_shift: int) -> Iterator[None]:
-        """Refuse a run inside a run.  noise_shift : of the engine as long as this one lasts."""
+        """Context of a run.  noise_shift : of the engine during this run.  Raises RuntimeError for a run inside a run."""
         if self._is_running:
             raise RuntimeError("this simulation is running: an observer can look and change things, but not run or equilibrate")
         before, self._is_running, self.engine.noise_shift = self.engine.noise_shift, True, noise_shift
@@ -337,5 +337,5 @@ class Simulation:
         return self.engine.snapshot()
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back to a state."""
+        """Restore the state of a snapshot."""
         self.engine.restore(snapshot)

@@ -1,4 +1,4 @@
-"""What a scene holds fixed: distances and atoms. The solvers that keep them are in minimd.constraints."""
+"""Constraints of a scene: fixed distances and fixed atoms. The solvers that keep them are in minimd.constraints."""
 
 from typing import Literal
 
@@ -19,12 +19,12 @@ class DistanceConstraints:
     ----------
     pairs : (K, 2) int, any graph: bonds, chains, rings, cages, molecules of three atoms in a line.
     lengths : (K,) or one number [length]; the distances in the start positions if not given.
-    tolerance : of |r² − d²|/d², for sweeps; the other solvers go to rounding.
+    tolerance : of |r² − d²|/d², for "shake"; the other solvers are accurate to rounding.
     solver : "auto" (by shape), "newton" (for all), or "shake" (SHAKE and RATTLE sweeps, for all).
 
     Raises
     ------
-    ValueError : for pairs that are none, or twice the same; lengths or a tolerance not positive; an unknown solver.
+    ValueError : for no pairs, an atom paired with itself, or a pair given twice; lengths or a tolerance not positive; an unknown solver.
     """
 
     def __init__(self, pairs: ArrayLike, lengths: ArrayLike | None = None, tolerance: float = TOLERANCE, solver: SolverName = "auto") -> None:
@@ -59,7 +59,7 @@ class FixedAtoms:
 
     Raises
     ------
-    ValueError : for anything else; from a Simulation, for atoms that it does not have, or another number of bools.
+    ValueError : for anything else. A Simulation raises it for missing atoms, or a wrong number of bools.
     """
 
     def __init__(self, atoms: ArrayLike) -> None:

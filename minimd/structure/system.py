@@ -21,7 +21,7 @@ LARGEST = 1e75  # of positions and velocities: their fourth powers are still num
 
 
 class System:
-    """N atoms: where they are, how fast, how heavy, of which species, in which cell, bonded how.
+    """N atoms: positions, velocities, masses, species, cell and bonds.
 
     Parameters
     ----------

@@ -8,6 +8,7 @@ from typing import Any
 from minimd.engine.engine import Engine
 from minimd.engine.record import SERIES, Frame
 from minimd.structure import observables
+from minimd.structure.units import UnitSystem
 
 
 class Look:
@@ -48,9 +49,14 @@ OBSERVABLES: dict[str, Observable] = {}
 
 
 def register(observable: Observable) -> None:
-    """Add an observable to record and files of all later runs in which it exists.  Raises ValueError if its name is in use."""
+    """Add an observable to record and files of all later runs in which it exists.
+
+    Raises ValueError if its name is in use, or its unit is neither empty nor named by a UnitSystem.
+    """
     if observable.name in OBSERVABLES:
         raise ValueError(f"an observable must have a name of its own; {observable.name!r} is known already")
+    if observable.unit and observable.unit not in UnitSystem.__dataclass_fields__:
+        raise ValueError(f"the unit of {observable.name} must be empty or an attribute of UnitSystem, such as 'energy'; unit = {observable.unit!r}")
     OBSERVABLES[observable.name] = observable
     SERIES[observable.name] = observable.unit
 

@@ -1,6 +1,6 @@
 """Methods made from other methods, and splittings of higher order: one sequence of substeps each, from the paper or its closed form.
 
-No sequence of positive coefficients has an order above 2, so each one of higher order here has a negative coefficient (Q. Sheng, IMA J. Numer. Anal. 9,
+No sequence of positive coefficients has an order above 2, so those here have a negative coefficient (Q. Sheng, IMA J. Numer. Anal. 9,
 199 (1989); M. Suzuki, J. Math. Phys. 32, 400 (1991)). All of them take timestep : Δt [time]. Surveys: R. I. McLachlan,
 G. R. W. Quispel, Acta Numerica 11, 341 (2002); E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), V.3.
 """

@@ -53,7 +53,7 @@ WRONG_COMMANDS = {
     "wrong unit in a key": (SCENE.replace("timestep", "timestep_ps"), ["run"], 2, ["no key 'timestep_ps'", "did you mean 'timestep'?"]),
     "unknown unit system": (SCENE.replace('"LJ"', '"lj"').replace("[structure]", "[structure]"), ["run"], 2, ["units must be 'ASE' or 'LJ'", '"lj"']),
     "negative steps": (SCENE.replace("steps = 20", "steps = -20"), ["run"], 2, ["dynamics.steps must be greater than or equal to 0", "-20"]),
-    "cell too hot": (SCENE.replace("1.44", "1e8"), ["run"], 3, ["moves", "too hot for the timestep 0.004 τ"]),
+    "cell too hot": (SCENE.replace("1.44", "1e8"), ["run"], 3, ["moves", "timestep 0.004 τ too large"]),
     "unknown suffix": (SCENE, ["run", "--out", "a.pdf"], 2, ["suffix of a trajectory", "'a.pdf'"]),
     "missing output folder": (SCENE, ["run", "--out", "no/a.h5md"], 2, ["no' does not exist"]),
     "existing output": (SCENE, ["run", "--out", "atoms.xyz"], 2, ["'atoms.xyz' exists"]),

@@ -14,7 +14,6 @@ import pytest
 
 import minimd as md
 from minimd.commands import main as cli
-from minimd.engine.engine import Engine
 from minimd.files.h5md_reader import read_file
 from minimd.scene import load_scene
 
@@ -211,14 +210,14 @@ def test_interrupted_run_says_how_to_go_on(folder, capsys, monkeypatch):
 
 def test_interrupted_equilibration_says_that_nothing_was_written(folder, capsys, monkeypatch):
     Path("melt.toml").write_text(SCENE.replace("[output]", "[equilibration]\nsteps = 40\n[output]"))
-    rescale = Engine.rescale_temperature
+    rescale = md.Simulation.rescale_temperature
 
-    def stopping(engine, temperature):
-        rescale(engine, temperature)
-        if engine.step == 20:
+    def stopping(simulation, temperature):
+        rescale(simulation, temperature)
+        if simulation.step == 20:
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(Engine, "rescale_temperature", stopping)
+    monkeypatch.setattr(md.Simulation, "rescale_temperature", stopping)
     assert cli.main(["run", "melt.toml"]) == 130
     assert "of the equilibration; nothing was written" in capsys.readouterr().err
     assert not Path("melt.h5md").exists()
@@ -267,7 +266,7 @@ def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsy
     err = capsys.readouterr().err
     (line,) = [line for line in err.splitlines() if line.startswith("minimd: error:")]
     assert "at step" in line
-    assert "too hot for the timestep 0.025 τ" in line
+    assert "timestep 0.025 τ too large" in line
     assert "kept in melt.h5md" in line
     assert "Traceback" not in err
     assert read_file("melt.h5md").n_frames > 0

@@ -1,7 +1,11 @@
 """Threads that work on one task together: each takes the next chunk of it until none is left.
 
     phase = begin(worker, task)
-    phase = share(worker, phase, n, work, a, b)        # work(chunk, a, b) for n chunks; returns when all are finished, whoever did them
+    chunk = take(worker, phase, n)
+    while chunk >= 0:
+        ...                                            # the work of this chunk, of n
+        chunk = finish_and_take(worker, phase, n)
+    phase = barrier(worker, phase)                     # returns when all n chunks are finished, whoever did them
 
 A task is cut into chunks by its size, never by the number of threads, and no two chunks of a phase write to the same
 memory. So the result has the same bits for any number of threads, and whichever thread did which chunk.
@@ -111,16 +115,6 @@ def begin(worker, task):
     if worker.thread == 0:
         _exchange(worker.counters, OPEN, phase)
     return phase
-
-
-@scalar
-def share(worker, phase, n, work, *arguments):
-    """work(chunk, *arguments) for each of n chunks, on all threads that are awake; returns the next phase when all are finished."""
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        work(chunk, *arguments)
-        chunk = finish_and_take(worker, phase, n)
-    return barrier(worker, phase)
 
 
 @scalar

@@ -115,10 +115,9 @@ class Evidence:
         return contacts(system, self.engine.interactions.potentials, self.engine.constraint_set.inverse_masses, atoms)
 
     def moved(self, positions: Array) -> System:
-        """A copy of the system with its atoms elsewhere."""
-        copy = self.system.copy()
-        copy.positions = positions
-        return copy
+        """A system at rest with its atoms elsewhere: the velocities of a failed run may be infinite."""
+        names = ("masses", "cell", "species", "bonds", "units", "constraints")
+        return System(positions, **{name: getattr(self.system, name) for name in names})
 
 
 def law_without_number(evidence: Evidence) -> Verdict | None:

@@ -32,8 +32,10 @@ def fault_of(engine: Engine) -> str | None:
 
 def fault_at_start(engine: Engine) -> str | None:
     """What would go wrong in the first step: accelerations that are not finite or throw atoms across the scene."""
-    atom, acceleration = longest(np.einsum("ij,i->ij", engine.forces, engine.constraint_set.inverse_masses))  # F/m; no warning of an overflow
-    distance = acceleration * engine.method.timestep**2
+    sizes = np.sqrt(np.einsum("ij,ij->i", engine.forces, engine.forces))
+    accelerations = np.einsum("i,i->i", engine.constraint_set.inverse_masses, sizes)  # |F|/m, without a warning of an overflow
+    atom = int(np.argmax(accelerations))
+    distance = float(accelerations[atom]) * engine.method.timestep**2
     if not (np.isfinite(distance) and np.isfinite(engine.interactions.potential_energy)):
         return "forces or energies are not finite"
     if distance > engine.interactions.largest_cutoff:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import by_type, kernel, shared_kernel, without_cache
-from minimd.compiled.threads import begin, share, thread_pool
+from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, add_cluster_forces
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws, skin_for
@@ -28,9 +28,23 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces):
     sums : Sums or ForceSums.
     """
     n = arrays.domain_start.size - 1
-    phase = share(worker, begin(worker, task), n, gather, arrays, positions)
-    phase = share(worker, phase, n, _add_all, arrays, laws, sums)
-    share(worker, phase, n, scatter, arrays, forces, np.empty(BLOCK))
+    phase = begin(worker, task)
+    chunk = take(worker, phase, n)
+    while chunk >= 0:
+        gather(chunk, arrays, positions)
+        chunk = finish_and_take(worker, phase, n)
+    phase = barrier(worker, phase)
+    chunk = take(worker, phase, n)
+    while chunk >= 0:
+        _add_all(chunk, arrays, laws, sums)
+        chunk = finish_and_take(worker, phase, n)
+    phase = barrier(worker, phase)
+    space = np.empty(BLOCK)
+    chunk = take(worker, phase, n)
+    while chunk >= 0:
+        scatter(chunk, arrays, forces, space)
+        chunk = finish_and_take(worker, phase, n)
+    barrier(worker, phase)
 
 
 @by_type

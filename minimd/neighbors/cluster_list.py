@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from minimd.compiled.kernels import by_type, kernel, scalar, shared_kernel
 from minimd.compiled.simd import broadcast, convert, load, store
-from minimd.compiled.threads import ThreadPool, begin, share
+from minimd.compiled.threads import ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.buffers import SPARE, Buffers
 from minimd.neighbors.cluster_search import GHOST_BITS, Rows, exclude_pairs, find_rows, make_work
 from minimd.neighbors.clusters import BLOCK, LANES, make_columns, sort_into_clusters
@@ -108,7 +108,13 @@ def _build_domains(worker, task, layout, rows, entries, needed):
     entries : (K + 1,) int, first entry of each domain.
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
     """
-    share(worker, begin(worker, task), needed.size, _build_domain, layout, rows, entries, needed, make_work(layout.domains, layout.columns))
+    phase = begin(worker, task)
+    space = make_work(layout.domains, layout.columns)
+    chunk = take(worker, phase, needed.size)
+    while chunk >= 0:
+        _build_domain(chunk, layout, rows, entries, needed, space)
+        chunk = finish_and_take(worker, phase, needed.size)
+    barrier(worker, phase)
 
 
 @scalar

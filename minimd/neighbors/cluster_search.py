@@ -18,7 +18,7 @@ import numpy as np
 
 from minimd.compiled.kernels import inlined, scalar, shared_kernel
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, load
-from minimd.compiled.threads import begin, share
+from minimd.compiled.threads import barrier, begin, finish_and_take, take
 from minimd.neighbors.clusters import BLOCK, LANES
 from minimd.neighbors.domains import ALL_LANES, HOME, IMAGES
 from minimd.structure.cell import minimum_image
@@ -47,7 +47,9 @@ class Work(namedtuple("Work", "ahead candidates entries near")):
 def make_work(domains, columns):
     """Enough for any cluster of any domain."""
     n_runs = (columns.reach[0] + 1) * (2 * columns.reach[1] + 1)
-    n = np.diff(domains.ghost[domains.run]).max()
+    n = 0
+    for k in range(domains.run.size - 1):
+        n = max(n, domains.ghost[domains.run[k + 1]] - domains.ghost[domains.run[k]])
     return Work(np.empty((n_runs, 2), dtype=np.int64), np.empty(n, dtype=np.int64), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint8))
 
 
@@ -140,8 +142,17 @@ def exclude_pairs(worker, task, layout, image, partners, slot_of, rows):
     image : lattice, inverse, pbc, safe_distance2 of Cell.  partners : see find_pairs.  slot_of : (N,) int, output, slot of each atom.
     """
     n = layout.domains.cluster.size - 1
-    phase = share(worker, begin(worker, task), n, _find_slots, layout, slot_of)
-    share(worker, phase, n, _exclude_partners, layout, image, partners, slot_of, rows)
+    phase = begin(worker, task)
+    chunk = take(worker, phase, n)
+    while chunk >= 0:
+        _find_slots(chunk, layout, slot_of)
+        chunk = finish_and_take(worker, phase, n)
+    phase = barrier(worker, phase)
+    chunk = take(worker, phase, n)
+    while chunk >= 0:
+        _exclude_partners(chunk, layout, image, partners, slot_of, rows)
+        chunk = finish_and_take(worker, phase, n)
+    barrier(worker, phase)
 
 
 @scalar

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel, scalar, shared_kernel
-from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, begin, share
+from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
 from minimd.neighbors.buffers import Buffers
 from minimd.structure.cell import Cell
@@ -97,7 +97,12 @@ def sort_into_columns(positions, columns, binned, column_start):
 @shared_kernel
 def _fill_clusters(worker, task, positions, columns, binned, clusters, n):
     """The clusters of all columns; a chunk is some rows of columns along the second lattice vector."""
-    share(worker, begin(worker, task), n, _fill_columns, n, positions, columns, binned, clusters)
+    phase = begin(worker, task)
+    chunk = take(worker, phase, n)
+    while chunk >= 0:
+        _fill_columns(chunk, n, positions, columns, binned, clusters)
+        chunk = finish_and_take(worker, phase, n)
+    barrier(worker, phase)
 
 
 @scalar

@@ -4,7 +4,7 @@ from math import sqrt
 
 import numpy as np
 import pytest
-from cluster_scenes import atoms_in_a_chunk
+from cluster_scenes import atoms_per_domain
 from stress_scenes import OPEN, ROUNDING, SMOOTH, assert_stops, forces_of, oscillation, ran, solid
 
 import minimd as md
@@ -104,7 +104,7 @@ def test_a_huge_scene_without_a_cutoff_is_refused():
 
 @pytest.mark.parametrize("precision", ["double", "mixed"])
 def test_one_to_eight_threads_give_the_same_bits(precision):
-    with atoms_in_a_chunk(60):
+    with atoms_per_domain(60):
         one, *others = (ran(solid(6), SMOOTH, 0.004, 100, temperature=1.5, threads=n, precision=precision) for n in range(1, 9))
     assert one.engine.interactions.n_builds > 1
     for other in others:

@@ -9,7 +9,7 @@ from references import liquid
 import minimd as md
 
 REPOSITORY = Path(__file__).parents[1]
-PACKAGE = REPOSITORY / "minimd"
+PACKAGE = Path(md.__file__).parent  # installed, or in the repository
 
 
 def steady_steps():
@@ -53,7 +53,8 @@ def test_from_run_to_the_kernel_there_are_eight_functions():
 
 def test_the_readme_lists_the_files_of_a_step_and_counts_their_lines():
     n_files, n_lines, files = files_of_the_road()
-    visited = {Path(chain[-1][0]).relative_to(REPOSITORY).as_posix() for chain in steady_steps()}
+    visited = {f"minimd/{Path(chain[-1][0]).relative_to(PACKAGE).as_posix()}" for chain in steady_steps()}
+    assert visited
     assert visited <= set(files), visited - set(files)
     assert len(files) == n_files
     assert sum((REPOSITORY / file).read_text(encoding="utf-8").count("\n") for file in files) == n_lines

@@ -2,8 +2,10 @@
 
 import re
 import runpy
+from ast import literal_eval
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -15,7 +17,8 @@ def run_shortened(name, folder):
     """Run an example with fewer steps."""
     text = (EXAMPLES / name).read_text()
     for names, values in re.findall(r"^(\w+(?:, \w+)*) = ([\d_., ]+)$", text, re.MULTILINE):
-        shorter = [str(SHORTER.get(word, value)) for word, value in zip(names.split(", "), values.split(", "), strict=True)]
+        pairs = zip(names.split(", "), values.split(", "), strict=True)
+        shorter = [str(min(SHORTER.get(word, np.inf), literal_eval(value))) for word, value in pairs]
         text = text.replace(f"{names} = {values}", f"{names} = {', '.join(shorter)}")
     (folder / name).write_text(text)
     runpy.run_path(str(folder / name), run_name="__main__")

@@ -10,6 +10,7 @@ import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SHORTER = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 20, "every": 10, "duration": 200.0}
+RUN_BELOW = ("own_law.py", "rigid_ring.py")  # in full, by tests of their own
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
@@ -24,7 +25,7 @@ def run_shortened(name, folder):
     runpy.run_path(str(folder / name), run_name="__main__")
 
 
-@pytest.mark.parametrize("name", SCRIPTS)
+@pytest.mark.parametrize("name", [name for name in SCRIPTS if name not in RUN_BELOW])
 def test_example_runs(name, tmp_path, monkeypatch, capsys):
     if name == "ensemble_checks.py":
         pytest.importorskip("physical_validation")

@@ -12,7 +12,6 @@ from minimd.compiled.threads import thread_pool
 from minimd.neighbors import domains
 from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
-from minimd.neighbors.clusters import LANES
 
 CUTOFF, SKIN = 2.5, 0.3
 THICKNESS = 8.0**0.5  # at one atom per square, columns are as wide as eight atoms are high
@@ -49,7 +48,7 @@ def hue(cluster, found):
 
 def draw(panel, system, found):
     """The first domain with its ghosts, and the row of one atom."""
-    ghosts, atoms = found.ghosts, found.memory.coordinates.reshape(-1, 3, LANES)[:, ::2]
+    ghosts, atoms = found.ghosts, found.memory.coordinates.reshape(-1, 3, found.lanes.count)[:, ::2]
     at_home = set(found.ghosts.home.tolist())
     panel.add_patch(Rectangle((0, 0), WIDTH, HEIGHT, fill=False, ec=INK, lw=1.2))
     inside = system.positions[:, [0, 2]] % (WIDTH, HEIGHT)
@@ -67,14 +66,15 @@ def draw(panel, system, found):
 
 def draw_row(panel, found, atoms):
     """An atom of the first domain near its upper right corner: its reach, and the lanes in its row."""
-    last = found.domains.cluster[1] * LANES
-    slots = [s for s in range(last) if s % LANES < found.clusters.filled[s // LANES]]
+    n_lanes = found.lanes.count
+    last = found.domains.cluster[1] * n_lanes
+    slots = [s for s in range(last) if s % n_lanes < found.clusters.filled[s // n_lanes]]
     corner = (found.domains.column[1] - 0.5) * THICKNESS, HEIGHT - 1.6
-    slot = min(slots, key=lambda s: np.hypot(*(atoms[found.ghosts.home[s // LANES], :, s % LANES] - corner)))
-    at = atoms[found.ghosts.home[slot // LANES], :, slot % LANES]
+    slot = min(slots, key=lambda s: np.hypot(*(atoms[found.ghosts.home[s // n_lanes], :, s % n_lanes] - corner)))
+    at = atoms[found.ghosts.home[slot // n_lanes], :, slot % n_lanes]
     for entry in found.rows.entries[found.rows.start[slot] : found.rows.stop[slot]]:
         ghost, lanes = entry & GHOST_BITS, entry >> LANES_FROM
-        counts = [k for k in range(LANES) if lanes >> k & 1]
+        counts = [k for k in range(n_lanes) if lanes >> k & 1]
         x, z = atoms[ghost][:, counts]
         panel.scatter(x, z, s=70, fc="none", ec=INK, lw=1.4, zorder=3)
     panel.scatter(*at, s=130, c="#ffd400", ec=INK, lw=1.6, zorder=4)

@@ -14,7 +14,6 @@ import minimd as md
 from minimd.compiled import kernels as compiling
 from minimd.compiled.machine import MISSING, available_cores, processor_name, version
 from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
-from minimd.neighbors.clusters import LANES
 from minimd.structure.lattice import constant_from_density, crystal
 
 DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
@@ -145,7 +144,7 @@ def speed() -> Finding:
     cost, hint = simulations[1].report().cost, "; is the machine busy?" if all_cores < one and available_cores() > 1 else ""
     return True, (
         f"{one:.2f} million atom-steps/s on one thread, {all_cores:.2f} on all cores{hint}\n"
-        f"{CONTINUED}4000 Lennard-Jones atoms, cutoff 2.5 σ, {cost.pair_search if cost else 'no list'}, vectors of {LANES} numbers"
+        f"{CONTINUED}4000 Lennard-Jones atoms, cutoff 2.5 σ, {cost.pair_search if cost else 'no list'}"
     )
 
 

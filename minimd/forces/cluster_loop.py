@@ -1,7 +1,7 @@
-"""The vector loop over clusters: the same pair laws as pair_loop, applied to eight pairs at a time.
+"""The vector loop over clusters: the same pair laws as pair_loop, applied to all lanes of a vector at a time.
 
-Atoms near each other form clusters of eight; see neighbors.clusters for the picture. A row belongs to one atom i and lists the
-clusters j with atoms within its reach. For each of these clusters a mask marks the lanes that count.
+Atoms near each other form clusters, of as many as there are lanes; see neighbors.clusters for the picture. A row belongs to one
+atom i and lists the clusters j with atoms within its reach. Lanes that do not count are infinitely far from it, see Memory.far.
 """
 
 import functools
@@ -13,9 +13,10 @@ from numba import types
 from numba.core.errors import NumbaError
 
 from minimd.compiled.kernels import by_type, scalar
-from minimd.compiled.simd import broadcast, convert, fma, load, mask_from_bits, select, store, total
+from minimd.compiled.simd import broadcast, convert, fma, load, select, store, total
+from minimd.compiled.simd.lanes import DOUBLE, count, lanes_for
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
-from minimd.neighbors.clusters import BLOCK, LANES
+from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.law import evaluate_law, is_user_law
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import PER_ATOM
@@ -32,27 +33,27 @@ class ByLane(namedtuple("ByLane", "columns species slots")):
 
 
 @by_type
-def parameters_of_lanes(source, slot, cluster):
+def parameters_of_lanes(source, slot, cluster, lanes):
     """Parameters of the pairs of the atom in a slot with the lanes of a cluster: numbers, or vectors if species differ."""
     if source.instance_class is SameForAll:
-        return lambda source, slot, cluster: source.numbers
-    return lambda source, slot, cluster: _loaded(source.columns, source.species[slot] * source.slots + cluster * LANES)
+        return lambda source, slot, cluster, lanes: source.numbers
+    return lambda source, slot, cluster, lanes: _loaded(source.columns, source.species[slot] * source.slots + cluster * count(lanes), lanes)
 
 
 @by_type
-def _loaded(columns, start):
-    """LANES elements of each column, starting at an index; unrolled by the compiler."""
+def _loaded(columns, start, lanes):
+    """A vector of each column, starting at an index; unrolled by the compiler."""
     if len(columns) == 1:
-        return lambda columns, start: (load(columns[0], start, LANES),)
-    return lambda columns, start: (load(columns[0], start, LANES),) + _loaded(columns[1:], start)
+        return lambda columns, start, lanes: (load(columns[0], start, lanes),)
+    return lambda columns, start, lanes: (load(columns[0], start, lanes),) + _loaded(columns[1:], start, lanes)
 
 
 class Sums(namedtuple("Sums", "forces energies virials lane_sums detail")):
     """The accumulators of the loop.
 
-    forces : flat, BLOCK numbers for each ghost, of the type of the pair arithmetic [energy/length].
+    forces : flat, a block for each ghost, of the type of the pair arithmetic [energy/length].
     energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows with PER_ATOM, else (C,) and (C, 6) of their clusters.
-    lane_sums : flat, LANE_SUMS · LANES numbers for each ghost: energies and virials of the lanes; empty unless PER_ATOM.
+    lane_sums : flat, LANE_SUMS · n numbers for each ghost: energies and virials of the lanes; empty unless PER_ATOM.
     detail : TOTALS or PER_ATOM, see term.
     """
 
@@ -78,79 +79,82 @@ def add_cluster_forces(domain, arrays, law, parameters, sums):
 
     arrays : ClusterArrays.  law : law type.  parameters : SameForAll or ByLane.
     sums : with TOTALS each pair is added to the cluster of its atom i, with PER_ATOM half of it to each atom.
+    Indices in the inner loop are unsigned: the compiler need not check for those that count from the end.
     """
-    rows, homes, coordinates, unit = arrays.rows, arrays.ghosts.home, arrays.memory.coordinates, arrays.memory.unit
-    nothing, like = broadcast(0.0, load(sums.forces, 0, LANES)), load(coordinates, 0, LANES)
+    rows, homes, coordinates, far = arrays.rows, arrays.ghosts.home, arrays.memory.coordinates, arrays.memory.far
+    lanes, n_lanes = arrays.clusters.lanes, count(arrays.clusters.lanes)
+    nothing, like = broadcast(0.0, load(sums.forces, 0, lanes)), load(coordinates, 0, lanes)
     zero = convert(nothing, 0.0)
     own_share = 0.5 if sums.detail == PER_ATOM else 1.0
-    for slot in range(arrays.domain_start[domain] * LANES, arrays.domain_start[domain + 1] * LANES):
-        home, lane = homes[slot // LANES], slot % LANES
-        place = home * BLOCK + lane
-        at = (broadcast(coordinates[place], like), broadcast(coordinates[place + LANES], like), broadcast(coordinates[place + 2 * LANES], like))
-        after = rows.entries[rows.start[slot]]
-        ahead = separations(coordinates, after & GHOST_BITS, at, unit)
+    for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
+        home, lane = homes[slot // n_lanes], slot % n_lanes
+        place = home * DIMENSIONS * n_lanes + lane
+        at = (broadcast(coordinates[place], like), broadcast(coordinates[place + n_lanes], like), broadcast(coordinates[place + 2 * n_lanes], like))
         fx = fy = fz = nothing
         energy = xx = yy = zz = yz = xz = xy = zero
-        for entry in range(rows.start[slot], rows.stop[slot]):
-            ghost, lanes, (dx, dy, dz, r2) = after & GHOST_BITS, after >> LANES_FROM, ahead
-            after = rows.entries[entry + 1]  # one entry ahead, so that the processor has work while it waits for the law
-            ahead = separations(coordinates, after & GHOST_BITS, at, unit)
-            numbers = parameters_of_lanes(parameters, home * LANES + lane, ghost)
-            near = (r2 < numbers[0]) & mask_from_bits(lanes, nothing)
+        for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])):
+            ghost, counted = np.uintp(rows.entries[entry] & GHOST_BITS), np.uintp(rows.entries[entry] >> LANES_FROM)
+            dx, dy, dz = separations(coordinates, ghost, at, arrays.memory.unit, lanes)
+            r2 = fma(dx, dx, fma(dy, dy, fma(dz, dz, load(far, counted * np.uintp(n_lanes), lanes))))
+            numbers = parameters_of_lanes(parameters, home * n_lanes + lane, np.intp(ghost), lanes)
+            near = r2 < numbers[0]
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
-            gx, gy, gz = f * dx, f * dy, f * dz
-            fx, fy, fz = fx - gx, fy - gy, fz - gz
-            j = ghost * BLOCK
-            add(sums.forces, j, gx)
-            add(sums.forces, j + LANES, gy)
-            add(sums.forces, j + 2 * LANES, gz)
+            fx, fy, fz = fma(f, dx, fx), fma(f, dy, fy), fma(f, dz, fz)
+            push(sums.forces, ghost, f, (dx, dy, dz))
             if with_energy(sums):
-                u = convert(select(near, u, 0.0), 0.0)
+                u, f = convert(select(near, u, 0.0), 0.0), convert(f, 0.0)
                 dx, dy, dz = convert(dx, 0.0), convert(dy, 0.0), convert(dz, 0.0)
-                gx, gy, gz = convert(gx, 0.0), convert(gy, 0.0), convert(gz, 0.0)
+                gx, gy, gz = f * dx, f * dy, f * dz
                 energy = energy + u
                 xx, yy, zz = fma(gx, dx, xx), fma(gy, dy, yy), fma(gz, dz, zz)
                 yz, xz, xy = fma(gy, dz, yz), fma(gx, dz, xz), fma(gx, dy, xy)
                 if sums.detail == PER_ATOM:
                     for c, w in enumerate((u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
-                        add(sums.lane_sums, (ghost * LANE_SUMS + c) * LANES, 0.5 * w)
-        sums.forces[place] += total(fx)
-        sums.forces[place + LANES] += total(fy)
-        sums.forces[place + 2 * LANES] += total(fz)
+                        at_c = (np.intp(ghost) * LANE_SUMS + c) * n_lanes
+                        store(sums.lane_sums, at_c, load(sums.lane_sums, at_c, lanes) + 0.5 * w)
+        sums.forces[place] -= total(fx)
+        sums.forces[place + n_lanes] -= total(fy)
+        sums.forces[place + 2 * n_lanes] -= total(fz)
         if with_energy(sums):
-            k = slot if sums.detail == PER_ATOM else slot // LANES
+            k = slot if sums.detail == PER_ATOM else slot // n_lanes
             sums.energies[k] += own_share * total(energy)
             for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
                 sums.virials[k, c] += own_share * total(w)
 
 
 @scalar
-def separations(coordinates, ghost, at, unit):
-    """r_j − r_i = (dx, dy, dz) and r² of the lanes of a ghost, from a position x, y, z [length]."""
-    place = ghost * BLOCK
-    dx = separation(coordinates, place, at[0], unit)
-    dy = separation(coordinates, place + LANES, at[1], unit)
-    dz = separation(coordinates, place + 2 * LANES, at[2], unit)
-    return dx, dy, dz, fma(dx, dx, fma(dy, dy, dz * dz))
+def separations(coordinates, ghost, at, unit, lanes):
+    """r_j − r_i = (dx, dy, dz) of the lanes of a ghost, from a position x, y, z [length]."""
+    n_lanes = np.uintp(count(lanes))
+    x = ghost * np.uintp(DIMENSIONS) * n_lanes
+    y, z = x + n_lanes, x + n_lanes + n_lanes
+    dx, dy = separation(coordinates, x, at[0], unit, lanes), separation(coordinates, y, at[1], unit, lanes)
+    return dx, dy, separation(coordinates, z, at[2], unit, lanes)
 
 
 @by_type
-def separation(coordinates, place, x, unit):
-    """coordinates[place : place + LANES] − x [length].
+def separation(coordinates, place, x, unit, lanes):
+    """A vector of coordinates from a place on, minus x [length].
 
     In double precision coordinates are float64 [length]. In mixed precision they are int32 in units of a length; their
     difference has no rounding error, however far the atoms are from the origin, and becomes float32.
     """
     if isinstance(coordinates.dtype, types.Float):
-        return lambda coordinates, place, x, unit: load(coordinates, place, LANES) - x
-    return lambda coordinates, place, x, unit: convert(load(coordinates, place, LANES) - x, np.float32(0.0)) * unit
+        return lambda coordinates, place, x, unit, lanes: load(coordinates, place, lanes) - x
+    return lambda coordinates, place, x, unit, lanes: convert(load(coordinates, place, lanes) - x, np.float32(0.0)) * unit
 
 
 @scalar
-def add(sums, place, vector):
-    """sums[place : place + LANES] += vector."""
-    store(sums, place, load(sums, place, LANES) + vector)
+def push(forces, ghost, f, separation):
+    """F_j += f r_ij on the lanes of a ghost.  separation : (dx, dy, dz) of r_ij."""
+    dx, dy, dz = separation
+    n_lanes = np.uintp(count(f))
+    x = ghost * np.uintp(DIMENSIONS) * n_lanes
+    y, z = x + n_lanes, x + n_lanes + n_lanes
+    store(forces, x, fma(f, dx, load(forces, x, f)))
+    store(forces, y, fma(f, dy, load(forces, y, f)))
+    store(forces, z, fma(f, dz, load(forces, z, f)))
 
 
 @functools.cache
@@ -159,13 +163,15 @@ def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
     if not is_user_law(law):
         return True
 
+    lanes = lanes_for(DOUBLE)
+
     @numba.njit(error_model="numpy")
     def attempt(law, values, parameters):
-        u, f = evaluate_law(law, load(values, 0, LANES), parameters)
+        u, f = evaluate_law(law, load(values, 0, lanes), parameters)
         return total(u) + total(f)
 
     try:
-        attempt(law, np.ones(LANES), (1.0,) * n_parameters)
+        attempt(law, np.ones(lanes.count), (1.0,) * n_parameters)
     except NumbaError:
         return False
     return True

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import by_type, kernel, shared_kernel, without_cache
+from minimd.compiled.simd.lanes import DOUBLE, MIXED, count
 from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, add_cluster_forces
 from minimd.forces.options import Options
@@ -13,7 +14,7 @@ from minimd.forces.pair_laws import PairLaws, skin_for
 from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList, gather, scatter
-from minimd.neighbors.clusters import BLOCK, LANES
+from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.law import is_user_law
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
@@ -39,7 +40,7 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces):
         _add_all(chunk, arrays, laws, sums)
         chunk = finish_and_take(worker, phase, n)
     phase = barrier(worker, phase)
-    space = np.empty(BLOCK)
+    space = np.empty(DIMENSIONS * count(arrays.clusters.lanes))
     chunk = take(worker, phase, n)
     while chunk >= 0:
         scatter(chunk, arrays, forces, space)
@@ -106,16 +107,16 @@ class ClusterTerm(Term):
         """Accumulators with zeros: one for each cluster if only totals are wanted, else one for each slot, and for each lane of a ghost."""
         clusters = self.list.clusters
         n = len(clusters.filled) if detail == TOTALS else len(clusters.atom)
-        lane_sums = np.zeros(len(self.list.ghosts.owner) * LANES * LANE_SUMS if detail == PER_ATOM else 0)
+        lane_sums = np.zeros(len(self.list.ghosts.owner) * self.list.lanes.count * LANE_SUMS if detail == PER_ATOM else 0)
         return Sums(self.list.memory.forces, np.zeros(n), np.zeros((n, 6)), lane_sums, detail)
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
         """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""
-        clusters = self.list.clusters
-        real = (np.arange(LANES) < clusters.filled[:, None]).ravel()
+        clusters, n_lanes = self.list.clusters, self.list.lanes.count
+        real = (np.arange(n_lanes) < clusters.filled[:, None]).ravel()
         energies[clusters.atom[real]] += sums.energies[real]
         virials[clusters.atom[real]] += sums.virials[real]
-        atoms, of_lanes = clusters.atom.reshape(-1, LANES)[self.list.ghosts.owner], sums.lane_sums.reshape(-1, LANE_SUMS, LANES)
+        atoms, of_lanes = clusters.atom.reshape(-1, n_lanes)[self.list.ghosts.owner], sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes)
         np.add.at(energies, atoms, of_lanes[:, 0])
         np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
 
@@ -124,7 +125,8 @@ class ClusterTerm(Term):
         """The list, for the report."""
         n = min(self._pool.n_threads, self.list.n_domains) if self.list.n_builds else self._pool.n_threads
         threads = f"{n} thread{'s' if n > 1 else ''}"
-        return f"cluster list (skin {self.list.skin:.3g}, {threads}, {'mixed' if self._is_mixed else 'double'} precision)"
+        vectors = f"vectors of {self.list.lanes.count} × {MIXED if self._is_mixed else DOUBLE} bits"
+        return f"cluster list (skin {self.list.skin:.3g}, {threads}, {'mixed' if self._is_mixed else 'double'} precision, {vectors})"
 
     def skipped(self) -> Iterable[str]:
         """See Term."""
@@ -134,20 +136,20 @@ class ClusterTerm(Term):
         """Parameters of law k, from a table (S, S, 1 + P)."""
         if len(table) == 1:
             return SameForAll(tuple(table[0, 0].tolist()))
-        slots, number = len(self.list.ghosts.owner) * LANES, np.float32 if self._is_mixed else np.float64
+        slots, number = len(self.list.ghosts.owner) * self.list.lanes.count, np.float32 if self._is_mixed else np.float64
         values = self._memory.array(f"parameters of law {k}", number, table.shape[-1] * len(table) * slots)
         columns = values.reshape(table.shape[-1], -1)
         species = self._memory.array(f"species of law {k}", np.int64, slots)
-        fill_lanes(table, species_index, self.list.clusters.atom, self.list.ghosts.owner, columns, species)
+        fill_lanes(table, species_index, self.list.clusters.atom.reshape(-1, self.list.lanes.count), self.list.ghosts.owner, columns, species)
         return ByLane(tuple(columns), species, slots)
 
 
 @kernel
 def fill_lanes(table, species_index, atom, owner, columns, species):
     """species (slots,) and columns (1 + P, S · slots), as ByLane describes them, of all lanes of all ghosts."""
-    slots = species.size
+    slots, n_lanes = species.size, atom.shape[1]
     for slot in range(slots):
-        species[slot] = species_index[atom[owner[slot // LANES] * LANES + slot % LANES]]
+        species[slot] = species_index[atom[owner[slot // n_lanes], slot % n_lanes]]
         for a in range(table.shape[0]):
             for p in range(table.shape[2]):
                 columns[p, a * slots + slot] = table[a, species[slot], p]

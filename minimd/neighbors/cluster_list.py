@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from minimd.compiled.kernels import by_type, kernel, scalar, shared_kernel
 from minimd.compiled.simd import broadcast, convert, load, store
+from minimd.compiled.simd.lanes import DOUBLE, MIXED, count, lanes_for
 from minimd.compiled.threads import ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.buffers import SPARE, Buffers
 from minimd.neighbors.cluster_search import GHOST_BITS, Rows, exclude_pairs, find_rows, make_work
-from minimd.neighbors.clusters import BLOCK, LANES, make_columns, sort_into_clusters
+from minimd.neighbors.clusters import DIMENSIONS, make_columns, sort_into_clusters
 from minimd.neighbors.domains import Layout, cut_into_domains, fill_ghosts, make_ghosts, sort_ghosts
 from minimd.neighbors.verlet_list import VerletList
 from minimd.structure.cell import Cell
@@ -21,11 +22,12 @@ GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of t
 COARSEST = 1e-6  # of the cutoff: on a coarser grid, coordinates are rounded more than float32 rounds their differences
 
 
-class Memory(namedtuple("Memory", "coordinates shift origin unit forces")):
+class Memory(namedtuple("Memory", "coordinates shift origin unit forces far")):
     """What the loop reads and writes; coordinates are in the precision of the pair arithmetic, see separation in cluster_loop.
 
-    coordinates, forces : flat, BLOCK numbers for each ghost.
+    coordinates, forces : flat, a block for each ghost.
     shift : (M, 3) of each ghost, as the coordinates.  origin : (3,) [length] and unit [length]: coordinate = (x − origin) / unit.
+    far : flat, n numbers for each set of lanes: 0 for lanes in it, ∞ for others, which are then infinitely far [length²].
     """
 
 
@@ -39,26 +41,31 @@ class ClusterList(VerletList):
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
     cutoff, skin, excluded : see VerletList.  is_mixed : whether the pair arithmetic is float32.  pool : the threads that build it.
-    clusters, domains, ghosts, rows, memory : see there.  arrays : what the loop needs of them.  n_domains : number of chunks of a task.
+    lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.
+    arrays : what the loop needs of them.  n_domains : number of chunks of a task.
     """
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_mixed: bool, pool: ThreadPool) -> None:
         super().__init__(n_atoms, cutoff, skin, excluded)
         self._pool, self._is_mixed = pool, is_mixed
         self._columns_of: Cell | None = None
+        self.lanes = lanes_for(MIXED if is_mixed else DOUBLE)
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
         self._memory = Buffers()
+        sets = far(self.lanes.count)
+        self._far = self._memory.array("far", np.float32 if is_mixed else np.float64, len(sets))
+        self._far[:] = sets
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
-            self._columns, self._columns_of = make_columns(cell, positions, self.cutoff + self.skin), cell
-        self.clusters = sort_into_clusters(positions, self._columns, self._memory, self._pool)
+            self._columns, self._columns_of = make_columns(cell, positions, self.cutoff + self.skin, self.lanes), cell
+        self.clusters = sort_into_clusters(positions, self._columns, self.lanes, self._memory, self._pool)
         self.domains = cut_into_domains(self.clusters, self._columns, len(positions))
         self.n_domains, n_clusters, n_ghosts = len(self.domains.run) - 1, len(self.clusters.filled), int(self.domains.ghost[-1])
         if n_ghosts > GHOST_BITS:
             raise ValueError(f"cluster lists hold up to {GHOST_BITS} ghost clusters, this scene needs {n_ghosts}: simulate fewer atoms")
         self.ghosts = make_ghosts(n_clusters, n_ghosts, self._memory)
-        exact = self._memory.array("coordinates", np.float64, n_ghosts * BLOCK)
+        exact = self._memory.array("coordinates", np.float64, n_ghosts * self.lanes.count * DIMENSIONS)
         layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, exact)
         self.rows = self._find_rows(layout)
         sort_ghosts(self.ghosts)
@@ -72,7 +79,7 @@ class ClusterList(VerletList):
         """Find the rows. If the memory is too small, it is enlarged and the search repeated."""
         start, stop = (self._memory.array(name, np.int32, len(self.clusters.atom)) for name in ("row start", "row stop"))
         if len(self._entry_start) != self.n_domains + 1:
-            self._make_entries(np.diff(self.domains.cluster) * LANES * ENTRIES_GUESSED)
+            self._make_entries(np.diff(self.domains.cluster) * self.lanes.count * ENTRIES_GUESSED)
         needed = np.zeros(self.n_domains, dtype=np.int64)
         while True:
             rows = Rows(start, stop, self._entries)
@@ -92,13 +99,19 @@ class ClusterList(VerletList):
         ghosts, number = self.ghosts, np.float32 if self._is_mixed else np.float64
         (forces,) = self._memory.carve("scratch", (number, (len(exact),)))  # sorting is over
         if not self._is_mixed:
-            return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces)
+            return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces, self._far)
         shift, origin = self._memory.array("grid shift", np.int32, len(ghosts.owner), 3), np.empty(3)
         unit = lay_grid(ghosts, self.skin, origin, shift)
         if unit > COARSEST * self.cutoff:
             width, limit = unit * GRID, COARSEST * self.cutoff
             raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take precision='double'")
-        return Memory(self._memory.array("grid", np.int32, len(exact)), shift, origin, unit, forces)
+        return Memory(self._memory.array("grid", np.int32, len(exact)), shift, origin, unit, forces, self._far)
+
+
+def far(n_lanes: int) -> NDArray[np.float64]:
+    """Memory.far for all sets of n lanes; bit k of the number of a set stands for lane k."""
+    sets = np.arange(1 << n_lanes)[:, None] >> np.arange(n_lanes) & 1
+    return np.where(sets, 0.0, np.inf).ravel()
 
 
 @shared_kernel
@@ -143,20 +156,21 @@ def lay_grid(ghosts, skin, origin, shift):
 def gather(domain, arrays, positions):
     """Positions of the atoms of a domain, to all ghosts of their clusters; forces there = 0."""
     clusters, domain_start, ghosts, _, memory = arrays
-    nothing = broadcast(0.0, load(memory.forces, 0, LANES))
+    lanes, n_lanes = clusters.lanes, count(clusters.lanes)
+    nothing = broadcast(0.0, load(memory.forces, 0, lanes))
     for k in range(domain_start[domain], domain_start[domain + 1]):
-        home = ghosts.home[k] * BLOCK
-        for lane in range(LANES):
-            slot = k * LANES + lane
+        home = ghosts.home[k] * DIMENSIONS * n_lanes
+        for lane in range(n_lanes):
+            slot = k * n_lanes + lane
             for c in range(3):
                 x = positions[clusters.atom[slot], c] + clusters.offsets[slot, c]
-                memory.coordinates[home + c * LANES + lane] = coordinate(x, memory.origin[c], memory.unit, memory.coordinates)
+                memory.coordinates[home + c * n_lanes + lane] = coordinate(x, memory.origin[c], memory.unit, memory.coordinates)
         for p in range(ghosts.start[k], ghosts.start[k + 1]):
             m = ghosts.of[p]
             for d in range(3):
-                c = d * LANES
-                store(memory.coordinates, m * BLOCK + c, load(memory.coordinates, home + c, LANES) + memory.shift[m, d])
-                store(memory.forces, m * BLOCK + c, nothing)
+                place = (m * DIMENSIONS + d) * n_lanes
+                store(memory.coordinates, place, load(memory.coordinates, home + d * n_lanes, lanes) + memory.shift[m, d])
+                store(memory.forces, place, nothing)
 
 
 @by_type
@@ -169,14 +183,16 @@ def coordinate(x, origin, unit, coordinates):
 
 @scalar
 def scatter(domain, arrays, forces, work):
-    """forces (N, 3) += those on all ghosts of the clusters of a domain. work : (BLOCK,) float64, scratch."""
+    """forces (N, 3) += those on all ghosts of the clusters of a domain. work : (3 n,) float64, scratch."""
     clusters, domain_start, ghosts, _, memory = arrays
+    lanes, n_lanes = clusters.lanes, count(clusters.lanes)
+    block = DIMENSIONS * n_lanes
     for k in range(domain_start[domain], domain_start[domain + 1]):
-        for c in range(0, BLOCK, LANES):
-            force = convert(load(memory.forces, ghosts.of[ghosts.start[k]] * BLOCK + c, LANES), 0.0)
+        for c in range(0, block, n_lanes):
+            force = convert(load(memory.forces, ghosts.of[ghosts.start[k]] * block + c, lanes), 0.0)
             for p in range(ghosts.start[k] + 1, ghosts.start[k + 1]):
-                force = force + convert(load(memory.forces, ghosts.of[p] * BLOCK + c, LANES), 0.0)
+                force = force + convert(load(memory.forces, ghosts.of[p] * block + c, lanes), 0.0)
             store(work, c, force)
         for lane in range(clusters.filled[k]):
             for c in range(3):
-                forces[clusters.atom[k * LANES + lane], c] += work[c * LANES + lane]
+                forces[clusters.atom[k * n_lanes + lane], c] += work[c * n_lanes + lane]

@@ -18,9 +18,10 @@ import numpy as np
 
 from minimd.compiled.kernels import inlined, scalar, shared_kernel
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, load
+from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, take
-from minimd.neighbors.clusters import BLOCK, LANES
-from minimd.neighbors.domains import ALL_LANES, HOME, IMAGES
+from minimd.neighbors.clusters import DIMENSIONS
+from minimd.neighbors.domains import HOME, IMAGES
 from minimd.structure.cell import minimum_image
 
 LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
@@ -30,9 +31,7 @@ GHOST_BITS = (1 << LANES_FROM) - 1
 class Rows(namedtuple("Rows", "start stop entries")):
     """Clusters within reach of each atom: those of the atom in slot s are entries[start[s] : stop[s]].
 
-    start, stop : (slots,) int.  entries : (E,) uint32, the number of a ghost, and above its 24 bits one for each lane that counts.
-    One more entry follows the last one: the loop reads one entry ahead.
-    """
+    start, stop : (slots,) int.  entries : (E,) uint32, the number of a ghost, and above its 24 bits one for each lane that counts."""
 
 
 class Work(namedtuple("Work", "ahead candidates entries near")):
@@ -76,9 +75,7 @@ def find_rows(domain, layout, rows, room, work):
                 ahead[0, 0] = layout.ghosts.home[k] + 1
                 n = _candidates(k, n_ahead, layout, work)
                 n_entries = _prune(k, n, layout, rows, n_entries, last, work)
-    if n_entries < last:
-        rows.entries[n_entries] = 0  # see Rows
-    return n_entries + 1 - first
+    return n_entries - first
 
 
 @scalar
@@ -107,31 +104,32 @@ def _candidates(k, n_ahead, layout, work):
 @scalar
 def _prune(k, n, layout, rows, n_entries, last, work):
     """Write the rows of the atoms of cluster k: those of the n candidates that are within reach, then k itself. Returns the end of the entries."""
-    if n_entries + LANES * (n + 1) >= last:  # no room: an upper bound tells how much is missing
-        return n_entries + LANES * (n + 1) + 1
+    lanes, n_lanes = layout.clusters.lanes, count(layout.clusters.lanes)
+    if n_entries + n_lanes * (n + 1) > last:  # no room: an upper bound tells how much is missing
+        return n_entries + n_lanes * (n + 1)
     ghosts, coordinates, reach, filled = layout.ghosts, layout.coordinates, layout.columns.distance, layout.clusters.filled[k]
-    home, own = ghosts.home[k], ghosts.home[k] * BLOCK
-    x, y, z = load(coordinates, own, LANES), load(coordinates, own + LANES, LANES), load(coordinates, own + 2 * LANES, LANES)
+    home, own = ghosts.home[k], ghosts.home[k] * DIMENSIONS * n_lanes
+    x, y, z = load(coordinates, own, lanes), load(coordinates, own + n_lanes, lanes), load(coordinates, own + 2 * n_lanes, lanes)
     for c in range(n):
         ghost = work.candidates[c]
         nearest = broadcast(np.inf, x)
-        for lane in range(LANES):  # eight atoms of k at a time against one of the candidate's
-            other = ghost * BLOCK + lane
-            dx, dy, dz = x - coordinates[other], y - coordinates[other + LANES], z - coordinates[other + 2 * LANES]
+        for lane in range(n_lanes):  # all atoms of k at a time against one of the candidate's
+            other = ghost * DIMENSIONS * n_lanes + lane
+            dx, dy, dz = x - coordinates[other], y - coordinates[other + n_lanes], z - coordinates[other + 2 * n_lanes]
             nearest = min(nearest, fma(dx, dx, fma(dy, dy, dz * dz)))
         near = bits_from_mask(nearest < reach * reach)
         work.near[c], work.entries[c] = near, ghost | ghosts.lanes[ghost] << LANES_FROM
         ghosts.is_used[ghost] |= near != 0
     end = np.uintp(n_entries)  # unsigned: no check for indices that count from the end
-    for lane in range(LANES):
-        rows.start[k * LANES + lane] = end
+    for lane in range(n_lanes):
+        rows.start[k * n_lanes + lane] = end
         if lane < filled:
             for c in range(n):
                 rows.entries[end] = work.entries[c]  # overwritten by the next unless near
                 end += np.uintp(work.near[c] >> lane & 1)
-            rows.entries[end] = home | ((ALL_LANES << (lane + 1)) & ghosts.lanes[home]) << LANES_FROM
+            rows.entries[end] = home | (ghosts.lanes[home] >> (lane + 1) << (lane + 1)) << LANES_FROM
             end += np.uintp(lane < filled - 1)
-        rows.stop[k * LANES + lane] = end
+        rows.stop[k * n_lanes + lane] = end
     return np.int64(end)
 
 
@@ -157,16 +155,17 @@ def exclude_pairs(worker, task, layout, image, partners, slot_of, rows):
 
 @scalar
 def _find_slots(domain, layout, slot_of):
-    clusters, domain_start = layout.clusters, layout.domains.cluster
-    for slot in range(domain_start[domain] * LANES, domain_start[domain + 1] * LANES):
-        if slot % LANES < clusters.filled[slot // LANES]:
+    clusters, domain_start, n_lanes = layout.clusters, layout.domains.cluster, count(layout.clusters.lanes)
+    for slot in range(domain_start[domain] * n_lanes, domain_start[domain + 1] * n_lanes):
+        if slot % n_lanes < clusters.filled[slot // n_lanes]:
             slot_of[clusters.atom[slot]] = slot
 
 
 @scalar
 def _exclude_partners(domain, layout, image, partners, slot_of, rows):
     clusters, domain_start, (start, values) = layout.clusters, layout.domains.cluster, partners
-    for slot in range(domain_start[domain] * LANES, domain_start[domain + 1] * LANES):
+    n_lanes = count(clusters.lanes)
+    for slot in range(domain_start[domain] * n_lanes, domain_start[domain + 1] * n_lanes):
         i = clusters.atom[slot]
         if slot == slot_of[i]:  # not padding
             for p in range(start[i], start[i + 1]):
@@ -176,11 +175,12 @@ def _exclude_partners(domain, layout, image, partners, slot_of, rows):
 @scalar
 def _exclude(slot, other, clusters, ghosts, image, rows):
     """Clear the lane of the atom in slot other in the row of a slot, if it is there."""
-    cluster, lane = other // LANES, other % LANES
-    own, place = slot // LANES * BLOCK + slot % LANES, cluster * BLOCK + lane
+    n_lanes = count(clusters.lanes)
+    cluster, lane = other // n_lanes, other % n_lanes
+    own, place = slot // n_lanes * DIMENSIONS * n_lanes + slot % n_lanes, cluster * DIMENSIONS * n_lanes + lane
     x = clusters.coordinates[place] - clusters.coordinates[own]
-    y = clusters.coordinates[place + LANES] - clusters.coordinates[own + LANES]
-    z = clusters.coordinates[place + 2 * LANES] - clusters.coordinates[own + 2 * LANES]
+    y = clusters.coordinates[place + n_lanes] - clusters.coordinates[own + n_lanes]
+    z = clusters.coordinates[place + 2 * n_lanes] - clusters.coordinates[own + 2 * n_lanes]
     a, b, c = minimum_image(x, y, z, *image)
     key = cluster * IMAGES + HOME + int(9.0 * a + 3.0 * b + c)
     for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])):  # unsigned: no check for indices that count from the end

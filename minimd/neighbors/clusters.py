@@ -1,6 +1,6 @@
-"""Atoms into clusters of eight: columns of the cell, sorted along them, cut into pieces.
+"""Atoms into clusters of as many as a vector has lanes: columns of the cell, sorted along them, cut into pieces.
 
-Seen from above and from the side (4 columns; one column with its clusters A, B, C; · is padding):
+Seen from above and from the side (4 columns; one column with its clusters A, B, C of eight; · is padding):
 
     +-----+-----+        | A A A A A A A A | B B B B B B B B | C C C · · · · · |
     |  0  |  1  |         bottom  ->  along the third lattice vector  ->   top
@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel, scalar, shared_kernel
+from minimd.compiled.simd.lanes import Lanes, count
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
 from minimd.neighbors.buffers import Buffers
 from minimd.structure.cell import Cell
 
-LANES = 8  # atoms of a cluster
-BLOCK = 3 * LANES  # numbers of one cluster in memory: eight x, eight y, eight z
+DIMENSIONS = 3  # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
 
 
 class Columns(namedtuple("Columns", "counts distance reach along origin extent pbc lattice inverse")):
@@ -36,28 +36,29 @@ class Columns(namedtuple("Columns", "counts distance reach along origin extent p
     """
 
 
-class Clusters(namedtuple("Clusters", "atom filled offsets column_start bottom top coordinates boxes")):
-    """Atoms sorted into C clusters; slot s is lane s % 8 of cluster s // 8.
+class Clusters(namedtuple("Clusters", "lanes atom filled offsets column_start bottom top coordinates boxes")):
+    """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n.
 
-    atom : (8 C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
-    offsets : (8 C, 3) lattice vectors that bring the atom into the cell [length].
+    lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
+    offsets : (n C, 3) lattice vectors that bring the atom into the cell [length].
     column_start : (columns + 1,) int, first cluster of each column.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
-    coordinates : flat, BLOCK numbers for each cluster [length].
+    coordinates : flat, a block of 3 n numbers for each cluster [length].
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
     """
 
 
-def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Columns:
-    """Columns so wide that eight atoms fill about a cube of them."""
+def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float, lanes: Lanes) -> Columns:
+    """Columns so wide that the atoms of a cluster fill about a cube of them."""
     origin, extent = np.zeros(3), np.ones(3)
     for k in np.flatnonzero(~cell.pbc):
         along = np.einsum("ij,j->i", positions, cell.inverse[:, k])  # not @: see observables
         origin[k], extent[k] = along.min(), max(np.ptp(along), FLATTEST * reach / cell.heights[k])
     widths = cell.heights * extent
-    cube = (LANES * widths.prod() / len(positions)) ** (1.0 / 3.0)
+    n_lanes = lanes.count
+    cube = (n_lanes * widths.prod() / len(positions)) ** (1.0 / 3.0)
     across = np.maximum(1.0, np.minimum(widths[:2] / cube, len(positions)))
-    across = np.maximum(1.0, np.rint(across * min(1.0, (len(positions) / (LANES * across.prod())) ** 0.5)))  # a flat scene has few
+    across = np.maximum(1.0, np.rint(across * min(1.0, (len(positions) / (n_lanes * across.prod())) ** 0.5)))  # a flat scene has few
     bins = max(1.0, len(positions) / across.prod())
     needed = np.ceil(WIDER * reach * across / widths[:2])
     needed = np.minimum(needed, np.where(cell.pbc[:2], across, across - 1.0))
@@ -66,32 +67,32 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float) -> Co
     return Columns(counts, reach, needed.astype(np.int64), along_z, origin, extent, cell.pbc, cell.lattice, cell.inverse)
 
 
-def sort_into_clusters(positions: NDArray[np.float64], columns: Columns, memory: Buffers, pool: ThreadPool) -> Clusters:
+def sort_into_clusters(positions: NDArray[np.float64], columns: Columns, lanes: Lanes, memory: Buffers, pool: ThreadPool) -> Clusters:
     """The clusters of all columns, the second lattice direction running faster than the first."""
     n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
     of_atoms, of_bins = (np.int32, (n,)), (np.int32, (n_bins + 1,))
     binned = Binned(*memory.carve("scratch", of_atoms, of_atoms, of_bins, of_bins, (np.float64, (n, 3)), (np.float64, (n,))))
     column_start = memory.array("column_start", np.int64, n_columns + 1)
-    sort_into_columns(positions, columns, binned, column_start)
+    sort_into_columns(positions, columns, binned, lanes.count, column_start)
     n_clusters = int(column_start[-1])
-    n_slots, array = n_clusters * LANES, memory.array
+    n_slots, array = n_clusters * lanes.count, memory.array
     atom, filled, offsets = array("atom", np.int32, n_slots), array("filled", np.int64, n_clusters), array("offsets", np.float64, n_slots, 3)
     bottom, top = (array(name, np.float64, n_clusters) for name in ("bottom", "top"))
-    coordinates, boxes = array("home coordinates", np.float64, n_clusters * BLOCK), array("boxes", np.float64, n_clusters, 6)
-    clusters = Clusters(atom, filled, offsets, column_start, bottom, top, coordinates, boxes)
+    coordinates, boxes = array("home coordinates", np.float64, n_slots * DIMENSIONS), array("boxes", np.float64, n_clusters, 6)
+    clusters = Clusters(lanes, atom, filled, offsets, column_start, bottom, top, coordinates, boxes)
     pool.run(_fill_clusters, positions, columns, binned, clusters, min(int(columns.counts[0]), MOST_CHUNKS))
     return clusters
 
 
 @kernel
-def sort_into_columns(positions, columns, binned, column_start):
+def sort_into_columns(positions, columns, binned, n_lanes, column_start):
     """Atoms into the bins of all columns; the first cluster of each column."""
     counts = columns.counts
     counting_sort(positions, columns.inverse, columns.pbc, columns, binned)
     column_start[0] = 0
     for column in range(counts[0] * counts[1]):
         n = binned.bin_start[(column + 1) * counts[2]] - binned.bin_start[column * counts[2]]
-        column_start[column + 1] = column_start[column] + (n + LANES - 1) // LANES
+        column_start[column + 1] = column_start[column] + (n + n_lanes - 1) // n_lanes
 
 
 @shared_kernel
@@ -116,6 +117,7 @@ def _fill_columns(chunk, n, positions, columns, binned, clusters):
 def _fill_column(column, positions, columns, binned, clusters):
     """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters."""
     counts, lattice, order, height, cells = columns.counts, columns.lattice, binned.order, binned.height, binned.cells
+    n_lanes = count(clusters.lanes)
     first, last = binned.bin_start[column * counts[2]], binned.bin_start[(column + 1) * counts[2]]
     for p in range(first, last):
         i, q = order[p], p
@@ -124,18 +126,18 @@ def _fill_column(column, positions, columns, binned, clusters):
             q -= 1
         order[q] = i
     cluster = clusters.column_start[column]
-    for p in range(first, last, LANES):
-        n = min(LANES, last - p)
+    for p in range(first, last, n_lanes):
+        n = min(n_lanes, last - p)
         clusters.filled[cluster] = n
         clusters.bottom[cluster], clusters.top[cluster] = height[order[p]], height[order[p + n - 1]]
         for c in range(3):
             low, high = np.inf, -np.inf
-            for k in range(LANES):
-                i, slot = order[p + min(k, n - 1)], cluster * LANES + k
+            for k in range(n_lanes):
+                i, slot = order[p + min(k, n - 1)], cluster * n_lanes + k
                 offset = cells[i, 0] * lattice[0, c] + cells[i, 1] * lattice[1, c] + cells[i, 2] * lattice[2, c]
                 x = positions[i, c] + offset
                 clusters.atom[slot], clusters.offsets[slot, c] = i, offset
-                clusters.coordinates[cluster * BLOCK + c * LANES + k] = x
+                clusters.coordinates[(cluster * DIMENSIONS + c) * n_lanes + k] = x
                 low, high = min(low, x), max(high, x)
             clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = low, high
         cluster += 1

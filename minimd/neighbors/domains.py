@@ -22,11 +22,11 @@ import numpy as np
 
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import load, store
+from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import MOST_CHUNKS
 from minimd.neighbors.buffers import Buffers
-from minimd.neighbors.clusters import BLOCK, LANES, Clusters, Columns
+from minimd.neighbors.clusters import DIMENSIONS, Clusters, Columns
 
-ALL_LANES = 255
 IMAGES, HOME = 27, 13  # number of images, and the code of image (0, 0, 0)
 ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work costs more than a second thread gains
 
@@ -52,7 +52,7 @@ class GhostClusters(namedtuple("GhostClusters", "owner key shift bottom top boxe
 
 
 class Layout(namedtuple("Layout", "columns clusters domains ghosts coordinates")):
-    """The clusters of a scene and where their ghosts stand.  coordinates : flat, BLOCK numbers for each ghost [length]."""
+    """The clusters of a scene and where their ghosts stand.  coordinates : flat, a block for each ghost [length]."""
 
 
 def cut_into_domains(clusters: Clusters, columns: Columns, n_atoms: int) -> Domains:
@@ -123,7 +123,7 @@ def _seen(run_x, run_y, image_z, clusters, columns):
 def fill_ghosts(domain, layout):
     """Write the ghosts of one domain. is_used is true for the domain's own clusters only; find_rows sets it for the others."""
     columns, clusters, domains, ghosts, coordinates = layout
-    lattice = columns.lattice
+    lattice, lanes, n_lanes = columns.lattice, clusters.lanes, count(clusters.lanes)
     run = domains.run[domain]
     for run_x in range(domains.column[domain], domains.column[domain + 1] + columns.reach[0]):
         for run_y in range(-columns.reach[1], columns.counts[1] + columns.reach[1]):
@@ -137,13 +137,14 @@ def fill_ghosts(domain, layout):
                 is_home = image == HOME and run_x < domains.column[domain + 1]
                 for k in range(first, last):
                     ghosts.owner[ghost], ghosts.key[ghost], ghosts.is_used[ghost] = k, k * IMAGES + image, is_home
-                    ghosts.lanes[ghost] = ALL_LANES >> (LANES - clusters.filled[k])
+                    ghosts.lanes[ghost] = (1 << clusters.filled[k]) - 1
                     ghosts.bottom[ghost], ghosts.top[ghost] = clusters.bottom[k] + image_z, clusters.top[k] + image_z
                     for d in range(3):
                         shift = a * lattice[0, d] + b * lattice[1, d] + image_z * lattice[2, d]
                         ghosts.shift[ghost, d] = shift
                         ghosts.boxes[ghost, d], ghosts.boxes[ghost, d + 3] = clusters.boxes[k, d] + shift, clusters.boxes[k, d + 3] + shift
-                        store(coordinates, ghost * BLOCK + d * LANES, load(clusters.coordinates, k * BLOCK + d * LANES, LANES) + shift)
+                        x = load(clusters.coordinates, (k * DIMENSIONS + d) * n_lanes, lanes)
+                        store(coordinates, (ghost * DIMENSIONS + d) * n_lanes, x + shift)
                     if is_home:
                         ghosts.home[k] = ghost
                     ghost += 1

@@ -41,8 +41,8 @@ _square_root, _magnitude = _function("sqrt"), _function("fabs")
 
 @intrinsic
 def fma(_context, a, b, c):
-    """a · b + c for vectors of one type, rounded once."""
-    return a(a, b, c), lambda context, builder, signature, arguments: call(builder, f"llvm.fma.{a.suffix}", arguments[0].type, arguments)
+    """a · b + c for vectors of one type, rounded once where the processor has an instruction for it."""
+    return a(a, b, c), lambda context, builder, signature, arguments: call(builder, f"llvm.fmuladd.{a.suffix}", arguments[0].type, arguments)
 
 
 @intrinsic

@@ -53,18 +53,6 @@ def broadcast(_context, number, like):
 
 
 @intrinsic
-def mask_from_bits(_context, bits, like):
-    """A mask for vectors of the type of like; lane k is bit k of an unsigned integer."""
-
-    def generate(context, builder, signature, arguments):
-        width = ir.IntType(like.lanes)
-        bits_of_lanes = builder.trunc(arguments[0], width) if bits.bitwidth > like.lanes else arguments[0]
-        return builder.bitcast(bits_of_lanes, ir.VectorType(ir.IntType(1), like.lanes))
-
-    return like.mask(bits, like), generate
-
-
-@intrinsic
 def bits_from_mask(_context, mask):
     """A mask as an int64 whose bit k is lane k; zero if no lane is set."""
     bits, int64 = ir.IntType(mask.lanes), ir.IntType(64)
@@ -121,8 +109,8 @@ def with_lane(_context, vector, k, number):
 
 @intrinsic(prefer_literal=True)
 def load(_context, array, index, lanes):
-    """`lanes` (a literal) contiguous elements of a one-dimensional array, from index."""
-    kind = Vector(array.dtype, lanes.literal_value)
+    """Contiguous elements of a one-dimensional array, from index.  lanes : how many, a literal or one of simd.lanes; or a vector of as many."""
+    kind = Vector(array.dtype, n_lanes(lanes))
 
     def generate(context, builder, signature, arguments):
         value = builder.load(_pointer_to(context, builder, array, arguments, kind))
@@ -141,6 +129,13 @@ def store(_context, array, index, vector):
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), generate
+
+
+def n_lanes(lanes: types.Type) -> int:
+    """The number of lanes that a Numba type stands for: a vector, one of simd.lanes, or a literal."""
+    if isinstance(lanes, Vector):
+        return lanes.lanes
+    return lanes.literal_value if isinstance(lanes, types.Literal) else lanes.instance_class.count
 
 
 def _some_lanes(builder, value, numbers):

@@ -1,0 +1,116 @@
+"""The loop over clusters on every processor: the vectors that suit it, and what the compiler makes of the loop for other processors."""
+
+import re
+
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+import pytest
+from cluster_scenes import agree, pair_laws
+from references import liquid
+
+import minimd as md
+from minimd.compiled.simd import lanes
+from minimd.compiled.simd.lanes import DOUBLE, MIXED, Lanes4, Lanes8
+from minimd.forces.cluster_loop import add_cluster_forces
+from minimd.forces.cluster_term import ClusterTerm
+from minimd.forces.options import Options
+from minimd.forces.pair_list_term import PairListTerm
+from minimd.neighbors import cluster_list
+
+LAW = md.LennardJones(1.0, 1.0, cutoff=2.5, truncation="truncated")
+X86, ARM = "x86_64-unknown-linux-gnu", "aarch64-unknown-linux-gnu"
+PROCESSORS = {  # triple, name, lanes, precision, division in full-width registers, most reads and writes of the stack for each
+    "Zen 3": (X86, "znver3", Lanes4, "double", r"vdivpd\s.*%ymm", 0),
+    "Haswell": (X86, "haswell", Lanes4, "double", r"vdivpd\s.*%ymm", 0),
+    "Haswell, mixed": (X86, "haswell", Lanes8, "mixed", r"vdivps\s.*%ymm", 2),
+    "AVX-512": (X86, "icelake-server", Lanes8, "double", r"vdivpd\s.*%zmm", 0),
+    "Neoverse": (ARM, "neoverse-n1", Lanes4, "double", r"fdiv\s+v\d+\.2d", 0),
+}
+LANE_BY_LANE = r"vpinsr|vpextr|vinsertps|vpermilp|vunpck|mov\s+v\d+\.d\[|\bins\s"
+SCALAR = r"v(?:add|sub|mul|div)s[sd]\s|f(?:add|sub|mul|div)\s+d\d"
+STACK = r"\(%r[sb]p\)|\[sp"
+
+
+def laws_of(system):
+    return pair_laws(system, [LAW])
+
+
+def with_lanes(monkeypatch, kind, system, precision="double"):
+    """A term with vectors of this kind."""
+    monkeypatch.setattr(cluster_list, "lanes_for", lambda bits: kind())
+    return ClusterTerm(system, laws_of(system), Options(precision=precision, threads=1))
+
+
+@pytest.mark.parametrize(("precision", "tolerance"), [("double", 1e-13), ("mixed", 3e-6)])
+@pytest.mark.parametrize("kind", [Lanes4, Lanes8])
+def test_vectors_of_any_width_give_the_same_physics(monkeypatch, kind, precision, tolerance):
+    """tolerance : rounding, of float64 and of float32."""
+    system = liquid(5)
+    agree(with_lanes(monkeypatch, kind, system, precision), PairListTerm(system, laws_of(system), Options(skin=0.0)), system, tolerance)
+
+
+@pytest.mark.parametrize(("register", "double", "mixed"), [(512, Lanes8, Lanes8), (256, Lanes4, Lanes8), (128, Lanes4, Lanes4)])
+def test_lanes_fit_the_registers(monkeypatch, register, double, mixed):
+    monkeypatch.setattr(lanes, "register_bits", lambda: register)
+    choose = lanes.lanes_for.__wrapped__
+    assert (type(choose(DOUBLE)), type(choose(MIXED))) == (double, mixed)
+
+
+def inner_loop(assembly):
+    """The lines of the shortest loop with a vector division; and how many divisions it has, one or two for each entry of a row."""
+    lines = [line for line in assembly.splitlines() if line.strip() and not re.match(r"\s*[.#]\w*(?:p2align|cfi|loc)", line)]
+    labels = {line.split(":")[0]: k for k, line in enumerate(lines) if re.match(r"\.\w+:", line)}
+    loops = []
+    for end, line in enumerate(lines):
+        jump = re.match(r"\s+(?:j\w+|b\.\w+|cbn?z\s+\w+,|tbn?z.*,)\s*(\.\w+)", line)
+        if jump and (body := lines[labels.get(jump[1], end) : end + 1]) and any(re.search(r"v?fdiv\s+v|vdivp[sd]", one) for one in body):
+            loops.append(body)
+    loop = min(loops, key=len)
+    return loop, sum(bool(re.search(r"fdiv\s+v|vdivp[sd]", one)) for one in loop)
+
+
+def translated(ir, triple, name):
+    """The assembly that LLVM makes for a processor from code for this one."""
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    machine = llvm.Target.from_triple(triple).create_target_machine(cpu=name, opt=3)
+    ir = re.sub(r"^target (?:triple|datalayout) = .*$", "", ir, flags=re.MULTILINE)
+    ir = re.sub(r"(?:tail )?call i8 @llvm\.x86[^)]*\)", "add i8 0, 0", ir)  # counts of references, outside the loop
+    ir = re.sub(r'"(?:target-cpu|target-features|tune-cpu)"="[^"]*"', "", ir)
+    module = llvm.parse_assembly(f'target triple = "{triple}"\ntarget datalayout = "{machine.target_data}"\n' + ir)
+    return machine.emit_assembly(module)
+
+
+@pytest.fixture(scope="module")
+def code():
+    """The loop with forces alone as LLVM's code, by kind of lanes and precision."""
+
+    @numba.njit(error_model="numpy")
+    def loop(arrays, law, parameters, sums):
+        add_cluster_forces(0, arrays, law, parameters, sums)
+
+    made = {}
+    for kind, precision in dict.fromkeys(row[2:4] for row in PROCESSORS.values()):
+        with pytest.MonkeyPatch.context() as patch:
+            system = liquid(5)
+            term = with_lanes(patch, kind, system, precision)
+            term.add(system, 0, np.zeros_like(system.positions), np.zeros(0), np.zeros((0, 6)))
+            ((law, parameters),), sums = term._laws, term._force_sums
+            loop(term.list.arrays, law, parameters, sums)
+            made[kind, precision] = loop.inspect_llvm(loop.signatures[-1])
+    return made
+
+
+@pytest.mark.parametrize("name", PROCESSORS)
+def test_the_loop_runs_on_full_vectors_in_registers(code, name):
+    """Divisions fill the registers, no number goes alone, and the stack is hardly touched."""
+    triple, processor, kind, precision, division, stack = PROCESSORS[name]
+    loop, n_divisions = inner_loop(translated(code[kind, precision], triple, processor))
+    text = "\n".join(loop)
+    print(f"{name}: {len(loop) / n_divisions:.1f} instructions for each division\n{text}")
+    assert re.search(division, text)
+    assert not re.search(LANE_BY_LANE, text)
+    assert not re.search(SCALAR, text)
+    assert len(re.findall(STACK, text)) <= stack * n_divisions
+    assert len(loop) / n_divisions < 60

@@ -13,7 +13,7 @@ from minimd.compiled.threads import ThreadPool, barrier, begin, finish_and_take,
 from minimd.neighbors.buffers import SPARE, Buffers
 from minimd.neighbors.cluster_search import GHOST_BITS, Rows, exclude_pairs, find_rows, make_work
 from minimd.neighbors.clusters import DIMENSIONS, make_columns, sort_into_clusters
-from minimd.neighbors.domains import Layout, cut_into_domains, fill_ghosts, make_ghosts, sort_ghosts
+from minimd.neighbors.domains import SIDES, Layout, cut_into_domains, fill_ghosts, make_ghosts, sort_ghosts
 from minimd.neighbors.verlet_list import VerletList
 from minimd.structure.cell import Cell
 
@@ -139,11 +139,11 @@ def _build_domain(domain, layout, rows, entries, needed, work):
 @kernel
 def lay_grid(ghosts, skin, origin, shift):
     """The grid of mixed precision: its origin (3,) and the shift of each ghost (M, 3) in units are written, the unit is returned."""
-    unit = 0.0
+    unit, stride = 0.0, ghosts.boxes.size // SIDES
     for c in range(3):
         low, high = np.inf, -np.inf
         for m in range(shift.shape[0]):
-            low, high = min(low, ghosts.boxes[m, c]), max(high, ghosts.boxes[m, c + 3])
+            low, high = min(low, ghosts.boxes[c * stride + m]), max(high, ghosts.boxes[(c + 3) * stride + m])
         origin[c] = 0.5 * (low + high)
         unit = max(unit, (high - low + 2.0 * skin) / GRID)
     for m in range(shift.shape[0]):

@@ -21,11 +21,12 @@ from minimd.compiled.simd import bits_from_mask, broadcast, fma, load
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, take
 from minimd.neighbors.clusters import DIMENSIONS
-from minimd.neighbors.domains import HOME, IMAGES
+from minimd.neighbors.domains import BOXES, HOME, IMAGES, SIDES
 from minimd.structure.cell import minimum_image
 
 LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
 GHOST_BITS = (1 << LANES_FROM) - 1
+ROUNDED_UP = 1.0 + 1e-6  # of a squared distance between boxes, in float32
 
 
 class Rows(namedtuple("Rows", "start stop entries")):
@@ -49,7 +50,7 @@ def make_work(domains, columns):
     n = 0
     for k in range(domains.run.size - 1):
         n = max(n, domains.ghost[domains.run[k + 1]] - domains.ghost[domains.run[k]])
-    return Work(np.empty((n_runs, 2), dtype=np.int64), np.empty(n, dtype=np.int64), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint8))
+    return Work(np.empty((n_runs, 2), dtype=np.int64), np.empty(n + BOXES, dtype=np.int64), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint8))
 
 
 @scalar
@@ -84,7 +85,7 @@ def _candidates(k, n_ahead, layout, work):
     ghosts, along, reach, ahead, candidates = layout.ghosts, layout.columns.along, layout.columns.distance, work.ahead, work.candidates
     boxes, bottom, top, i = ghosts.boxes, ghosts.bottom, ghosts.top, ghosts.home[k]
     low, high = bottom[i] - along, top[i] + along
-    x_low, y_low, z_low, x_high, y_high, z_high = boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3], boxes[i, 4], boxes[i, 5]
+    own, stride, limit2 = _box(boxes, i), boxes.size // SIDES, np.float32(ROUNDED_UP * reach * reach)
     n = 0
     for run in range(n_ahead):
         j, last = ahead[run, 0], ahead[run, 1]
@@ -92,13 +93,30 @@ def _candidates(k, n_ahead, layout, work):
             j += 1
         ahead[run, 0] = j
         while j < last and bottom[j] <= high:
-            gap_x = max(0.0, max(boxes[j, 0] - x_high, x_low - boxes[j, 3]))
-            gap_y = max(0.0, max(boxes[j, 1] - y_high, y_low - boxes[j, 4]))
-            gap_z = max(0.0, max(boxes[j, 2] - z_high, z_low - boxes[j, 5]))
-            candidates[n] = j
-            n += gap_x * gap_x + gap_y * gap_y + gap_z * gap_z < reach * reach
-            j += 1
+            x = _gap(boxes, j, stride, own[0], own[3])
+            y = _gap(boxes, j + stride, stride, own[1], own[4])
+            z = _gap(boxes, j + 2 * stride, stride, own[2], own[5])
+            near = bits_from_mask(fma(x, x, fma(y, y, z * z)) < limit2)
+            for lane in range(min(BOXES, last - j)):
+                candidates[n] = j + lane
+                n += near >> lane & 1
+            j += BOXES
     return n
+
+
+@scalar
+def _box(boxes, i):
+    """The six sides of box i, each in all lanes of a vector."""
+    like, stride = load(boxes, 0, BOXES), boxes.size // SIDES
+    x_low, y_low, z_low = broadcast(boxes[i], like), broadcast(boxes[i + stride], like), broadcast(boxes[i + 2 * stride], like)
+    i += 3 * stride
+    return x_low, y_low, z_low, broadcast(boxes[i], like), broadcast(boxes[i + stride], like), broadcast(boxes[i + 2 * stride], like)
+
+
+@scalar
+def _gap(boxes, j, stride, low, high):
+    """Distances along one axis from an interval, low to high, to those of BOXES boxes; 0 where they overlap."""
+    return max(0.0, max(load(boxes, j, BOXES) - high, low - load(boxes, j + 3 * stride, BOXES)))
 
 
 @scalar

@@ -27,6 +27,9 @@ from minimd.compiled.threads import MOST_CHUNKS
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.clusters import DIMENSIONS, Clusters, Columns
 
+SIDES = 6  # of a box: smallest x, y, z, and largest
+BOXES = 8  # compared at a time
+OUTWARD = 2e-7  # of a coordinate: boxes in float32 are larger by its rounding
 IMAGES, HOME = 27, 13  # number of images, and the code of image (0, 0, 0)
 ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work costs more than a second thread gains
 
@@ -43,7 +46,8 @@ class GhostClusters(namedtuple("GhostClusters", "owner key shift bottom top boxe
 
     owner : (M,) int, the cluster.  key : (M,) int, 27 · cluster + code of the image (a, b, c), which is 9 (a + 1) + 3 (b + 1) + c + 1.
     shift : (M, 3) lattice vector of that image [length].
-    bottom, top : (M,) fractional coordinates along the third lattice vector.  boxes : (M, 6) see Clusters.
+    bottom, top : (M,) fractional coordinates along the third lattice vector.
+    boxes : flat float32, for each of the SIDES a row of at least M + BOXES numbers [length].
     lanes : (M,) uint8, bit k is set if lane k is not padding.
     home : (C,) int, the home of each cluster.
     is_used : (M,) bool, true for ghosts that stand in a row, and for homes.
@@ -71,7 +75,7 @@ def make_ghosts(n_clusters: int, n_ghosts: int, memory: Buffers) -> GhostCluster
     array = memory.array
     owner, key, of = (array(name, np.int32, n_ghosts) for name in ("owner", "key", "of"))
     bottom, top = (array(name, np.float64, n_ghosts) for name in ("ghost bottom", "ghost top"))
-    shift, boxes = array("shift", np.float64, n_ghosts, 3), array("ghost boxes", np.float64, n_ghosts, 6)
+    shift, boxes = array("shift", np.float64, n_ghosts, 3), array("ghost boxes", np.float32, SIDES * (n_ghosts + BOXES))
     lanes, is_used = array("lanes", np.uint8, n_ghosts), array("is_used", np.bool_, n_ghosts)
     home, start = array("home", np.int32, n_clusters), array("start", np.int32, n_clusters + 1)
     return GhostClusters(owner, key, shift, bottom, top, boxes, lanes, home, is_used, of, start)
@@ -123,6 +127,7 @@ def _seen(run_x, run_y, image_z, clusters, columns):
 def fill_ghosts(domain, layout):
     """Write the ghosts of one domain. is_used is true for the domain's own clusters only; find_rows sets it for the others."""
     columns, clusters, domains, ghosts, coordinates = layout
+    stride = ghosts.boxes.size // SIDES
     lattice, lanes, n_lanes = columns.lattice, clusters.lanes, count(clusters.lanes)
     run = domains.run[domain]
     for run_x in range(domains.column[domain], domains.column[domain + 1] + columns.reach[0]):
@@ -142,7 +147,9 @@ def fill_ghosts(domain, layout):
                     for d in range(3):
                         shift = a * lattice[0, d] + b * lattice[1, d] + image_z * lattice[2, d]
                         ghosts.shift[ghost, d] = shift
-                        ghosts.boxes[ghost, d], ghosts.boxes[ghost, d + 3] = clusters.boxes[k, d] + shift, clusters.boxes[k, d + 3] + shift
+                        low, high = clusters.boxes[k, d] + shift, clusters.boxes[k, d + 3] + shift
+                        ghosts.boxes[d * stride + ghost] = low - OUTWARD * abs(low)
+                        ghosts.boxes[(d + 3) * stride + ghost] = high + OUTWARD * abs(high)
                         x = load(clusters.coordinates, (k * DIMENSIONS + d) * n_lanes, lanes)
                         store(coordinates, (ghost * DIMENSIONS + d) * n_lanes, x + shift)
                     if is_home:

@@ -7,18 +7,18 @@ clusters j with atoms within its reach. For each of these clusters a mask marks 
 import functools
 from collections import namedtuple
 
-import numba
 import numpy as np
 from numba import types
 from numba.core.errors import NumbaError
 
-from minimd.compiled.kernels import by_type, scalar
+from minimd.compiled.kernels import by_type, kernel, scalar, without_cache
 from minimd.compiled.simd import broadcast, convert, fma, load, mask_from_bits, select, store, total
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import BLOCK, LANES
-from minimd.potentials.law import evaluate_law, is_user_law
+from minimd.potentials.law import evaluate_law
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import PER_ATOM
+from minimd.potentials.user_laws import is_recognized, is_user_law
 
 LANE_SUMS = 7  # accumulators of a lane with PER_ATOM: energy, and six of the virial
 
@@ -153,17 +153,19 @@ def add(sums, place, vector):
     store(sums, place, load(sums, place, LANES) + vector)
 
 
+@kernel
+def sum_over_lanes(law, distances2, parameters):
+    """Σ (u + f) of a law at LANES squared distances [length²]: compiles only if the law runs on vectors."""
+    u, f = evaluate_law(law, load(distances2, 0, LANES), parameters)
+    return total(u) + total(f)
+
+
 @functools.cache
 def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
     """Whether a law compiles for vectors. Those of minimd do; a law of the user's that branches on its arguments does not."""
     if not is_user_law(law):
         return True
-
-    @numba.njit(error_model="numpy")
-    def attempt(law, values, parameters):
-        u, f = evaluate_law(law, load(values, 0, LANES), parameters)
-        return total(u) + total(f)
-
+    attempt = sum_over_lanes if is_recognized(law) else without_cache(sum_over_lanes)
     try:
         attempt(law, np.ones(LANES), (1.0,) * n_parameters)
     except NumbaError:

@@ -51,6 +51,8 @@ class Snapshot:
         self._hash = hashlib.sha256()
         self._copies: dict[int, tuple[Any, Any]] = {}  # by the id of a compiled function
         self._note(sys.version, numba.__version__, np.__version__)
+        self.function: Any
+        self.python: FunctionType
         self.function, self.python = self._plain(function) if isinstance(function, FunctionType) else self._compiled(function)
         self.digest = self._hash.hexdigest()[:32]
 
@@ -101,10 +103,11 @@ class Snapshot:
         for name, option in sorted(function.targetoptions.items()):
             self._note(name)
             self._data(tuple(sorted(option)) if isinstance(option, set) else option)
-        first, second = self._shells(function.py_func)
+        plain: Any = function.py_func
+        first, second = self._shells(plain)
         copy = CPUDispatcher(first, None, dict(function.targetoptions))
         self._copies[id(function)] = copy, second
-        self._fill(function.py_func, first, second)
+        self._fill(plain, first, second)
         return copy, second
 
     def _plain(self, function: FunctionType) -> tuple[FunctionType, FunctionType]:

@@ -26,9 +26,12 @@ class UserLaw(namedtuple("UserLaw", "")):
 
     __slots__ = ()
     is_recognized = True
+    python: Callable  # tied to each class with its formula, see type_of
 
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other)
+
+    __ne__ = object.__ne__  # not that of tuples
 
     def __hash__(self) -> int:
         return hash(type(self))

@@ -171,6 +171,12 @@ def test_law_types_are_told_apart_and_copied():
             assert evaluate_law(twin, 1.0, (1.0,)) == evaluate_law(law, 1.0, (1.0,))
 
 
+def test_a_law_can_be_sent_to_another_process():
+    sent = pickle.dumps(user_law(names_of(LAW)["law"]))
+    code = f"import pickle; from minimd.potentials.law import evaluate_law; print(*evaluate_law(pickle.loads({sent!r}), 1.0, (1.0,)))"
+    assert answer(code) == pytest.approx([UNCHANGED, 2.0 * UNCHANGED], rel=1e-14)  # rounding
+
+
 def test_law_types_of_earlier_runs_are_read():
     assert issubclass(getattr(user_laws, "UserLaw_" + "0" * 32), user_laws.UserLaw)
     with pytest.raises(AttributeError):

@@ -7,8 +7,9 @@ from scipy.special import betainc
 
 import minimd as md
 from minimd.integrators import BlanesMoan4, KahanLi6, KahanLi8, Ruth3, VelocityVerlet
-from minimd.potentials.law import evaluate_law, user_law
+from minimd.potentials.law import evaluate_law
 from minimd.potentials.truncation import TRUNCATIONS
+from minimd.potentials.user_laws import user_law
 
 TIMESTEPS = {VelocityVerlet: 0.004, Ruth3: 0.004, BlanesMoan4: 0.008, KahanLi6: 0.01, KahanLi8: 0.02}  # errors above rounding, below 1e-2 ε
 

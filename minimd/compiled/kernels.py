@@ -78,11 +78,15 @@ def by_type(choose: Callable) -> Callable:
     return compiled_only
 
 
-def type_of(formula: Callable) -> Callable[[type], type]:
-    """Decorator of a NamedTuple class whose instances stand for a compiled function: kernels choose it by type, and so does the cache."""
+def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type], type]:
+    """Decorator of a NamedTuple class whose instances stand for a compiled function: kernels choose it by type, and so does the cache.
+
+    python : the same function for Python; if not given, the one that was compiled.
+    """
 
     def tie(named: type) -> type:
         named.formula = formula  # type: ignore[attr-defined]
+        named.python = staticmethod(python or formula.py_func)  # type: ignore[attr-defined]
         return named
 
     return tie
@@ -90,7 +94,7 @@ def type_of(formula: Callable) -> Callable[[type], type]:
 
 @functools.cache
 def without_cache(dispatcher):
-    """The same kernel, shared or not, compiled anew in each process: for laws that the user defines, which the cache cannot recognise."""
+    """The same kernel, shared or not, compiled anew in each process: for laws of the user's that the cache cannot recognize."""
     return numba.njit(error_model="numpy", nogil=True)(dispatcher.py_func)
 
 

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from minimd.diagnosis.hessian import bonded_pairs
 from minimd.potentials.bonded import BondPotential
-from minimd.potentials.law import is_user_law, law_at
+from minimd.potentials.law import law_at
 from minimd.potentials.laws import HarmonicLaw, LennardJonesLaw
 from minimd.potentials.pair import PairPotential
+from minimd.potentials.user_laws import is_user_law
 from minimd.structure.bond_graph import pairs_by_bonds_apart
 from minimd.structure.images import nearest_vectors
 from minimd.structure.system import System

@@ -7,19 +7,19 @@ atom i and lists the clusters j with atoms within its reach. Lanes that do not c
 import functools
 from collections import namedtuple
 
-import numba
 import numpy as np
 from numba import types
 from numba.core.errors import NumbaError
 
-from minimd.compiled.kernels import by_type, scalar
+from minimd.compiled.kernels import by_type, kernel, scalar, without_cache
 from minimd.compiled.simd import broadcast, convert, fma, load, select, store, total
 from minimd.compiled.simd.lanes import DOUBLE, count, lanes_for
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import DIMENSIONS
-from minimd.potentials.law import evaluate_law, is_user_law
+from minimd.potentials.law import evaluate_law
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import PER_ATOM
+from minimd.potentials.user_laws import is_recognized, is_user_law
 
 LANE_SUMS = 7  # accumulators of a lane with PER_ATOM: energy, and six of the virial
 
@@ -157,21 +157,22 @@ def push(forces, ghost, f, separation):
     store(forces, z, fma(f, dz, load(forces, z, f)))
 
 
+@kernel
+def sum_over_lanes(law, distances2, parameters, lanes):
+    """Σ (u + f) of a law at squared distances [length²], as many as there are lanes: compiles only if the law runs on vectors."""
+    u, f = evaluate_law(law, load(distances2, 0, lanes), parameters)
+    return total(u) + total(f)
+
+
 @functools.cache
 def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
     """Whether a law compiles for vectors. Those of minimd do; a law of the user's that branches on its arguments does not."""
     if not is_user_law(law):
         return True
-
     lanes = lanes_for(DOUBLE)
-
-    @numba.njit(error_model="numpy")
-    def attempt(law, values, parameters):
-        u, f = evaluate_law(law, load(values, 0, lanes), parameters)
-        return total(u) + total(f)
-
+    attempt = sum_over_lanes if is_recognized(law) else without_cache(sum_over_lanes)
     try:
-        attempt(law, np.ones(lanes.count), (1.0,) * n_parameters)
+        attempt(law, np.ones(lanes.count), (1.0,) * n_parameters, lanes)
     except NumbaError:
         return False
     return True

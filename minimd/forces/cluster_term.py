@@ -15,9 +15,9 @@ from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList, gather, scatter
 from minimd.neighbors.clusters import DIMENSIONS
-from minimd.potentials.law import is_user_law
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
+from minimd.potentials.user_laws import is_recognized
 from minimd.structure.system import System
 
 
@@ -75,8 +75,8 @@ class ClusterTerm(Term):
         skin = skin_for(system, laws, options, displacement)
         self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, self._is_mixed, self._pool)
         self._pair_laws = laws
-        is_known = not any(is_user_law(one.law) for one in laws.members)
-        self._evaluate = evaluate_clusters if is_known else without_cache(evaluate_clusters)
+        are_recognized = all(is_recognized(one.law) for one in laws.members)
+        self._evaluate = evaluate_clusters if are_recognized else without_cache(evaluate_clusters)
         self._prepared_for = 0  # which build of the list
         self._memory = Buffers()
 

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.potentials.law import user_law
 from minimd.potentials.laws import HarmonicLaw
 from minimd.potentials.pair_loop import FixedPairs
 from minimd.potentials.term import NoTerm, Term, no_bonds
+from minimd.potentials.user_laws import user_law
 from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.system import System
 

@@ -12,10 +12,10 @@ from math import isfinite, nan
 from typing import Any
 
 from numba.core import types
-from numba.core.dispatcher import Dispatcher
 from numba.extending import overload
 
-from minimd.compiled.kernels import scalar, type_of
+from minimd.compiled.kernels import type_of
+from minimd.potentials.user_laws import UserLaw
 
 STEP = 1e-5  # of a central difference, relative to the distance
 ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative, and beside the size of u
@@ -29,27 +29,6 @@ def law_type(name: str, formula: Callable) -> Any:
     python = formula.py_func  # type: ignore[attr-defined]
     fields = ["law"] if "law" in signature(python).parameters else []
     return type_of(formula)(namedtuple(name, fields, module=python.__module__))
-
-
-class UserLaw(namedtuple("UserLaw", "function")):
-    """Law type of a law that the user brings: function(r2, *parameters)."""
-
-
-def user_law(function: Callable) -> UserLaw:
-    """The law type of a plain or compiled function of r² and parameters that returns u and −u′(r)/r.
-
-    Raises TypeError if it is not a function.
-    """
-    if isinstance(function, Dispatcher):
-        return UserLaw(function)
-    if not callable(function):
-        raise TypeError(f"a law must be a function law(r2, *parameters) that returns u and -u'(r)/r; it is {function!r}")
-    return UserLaw(scalar(function))
-
-
-def is_user_law(law: tuple) -> bool:
-    """True if the law type, or the one inside it, was made by user_law."""
-    return isinstance(law, UserLaw) or any(is_user_law(inner) for inner in law)
 
 
 def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
@@ -69,7 +48,7 @@ def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, 
 
 
 def _name(law: tuple) -> str:
-    return law.function.py_func.__name__ if isinstance(law, UserLaw) else type(law).__name__
+    return type(law).python.__name__ if isinstance(law, UserLaw) else type(law).__name__
 
 
 def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
@@ -95,9 +74,7 @@ def evaluate_law(law, r2, parameters):
 
     law : law type.  r2 : [length²].  parameters : tuple of numbers, those of the truncation first.
     """
-    if isinstance(law, UserLaw):
-        return law.function.py_func(r2, *parameters)
-    formula = type(law).formula.py_func  # type: ignore[attr-defined]
+    formula = type(law).python  # type: ignore[attr-defined]
     return formula(r2, law[0], parameters) if law else formula(r2, *parameters)
 
 
@@ -105,8 +82,6 @@ def evaluate_law(law, r2, parameters):
 def _evaluate_law(law, r2, parameters):
     if not isinstance(law, types.BaseNamedTuple):
         return None
-    if law.instance_class is UserLaw:
-        return lambda law, r2, parameters: law.function(r2, *parameters)
     formula = law.instance_class.formula
     if len(law) == 1:
         return lambda law, r2, parameters: formula(r2, law[0], parameters)

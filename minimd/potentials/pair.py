@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.potentials.law import UserLaw, check_user_law, evaluate_law, user_law
+from minimd.potentials.law import check_user_law, evaluate_law
 from minimd.potentials.term import PairLaw, Term, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS
+from minimd.potentials.user_laws import UserLaw, user_law
 from minimd.structure.system import LARGEST, System
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff

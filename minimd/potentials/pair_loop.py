@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from minimd.compiled.kernels import by_type, kernel, without_cache
 from minimd.neighbors.pair_list import fixed_pairs
-from minimd.potentials.law import evaluate_law, is_user_law
+from minimd.potentials.law import evaluate_law
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, Term
+from minimd.potentials.user_laws import is_recognized
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.system import System
 
@@ -114,8 +115,8 @@ def add_pair_forces(positions, pairs, law, parameters, detail, sums):
 
 
 def pair_loop_for(law: tuple):
-    """add_pair_forces; not cached on disk for laws of the user's, which the cache cannot recognise."""
-    return without_cache(add_pair_forces) if is_user_law(law) else add_pair_forces
+    """add_pair_forces; not cached on disk for laws of the user's that the cache cannot recognize."""
+    return add_pair_forces if is_recognized(law) else without_cache(add_pair_forces)
 
 
 class FixedPairs(Term):

@@ -1,0 +1,197 @@
+"""Snapshots of functions: a copy that later changes do not reach, and a digest by which the cache of compiled code recognizes it.
+
+What a compiled function does is decided by its bytecode, its constants and defaults, the globals and closure cells it reads, the
+compiled functions it calls, and its compile options. All of this enters the digest; names of files and numbers of lines do not.
+"""
+
+import builtins
+import dis
+import hashlib
+import sys
+from collections.abc import Iterator
+from types import CellType, CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core.registry import CPUDispatcher
+
+NUMBERS = (bool, int, float, complex, str, bytes, type(None))
+NUMBER_KINDS = "biufc"  # of NumPy: truth values, integers, floats, complex numbers
+TRUSTED = {"builtins", "math", "cmath", "numpy", "numba", "minimd"}  # modules known by their versions, minimd by its sources
+LARGEST_ARRAY = 10**6  # bytes: Numba does not cache code that reads a larger one
+CODE_FIELDS = ("co_code", "co_exceptiontable", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_flags")
+COUNTS = ("co_argcount", "co_posonlyargcount", "co_kwonlyargcount")
+
+
+class UnclearError(Exception):
+    """A function reads something whose effect on the compiled code is not certain."""
+
+
+class Snapshot:
+    """A function as it is now.
+
+    Parameters
+    ----------
+    function : a plain function, or one compiled by numba.njit; the functions that it calls must be compiled.
+
+    Attributes
+    ----------
+    function : the copy, of the same kind, with the same compile options.
+    python : the copy as a plain function; the functions that it calls are plain too.
+    digest : 32 hexadecimal digits; the same for functions that compile to the same code.
+
+    Raises
+    ------
+    UnclearError : for a function that reads something else than numbers, strings, tuples and small arrays of numbers, functions
+        compiled without fixed signatures, and what math, cmath, numpy, numba and minimd name; for one that imports modules.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self._hash = hashlib.sha256()
+        self._copies: dict[int, tuple[Any, Any]] = {}  # by the id of a compiled function
+        self._note(sys.version, numba.__version__, np.__version__)
+        self.function: Any
+        self.python: FunctionType
+        self.function, self.python = self._plain(function) if isinstance(function, FunctionType) else self._compiled(function)
+        self.digest = self._hash.hexdigest()[:32]
+
+    def _note(self, *words: Any) -> None:
+        self._hash.update(repr(words).encode())
+
+    def _value(self, value: Any) -> tuple[Any, Any]:
+        """Copies of what a function reads: for kernels, and for the plain function."""
+        if isinstance(value, ModuleType) and _is_trusted(value.__name__):
+            self._note("module", value.__name__)
+            return value, value
+        if _is_named_in_trusted_module(value):
+            self._note("name", value.__module__, value.__qualname__)
+            return value, getattr(value, "py_func", value)
+        return self._compiled(value) if isinstance(value, CPUDispatcher) else self._data(value)
+
+    def _data(self, value: Any) -> tuple[Any, Any]:
+        """Copies of a number, a string, a tuple or an array."""
+        if type(value) in NUMBERS:
+            self._note(type(value).__name__, value)
+        elif isinstance(value, np.generic) and value.dtype.kind in NUMBER_KINDS:
+            self._note("number", value.dtype.str, value.tobytes())
+        elif type(value) is np.ndarray and value.dtype.kind in NUMBER_KINDS and value.nbytes <= LARGEST_ARRAY:
+            return self._array(value)
+        elif type(value) is tuple:
+            self._note("tuple", len(value))
+            copies = [self._value(one) for one in value]
+            return tuple(first for first, _ in copies), tuple(second for _, second in copies)
+        else:
+            raise UnclearError(f"{value!r} has no digest")
+        return value, value
+
+    def _array(self, array: Any) -> tuple[Any, Any]:
+        if not (array.flags.c_contiguous or array.flags.f_contiguous):
+            raise UnclearError("Numba reads an array with gaps from its place in memory")
+        self._note("array", array.dtype.str, array.shape, array.flags.c_contiguous, array.tobytes())
+        copy = array.copy(order="K")
+        return copy, copy
+
+    def _compiled(self, function: Any) -> tuple[Any, Any]:
+        """Copies of a function that Numba compiles; only noted again if it was met before, as in a recursion."""
+        if id(function) in self._copies:
+            self._note("again", list(self._copies).index(id(function)))
+            return self._copies[id(function)]
+        if type(function) is not CPUDispatcher or function.locals or _has_fixed_signatures(function):
+            raise UnclearError(f"{function!r} is not a function compiled by njit without signatures")
+        self._note("options")
+        for name, option in sorted(function.targetoptions.items()):
+            self._note(name)
+            self._data(tuple(sorted(option)) if isinstance(option, set) else option)
+        plain: Any = function.py_func
+        first, second = self._shells(plain)
+        copy = CPUDispatcher(first, None, dict(function.targetoptions))
+        self._copies[id(function)] = copy, second
+        self._fill(plain, first, second)
+        return copy, second
+
+    def _plain(self, function: FunctionType) -> tuple[FunctionType, FunctionType]:
+        first, second = self._shells(function)
+        self._fill(function, first, second)
+        return first, second
+
+    def _shells(self, function: FunctionType) -> tuple[FunctionType, FunctionType]:
+        """Two copies of a function that read nothing yet."""
+        self._note("function", function.__name__)
+        self._code(function.__code__)
+        defaults, keywords = function.__defaults__ or (), function.__kwdefaults__ or {}
+        values, keyword_values = self._data(tuple(defaults)), self._data(tuple(keywords.values()))
+        self._note(tuple(keywords))
+        shells = []
+        for k in (0, 1):
+            cells = tuple(CellType() for _ in function.__closure__ or ())
+            around = {"__name__": function.__module__, "__builtins__": builtins}
+            shell = FunctionType(function.__code__, around, function.__name__, values[k] or None, cells)
+            shell.__kwdefaults__ = dict(zip(keywords, keyword_values[k], strict=True)) or None
+            shell.__qualname__, shell.__doc__ = function.__qualname__, function.__doc__
+            shells.append(shell)
+        return shells[0], shells[1]
+
+    def _fill(self, function: FunctionType, first: FunctionType, second: FunctionType) -> None:
+        """Give the shells copies of the globals and closure cells that the function reads."""
+        for name in _globals_read(function.__code__):
+            self._note("global", name)
+            if name in function.__globals__:
+                first.__globals__[name], second.__globals__[name] = self._value(function.__globals__[name])
+            elif not hasattr(builtins, name):
+                raise UnclearError(f"{name} is not defined")
+        for cell, *copies in zip(*(f.__closure__ or () for f in (function, first, second)), strict=True):
+            self._note("cell")
+            copies[0].cell_contents, copies[1].cell_contents = self._value(_content(cell))
+
+    def _code(self, code: CodeType) -> None:
+        for name in (*CODE_FIELDS, *COUNTS):
+            self._note(name, getattr(code, name, None))  # co_exceptiontable is new in Python 3.11
+        self._note("constants", len(code.co_consts))
+        for constant in code.co_consts:
+            if isinstance(constant, CodeType):
+                self._code(constant)
+            else:
+                self._data(constant)
+
+
+def _globals_read(code: CodeType) -> list[str]:
+    """Names of the globals that a code reads, functions defined in it included. Raises UnclearError if it imports a module."""
+    instructions = [one for part in _with_inner(code) for one in dis.get_instructions(part)]
+    if any(one.opname == "IMPORT_NAME" for one in instructions):
+        raise UnclearError("the function imports a module")
+    return sorted({one.argval for one in instructions if one.opname in ("LOAD_GLOBAL", "LOAD_NAME")})
+
+
+def _with_inner(code: CodeType) -> Iterator[CodeType]:
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _with_inner(constant)
+
+
+def _content(cell: CellType) -> Any:
+    try:
+        return cell.cell_contents
+    except ValueError:
+        raise UnclearError("a closure cell is empty") from None
+
+
+def _is_trusted(module: Any) -> bool:
+    return isinstance(module, str) and module.split(".")[0] in TRUSTED
+
+
+def _is_named_in_trusted_module(value: Any) -> bool:
+    """True for what a trusted module holds under the name that the value carries, such as math.exp."""
+    module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
+    return _is_trusted(module) and isinstance(name, str) and getattr(sys.modules.get(module), name, None) is value  # type: ignore[arg-type]
+
+
+def _has_fixed_signatures(function: CPUDispatcher) -> bool:
+    """True if the function was compiled for given signatures only; for others, its first one is compiled already."""
+    try:
+        for signature in function.signatures[:1]:
+            function.compile(signature)
+    except RuntimeError:
+        return True
+    return False

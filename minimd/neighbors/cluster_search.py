@@ -32,7 +32,8 @@ ROUNDED_UP = 1.0 + 1e-6  # of a squared distance between boxes, in float32
 class Rows(namedtuple("Rows", "start stop entries")):
     """Clusters within reach of each atom: those of the atom in slot s are entries[start[s] : stop[s]].
 
-    start, stop : (slots,) int.  entries : (E,) uint32, the number of a ghost, and above its 24 bits one for each lane that counts."""
+    start, stop : (slots,) int.  entries : (E,) uint32, the number of a ghost, and above its 24 bits one for each lane that counts.
+    One more entry follows the last one: the loop reads one entry ahead."""
 
 
 class Work(namedtuple("Work", "ahead candidates entries near")):
@@ -76,7 +77,9 @@ def find_rows(domain, layout, rows, room, work):
                 ahead[0, 0] = layout.ghosts.home[k] + 1
                 n = _candidates(k, n_ahead, layout, work)
                 n_entries = _prune(k, n, layout, rows, n_entries, last, work)
-    return n_entries - first
+    if n_entries < last:
+        rows.entries[n_entries] = 0  # see Rows
+    return n_entries + 1 - first
 
 
 @scalar
@@ -123,8 +126,8 @@ def _gap(boxes, j, stride, low, high):
 def _prune(k, n, layout, rows, n_entries, last, work):
     """Write the rows of the atoms of cluster k: those of the n candidates that are within reach, then k itself. Returns the end of the entries."""
     lanes, n_lanes = layout.clusters.lanes, count(layout.clusters.lanes)
-    if n_entries + n_lanes * (n + 1) > last:  # no room: an upper bound tells how much is missing
-        return n_entries + n_lanes * (n + 1)
+    if n_entries + n_lanes * (n + 1) >= last:  # no room: an upper bound tells how much is missing
+        return n_entries + n_lanes * (n + 1) + 1
     ghosts, coordinates, reach, filled = layout.ghosts, layout.coordinates, layout.columns.distance, layout.clusters.filled[k]
     home, own = ghosts.home[k], ghosts.home[k] * DIMENSIONS * n_lanes
     x, y, z = load(coordinates, own, lanes), load(coordinates, own + n_lanes, lanes), load(coordinates, own + 2 * n_lanes, lanes)

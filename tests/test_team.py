@@ -12,6 +12,7 @@ import pytest
 from cluster_scenes import atoms_per_domain
 
 from minimd.compiled.kernels import shared_kernel
+from minimd.compiled.simd.lanes import Lanes8
 from minimd.compiled.threads import MOST_CHUNKS, PHASES, ThreadPool, Worker, barrier, begin, finish_and_take, take, thread_pool
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.clusters import make_columns, sort_into_clusters
@@ -166,8 +167,8 @@ def test_no_more_threads_work_than_the_team_has():
 def test_chunks_are_never_more_than_a_team_can_share_out(n):
     """A thread of atoms, each of them its own column."""
     positions, cell = np.arange(n)[:, None] * np.array([1.1, 0.0, 0.0]), Cell.of(None)
-    columns = make_columns(cell, positions, 2.0)
-    clusters = sort_into_clusters(positions, columns, Buffers(), thread_pool(2))
+    columns = make_columns(cell, positions, 2.0, Lanes8())
+    clusters = sort_into_clusters(positions, columns, Lanes8(), Buffers(), thread_pool(2))
     with atoms_per_domain(1):
         chunks = cut_into_domains(clusters, columns, n)
     assert len(chunks.column) - 1 == min(MOST_CHUNKS, columns.counts[0] // columns.reach[0])

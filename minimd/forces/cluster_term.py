@@ -126,7 +126,7 @@ class ClusterTerm(Term):
         n = min(self._pool.n_threads, self.list.n_domains) if self.list.n_builds else self._pool.n_threads
         threads = f"{n} thread{'s' if n > 1 else ''}"
         vectors = f"vectors of {self.list.lanes.count} × {MIXED if self._is_mixed else DOUBLE} bits"
-        return f"cluster list (skin {self.list.skin:.3g}, {threads}, {'mixed' if self._is_mixed else 'double'} precision, {vectors})"
+        return f"cluster list (skin {self.list.skin:.3g}, {threads}, {'mixed' if self._is_mixed else 'double'} precision) on {vectors}"
 
     def skipped(self) -> Iterable[str]:
         """See Term."""

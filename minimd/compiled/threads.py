@@ -24,7 +24,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
-from numba import types
+from numba import typeof, types
 from numba.extending import intrinsic
 
 from minimd.compiled.kernels import kernel, scalar, shared_kernel
@@ -76,6 +76,16 @@ class ThreadPool:
                 kernel(Worker(self._counters, 0, self.n_threads), self._n_tasks, *arguments)
             finally:
                 self._task = ()
+
+    def compiled(self, kernel: Callable, *arguments: object) -> Callable:
+        """The machine code of a kernel for arguments of these types, for run; compiles it if need be.
+
+        It does not look at the types of its arguments, for which Numba takes 14 µs in each call if there are 40 arrays in named tuples.
+        So it must be given arguments of the same types only, and arrays of the same layout.
+        """
+        types = tuple(typeof(one) for one in (Worker(self._counters, 0, self.n_threads), self._n_tasks, *arguments))
+        kernel.compile(types)  # type: ignore[attr-defined]
+        return kernel.get_overload(types)  # type: ignore[attr-defined]
 
     def _keep_off_callers_core(self) -> None:
         """Linux likes to wake a thread on the core of the one that wakes it, where it would wait for the end of the task."""

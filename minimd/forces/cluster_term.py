@@ -1,6 +1,6 @@
 """Pair laws on the cluster list: eight pairs at a time, on a pool of threads."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,7 @@ class ClusterTerm(Term):
         self._pair_laws = laws
         are_recognized = all(is_recognized(one.law) for one in laws.members)
         self._evaluate = evaluate_clusters if are_recognized else without_cache(evaluate_clusters)
+        self._compiled: dict[int, Callable] = {}  # by detail
         self._prepared_for = 0  # which build of the list
         self._memory = Buffers()
 
@@ -87,7 +88,10 @@ class ClusterTerm(Term):
             self._prepare(system)
         before = net_force(forces) if self._is_mixed else None
         sums = self._force_sums if detail == FORCES else self._sums(detail)
-        self._pool.run(self._evaluate, system.positions, self.list.arrays, self._laws, sums, forces)
+        arguments = (system.positions, self.list.arrays, self._laws, sums, forces)
+        if detail not in self._compiled:
+            self._compiled[detail] = self._pool.compiled(self._evaluate, *arguments)
+        self._pool.run(self._compiled[detail], *arguments)
         if before is not None:
             take_out(before, forces)
         if detail == TOTALS:

@@ -1,6 +1,7 @@
 """The cluster list with a skin: rows of clusters for the vector loop, and the memory that the loop works on."""
 
 from collections import namedtuple
+from collections.abc import Callable
 
 import numpy as np
 from numba import types
@@ -49,6 +50,7 @@ class ClusterList(VerletList):
         super().__init__(n_atoms, cutoff, skin, excluded)
         self._pool, self._is_mixed = pool, is_mixed
         self._columns_of: Cell | None = None
+        self._build_all: Callable | None = None
         self.lanes = lanes_for(MIXED if is_mixed else DOUBLE)
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
         self._memory = Buffers()
@@ -83,7 +85,9 @@ class ClusterList(VerletList):
         needed = np.zeros(self.n_domains, dtype=np.int64)
         while True:
             rows = Rows(start, stop, self._entries)
-            self._pool.run(_build_domains, layout, rows, self._entry_start, needed)
+            arguments = (layout, rows, self._entry_start, needed)
+            self._build_all = self._build_all or self._pool.compiled(_build_domains, *arguments)
+            self._pool.run(self._build_all, *arguments)
             if np.all(needed <= np.diff(self._entry_start)):
                 return rows
             self._make_entries(np.maximum(np.diff(self._entry_start), (SPARE * needed).astype(np.int64)))

@@ -48,7 +48,7 @@ def hue(cluster, found):
 
 def draw(panel, system, found):
     """The first domain with its ghosts, and the row of one atom."""
-    ghosts, atoms = found.ghosts, found.memory.coordinates.reshape(-1, 3, found.lanes.count)[:, ::2]
+    ghosts, atoms = found.ghosts, found.memory.coordinates.reshape(-1, 3, found.lanes.size)[:, ::2]
     at_home = set(found.ghosts.home.tolist())
     panel.add_patch(Rectangle((0, 0), WIDTH, HEIGHT, fill=False, ec=INK, lw=1.2))
     inside = system.positions[:, [0, 2]] % (WIDTH, HEIGHT)
@@ -66,7 +66,7 @@ def draw(panel, system, found):
 
 def draw_row(panel, found, atoms):
     """An atom of the first domain near its upper right corner: its reach, and the lanes in its row."""
-    n_lanes = found.lanes.count
+    n_lanes = found.lanes.size
     last = found.domains.cluster[1] * n_lanes
     slots = [s for s in range(last) if s % n_lanes < found.clusters.filled[s // n_lanes]]
     corner = (found.domains.column[1] - 0.5) * THICKNESS, HEIGHT - 1.6

@@ -98,7 +98,7 @@ def test_memory_follows_the_number_of_clusters(pbc):
         system.positions[:] = rng.uniform(0, 4.4, (64, 3)) * rng.uniform(0.3, 1.0, 3)
         a, b = summed(clustered, system), summed(listed, system)
         assert a[0] == pytest.approx(b[0], rel=1e-11, abs=1e-11)
-        memory, needed = clustered.list.memory, len(clustered.list.ghosts.owner) * clustered.list.lanes.count * 3
+        memory, needed = clustered.list.memory, len(clustered.list.ghosts.owner) * clustered.list.lanes.size * 3
         assert (len(memory.coordinates), len(memory.forces)) == (needed, needed)
         numbers.add(needed)
     assert len(numbers) > 1

@@ -1,6 +1,9 @@
 """The loop over clusters on every processor: the vectors that suit it, and what the compiler makes of the loop for other processors."""
 
+import os
 import re
+import subprocess
+import sys
 
 import llvmlite.binding as llvm
 import numba
@@ -55,6 +58,20 @@ def test_lanes_fit_the_registers(monkeypatch, register, double, mixed):
     monkeypatch.setattr(lanes, "register_bits", lambda: register)
     choose = lanes.lanes_for.__wrapped__
     assert (type(choose(DOUBLE)), type(choose(MIXED))) == (double, mixed)
+
+
+@pytest.mark.parametrize(("chosen", "most"), [("avx512", 512), ("avx2", 256), ("sse", 128)])
+def test_older_vectors_can_be_chosen(chosen, most):
+    code = "from minimd.compiled.simd.lanes import register_bits, lanes_for; print(register_bits(), lanes_for(64).size)"
+    told = subprocess.run([sys.executable, "-c", code], env=os.environ | {"MINIMD_VECTORS": chosen}, capture_output=True, text=True, check=True)
+    bits, n_lanes = map(int, told.stdout.split())
+    assert bits == min(most, lanes.register_bits())
+    assert n_lanes == (8 if bits == 512 else 4)
+
+
+def test_other_words_for_vectors_are_refused():
+    with pytest.raises(ValueError, match="MINIMD_VECTORS must be of avx512, avx2, sse; it is 'avx3'"):
+        lanes.restrict_features("avx3")
 
 
 def inner_loop(assembly):

@@ -190,7 +190,7 @@ def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
     lanes = lanes_for(DOUBLE)
     attempt = sum_over_lanes if is_recognized(law) else without_cache(sum_over_lanes)
     try:
-        attempt(law, np.ones(lanes.count), (1.0,) * n_parameters, lanes)
+        attempt(law, np.ones(lanes.size), (1.0,) * n_parameters, lanes)
     except NumbaError:
         return False
     return True

@@ -111,12 +111,12 @@ class ClusterTerm(Term):
         """Accumulators with zeros: one for each cluster if only totals are wanted, else one for each slot, and for each lane of a ghost."""
         clusters = self.list.clusters
         n = len(clusters.filled) if detail == TOTALS else len(clusters.atom)
-        lane_sums = np.zeros(len(self.list.ghosts.owner) * self.list.lanes.count * LANE_SUMS if detail == PER_ATOM else 0)
+        lane_sums = np.zeros(len(self.list.ghosts.owner) * self.list.lanes.size * LANE_SUMS if detail == PER_ATOM else 0)
         return Sums(self.list.memory.forces, np.zeros(n), np.zeros((n, 6)), lane_sums, detail)
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
         """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""
-        clusters, n_lanes = self.list.clusters, self.list.lanes.count
+        clusters, n_lanes = self.list.clusters, self.list.lanes.size
         real = (np.arange(n_lanes) < clusters.filled[:, None]).ravel()
         energies[clusters.atom[real]] += sums.energies[real]
         virials[clusters.atom[real]] += sums.virials[real]
@@ -129,7 +129,7 @@ class ClusterTerm(Term):
         """The list, for the report."""
         n = min(self._pool.n_threads, self.list.n_domains) if self.list.n_builds else self._pool.n_threads
         threads = f"{n} thread{'s' if n > 1 else ''}"
-        vectors = f"vectors of {self.list.lanes.count} × {MIXED if self._is_mixed else DOUBLE} bits"
+        vectors = f"vectors of {self.list.lanes.size} × {MIXED if self._is_mixed else DOUBLE} bits"
         return f"cluster list (skin {self.list.skin:.3g}, {threads}, {'mixed' if self._is_mixed else 'double'} precision) on {vectors}"
 
     def skipped(self) -> Iterable[str]:
@@ -140,11 +140,11 @@ class ClusterTerm(Term):
         """Parameters of law k, from a table (S, S, 1 + P)."""
         if len(table) == 1:
             return SameForAll(tuple(table[0, 0].tolist()))
-        slots, number = len(self.list.ghosts.owner) * self.list.lanes.count, np.float32 if self._is_mixed else np.float64
+        slots, number = len(self.list.ghosts.owner) * self.list.lanes.size, np.float32 if self._is_mixed else np.float64
         values = self._memory.array(f"parameters of law {k}", number, table.shape[-1] * len(table) * slots)
         columns = values.reshape(table.shape[-1], -1)
         species = self._memory.array(f"species of law {k}", np.int64, slots)
-        fill_lanes(table, species_index, self.list.clusters.atom.reshape(-1, self.list.lanes.count), self.list.ghosts.owner, columns, species)
+        fill_lanes(table, species_index, self.list.clusters.atom.reshape(-1, self.list.lanes.size), self.list.ghosts.owner, columns, species)
         return ByLane(tuple(columns), species, slots)
 
 

@@ -54,7 +54,7 @@ class ClusterList(VerletList):
         self.lanes = lanes_for(MIXED if is_mixed else DOUBLE)
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
         self._memory = Buffers()
-        sets = far(self.lanes.count)
+        sets = far(self.lanes.size)
         self._far = self._memory.array("far", np.float32 if is_mixed else np.float64, len(sets))
         self._far[:] = sets
 
@@ -67,7 +67,7 @@ class ClusterList(VerletList):
         if n_ghosts > GHOST_BITS:
             raise ValueError(f"cluster lists hold up to {GHOST_BITS} ghost clusters, this scene needs {n_ghosts}: simulate fewer atoms")
         self.ghosts = make_ghosts(n_clusters, n_ghosts, self._memory)
-        exact = self._memory.array("coordinates", np.float64, n_ghosts * self.lanes.count * DIMENSIONS)
+        exact = self._memory.array("coordinates", np.float64, n_ghosts * self.lanes.size * DIMENSIONS)
         layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, exact)
         self.rows = self._find_rows(layout)
         sort_ghosts(self.ghosts)
@@ -81,7 +81,7 @@ class ClusterList(VerletList):
         """Find the rows. If the memory is too small, it is enlarged and the search repeated."""
         start, stop = (self._memory.array(name, np.int32, len(self.clusters.atom)) for name in ("row start", "row stop"))
         if len(self._entry_start) != self.n_domains + 1:
-            self._make_entries(np.diff(self.domains.cluster) * self.lanes.count * ENTRIES_GUESSED)
+            self._make_entries(np.diff(self.domains.cluster) * self.lanes.size * ENTRIES_GUESSED)
         needed = np.zeros(self.n_domains, dtype=np.int64)
         while True:
             rows = Rows(start, stop, self._entries)

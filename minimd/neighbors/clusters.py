@@ -55,7 +55,7 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float, lanes
         along = np.einsum("ij,j->i", positions, cell.inverse[:, k])  # not @: see observables
         origin[k], extent[k] = along.min(), max(np.ptp(along), FLATTEST * reach / cell.heights[k])
     widths = cell.heights * extent
-    n_lanes = lanes.count
+    n_lanes = lanes.size
     cube = (n_lanes * widths.prod() / len(positions)) ** (1.0 / 3.0)
     across = np.maximum(1.0, np.minimum(widths[:2] / cube, len(positions)))
     across = np.maximum(1.0, np.rint(across * min(1.0, (len(positions) / (n_lanes * across.prod())) ** 0.5)))  # a flat scene has few
@@ -73,9 +73,9 @@ def sort_into_clusters(positions: NDArray[np.float64], columns: Columns, lanes: 
     of_atoms, of_bins = (np.int32, (n,)), (np.int32, (n_bins + 1,))
     binned = Binned(*memory.carve("scratch", of_atoms, of_atoms, of_bins, of_bins, (np.float64, (n, 3)), (np.float64, (n,))))
     column_start = memory.array("column_start", np.int64, n_columns + 1)
-    sort_into_columns(positions, columns, binned, lanes.count, column_start)
+    sort_into_columns(positions, columns, binned, lanes.size, column_start)
     n_clusters = int(column_start[-1])
-    n_slots, array = n_clusters * lanes.count, memory.array
+    n_slots, array = n_clusters * lanes.size, memory.array
     atom, filled, offsets = array("atom", np.int32, n_slots), array("filled", np.int64, n_clusters), array("offsets", np.float64, n_slots, 3)
     bottom, top = (array(name, np.float64, n_clusters) for name in ("bottom", "top"))
     coordinates, boxes = array("home coordinates", np.float64, n_slots * DIMENSIONS), array("boxes", np.float64, n_clusters, 6)

@@ -25,13 +25,13 @@ WIDER = {  # beginnings of names of the processor's features that each choice of
 class Lanes4(namedtuple("Lanes4", "")):
     """Vectors of four numbers."""
 
-    count = 4
+    size = 4
 
 
 class Lanes8(namedtuple("Lanes8", "")):
     """Vectors of eight numbers."""
 
-    count = 8
+    size = 8
 
 
 Lanes = Lanes4 | Lanes8
@@ -68,7 +68,7 @@ def restrict_features(choice: str) -> None:
         raise ValueError(f"MINIMD_VECTORS must be of {', '.join(WIDER)}; it is {choice!r}")
     if WIDER[choice]:
         has = llvm.get_host_cpu_features()
-        numba.config.CPU_FEATURES = ",".join(("-" if name.startswith(WIDER[choice]) or not has[name] else "+") + name for name in has)
+        numba.config.CPU_FEATURES = ",".join(("-" if name.startswith(WIDER[choice]) or not has[name] else "+") + name for name in has)  # type: ignore[attr-defined]
 
 
 if "MINIMD_VECTORS" in os.environ:

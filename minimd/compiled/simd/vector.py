@@ -135,7 +135,7 @@ def n_lanes(lanes: types.Type) -> int:
     """The number of lanes that a Numba type stands for: a vector, one of simd.lanes, or a literal."""
     if isinstance(lanes, Vector):
         return lanes.lanes
-    return lanes.literal_value if isinstance(lanes, types.Literal) else lanes.instance_class.count
+    return lanes.literal_value if isinstance(lanes, types.Literal) else lanes.instance_class.size  # type: ignore[attr-defined]
 
 
 def _some_lanes(builder, value, numbers):

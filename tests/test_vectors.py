@@ -13,6 +13,7 @@ from cluster_scenes import agree, pair_laws
 from references import liquid
 
 import minimd as md
+from minimd.compiled.features import restrict_features
 from minimd.compiled.simd import lanes
 from minimd.compiled.simd.lanes import DOUBLE, MIXED, Lanes4, Lanes8
 from minimd.forces.cluster_loop import add_cluster_forces
@@ -71,7 +72,7 @@ def test_older_vectors_can_be_chosen(chosen, most):
 
 def test_other_words_for_vectors_are_refused():
     with pytest.raises(ValueError, match="MINIMD_VECTORS must be of avx512, avx2, sse; it is 'avx3'"):
-        lanes.restrict_features("avx3")
+        restrict_features("avx3")
 
 
 def inner_loop(assembly):

@@ -20,6 +20,10 @@ import numba
 from numba.core import event
 from numba.extending import overload
 
+from minimd.compiled.features import NEWEST, restrict_features
+
+restrict_features(os.environ.get("MINIMD_VECTORS", NEWEST))
+
 WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
 
 

@@ -1,12 +1,10 @@
 """How many lanes a vector has, as a type: kernels are compiled for the number that suits the processor and the precision."""
 
 import functools
-import os
 import re
 from collections import namedtuple
 
 import llvmlite.binding as llvm
-import numba
 from numba.core.registry import cpu_target
 
 from minimd.compiled.kernels import by_type
@@ -15,11 +13,6 @@ from minimd.compiled.simd.vector import n_lanes
 DOUBLE, MIXED = 64, 32  # bits of a number of the pair arithmetic
 REGISTERS = {"zmm": 512, "ymm": 256}  # names in assembly of registers with more than 128 bits
 PROBE = "define <8 x double> @sum(<8 x double> %a, <8 x double> %b) {\n  %c = fadd <8 x double> %a, %b\n  ret <8 x double> %c\n}"
-WIDER = {  # beginnings of names of the processor's features that each choice of MINIMD_VECTORS does without
-    "avx512": (),
-    "avx2": ("avx512", "avx10"),
-    "sse": ("avx", "fma", "f16c", "vaes", "vpclmulqdq", "xop"),
-}
 
 
 class Lanes4(namedtuple("Lanes4", "")):
@@ -57,19 +50,3 @@ def register_bits() -> int:
 def lanes_for(bits: int) -> Lanes:
     """Lanes for numbers of so many bits: eight where they fit into one register, else four, with which the inner loop needs 16 registers."""
     return Lanes8() if 8 * bits <= register_bits() else Lanes4()
-
-
-def restrict_features(choice: str) -> None:
-    """Let Numba compile with the vectors of an older processor: avx512, avx2 or sse. To be called before anything is compiled.
-
-    Raises ValueError for another word.
-    """
-    if choice not in WIDER:
-        raise ValueError(f"MINIMD_VECTORS must be of {', '.join(WIDER)}; it is {choice!r}")
-    if WIDER[choice]:
-        has = llvm.get_host_cpu_features()
-        numba.config.CPU_FEATURES = ",".join(("-" if name.startswith(WIDER[choice]) or not has[name] else "+") + name for name in has)  # type: ignore[attr-defined]
-
-
-if "MINIMD_VECTORS" in os.environ:
-    restrict_features(os.environ["MINIMD_VECTORS"])

@@ -12,7 +12,7 @@ memory. So the result has the same bits for any number of threads, and whichever
 
 A barrier waits for chunks, not for threads. The calling thread starts at once; the others sleep between tasks, and join when
 they are awake (some 20 µs later), or not at all if the machine is busy: they can make a task faster, never delay it.
-The work of a chunk may not raise: no other thread would finish that chunk.
+The work of a chunk may not raise: no other thread would finish that chunk. It may stop the task: after the phase, is_stopped is true for all.
 Each thread begins with the same chunks in every task, whose memory is then in its cache, and goes on with those of the others.
 """
 
@@ -22,6 +22,7 @@ import threading
 from collections import namedtuple
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from numba import typeof, types
@@ -29,9 +30,10 @@ from numba.extending import intrinsic
 
 from minimd.compiled.kernels import kernel, scalar, shared_kernel
 
-OPEN, FINISHED, CLAIMS = 0, 8, 16  # shared counters: the open phase, its finished chunks, and for each chunk the last phase it was taken in
+OPEN, STOPPED, FINISHED, CLAIMS = 0, 4, 8, 16  # shared counters: the open phase, the last task that was stopped, the finished chunks
+# of the phase, and for each chunk the last phase it was taken in
 MOST_CHUNKS = 1024
-PHASES = 8  # a task has fewer
+PHASES = 1 << 20  # a task has fewer
 PATIENCE = 2000  # reads of a counter before a waiting thread lets others run
 LINGERING = 100_000  # reads, about 100 µs, before a helper goes to sleep: waking it takes as long as a small task
 
@@ -59,8 +61,8 @@ class ThreadPool:
             wake.acquire()
             helper.start()
 
-    def run(self, kernel: Callable, *arguments: object) -> None:
-        """kernel(worker, task, *arguments) on this thread, and on the others as soon as they are awake.
+    def run(self, kernel: Callable, *arguments: object) -> Any:
+        """kernel(worker, task, *arguments) on this thread, and on the others as soon as they are awake; returns what it returns on this one.
 
         The kernel must call begin and share as described above, and release Python's lock (shared_kernel).
         """
@@ -73,7 +75,7 @@ class ThreadPool:
                 if wake.locked():
                     wake.release()
             try:
-                kernel(Worker(self._counters, 0, self.n_threads), self._n_tasks, *arguments)
+                return kernel(Worker(self._counters, 0, self.n_threads), self._n_tasks, *arguments)
             finally:
                 self._task = ()
 
@@ -159,6 +161,18 @@ def barrier(worker, phase):
         if reads > PATIENCE:
             _let_others_run()
     return phase + 1
+
+
+@scalar
+def stop(worker, task):
+    """Tell all threads that the task ends with the present phase."""
+    _exchange(worker.counters, STOPPED, task)
+
+
+@scalar
+def is_stopped(worker, task):
+    """Whether a chunk has stopped the task. To be asked after a barrier."""
+    return _read(worker.counters, STOPPED) == task
 
 
 def _at(counters, emit: Callable) -> Callable:

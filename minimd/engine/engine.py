@@ -63,7 +63,7 @@ class Engine:
         Raises NonFiniteError, ConstraintError if a step fails; the state is then invalid, and a snapshot must be restored.
         """
         self._bath.step, self._bath.contact = self.step + self.noise_shift, 0
-        return self.method.advance(self._state, self._compute_forces, n_steps, with_energy, self.surroundings)
+        return self.method.advance(self._state, self._compute_forces, n_steps, with_energy, self.surroundings, self.interactions.march)
 
     def _compute_forces(self, _state: State, with_energy: bool) -> None:
         self.interactions.compute(TOTALS if with_energy else FORCES)

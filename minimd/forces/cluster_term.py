@@ -5,67 +5,32 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import by_type, kernel, shared_kernel, without_cache
-from minimd.compiled.simd.lanes import DOUBLE, MIXED, count
-from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
-from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, add_cluster_forces
+from minimd.compiled.kernels import kernel, without_cache
+from minimd.compiled.simd.lanes import DOUBLE, MIXED
+from minimd.compiled.threads import thread_pool
+from minimd.forces.cluster_kernel import Motion, Rest, evaluate_clusters
+from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws, skin_for
+from minimd.integrators.splitting.state import State
 from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
-from minimd.neighbors.cluster_list import ClusterList, gather, scatter
-from minimd.neighbors.clusters import DIMENSIONS
+from minimd.neighbors.cluster_list import ClusterList
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
 from minimd.potentials.user_laws import is_recognized
 from minimd.structure.system import System
 
-
-@shared_kernel
-def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces):
-    """forces (N, 3) += those of all laws; each domain is a chunk of the task.
-
-    positions : (N, 3) [length].  arrays : ClusterArrays.  laws : tuple of pairs, a law type and its parameters, SameForAll or ByLane.
-    sums : Sums or ForceSums.
-    """
-    n = arrays.domain_start.size - 1
-    phase = begin(worker, task)
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        gather(chunk, arrays, positions)
-        chunk = finish_and_take(worker, phase, n)
-    phase = barrier(worker, phase)
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        _add_all(chunk, arrays, laws, sums)
-        chunk = finish_and_take(worker, phase, n)
-    phase = barrier(worker, phase)
-    space = np.empty(DIMENSIONS * count(arrays.clusters.lanes))
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        scatter(chunk, arrays, forces, space)
-        chunk = finish_and_take(worker, phase, n)
-    barrier(worker, phase)
-
-
-@by_type
-def _add_all(domain, arrays, laws, sums):
-    """add_cluster_forces for each law, unrolled by the compiler."""
-    if len(laws) == 1:
-        return lambda domain, arrays, laws, sums: add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums)
-
-    def add(domain, arrays, laws, sums):
-        add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums)
-        _add_all(domain, arrays, laws[1:], sums)
-
-    return add
+NOTHING = np.zeros((0, 3))
+AT_REST = Motion(NOTHING, np.zeros(0), np.zeros((1, 2)), 0, NOTHING, 0.0)  # of the type that moves: one compiled kernel for both
+MOST_MOVED = 4_000_000  # atoms in a call, half a second
 
 
 class ClusterTerm(Term):
     """Laws on all pairs within their cutoffs, eight at a time, found with one cluster list."""
 
     list: ClusterList
-    needs_one_accumulator = True
+    needs_one_accumulator = marches = True
 
     def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
         self._pool = thread_pool(max(1, min(options.most_threads, len(system) // domains.ATOMS_PER_DOMAIN)))
@@ -83,22 +48,39 @@ class ClusterTerm(Term):
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
-        self.list.update(system.positions, system.cell)
-        if self._prepared_for != self.list.n_builds:
-            self._prepare(system)
-        before = net_force(forces) if self._is_mixed else None
+        self._update(system)
         sums = self._force_sums if detail == FORCES else self._sums(detail)
-        arguments = (system.positions, self.list.arrays, self._laws, sums, forces)
-        if detail not in self._compiled:
-            self._compiled[detail] = self._pool.compiled(self._evaluate, *arguments)
-        self._pool.run(self._compiled[detail], *arguments)
-        if before is not None:
-            take_out(before, forces)
+        arguments = (system.positions, self.list.arrays, self._laws, sums, forces, AT_REST if detail == FORCES else Rest())
+        self._pool.run(self._kernel(detail, arguments), *arguments)
         if detail == TOTALS:
             energies[0] += sums.energies.sum()
             virials[0] += sums.virials.sum(axis=0)
         elif detail == PER_ATOM:
             self._add_each(sums, energies, virials)
+
+    def march(self, system: System, state: State, durations: NDArray, n: int) -> int:
+        """See Term. Between two list builds all threads stay in one kernel; only so many atoms move in a call that Ctrl-C is answered soon."""
+        n_cycles = min(n, max(1, MOST_MOVED // (len(system) * len(durations))))
+        n_pairs, made, state.forces_are_current = n_cycles * len(durations), 0, False
+        state.forces[:] = 0.0
+        while made < n_pairs:
+            self._update(system)
+            ahead = np.roll(durations, -made, axis=0)  # the next kick first
+            motion = Motion(state.velocities, state.inverse_masses, ahead, n_pairs - made, self.list.built_at, self.list.limit2)
+            arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, state.forces, motion)
+            made += self._pool.run(self._kernel(FORCES, arguments), *arguments)
+        return n_cycles
+
+    def _kernel(self, detail: int, arguments: tuple[object, ...]) -> Callable:
+        if detail not in self._compiled:
+            self._compiled[detail] = self._pool.compiled(self._evaluate, *arguments)
+        return self._compiled[detail]
+
+    def _update(self, system: System) -> None:
+        """A valid list, and what is prepared for it."""
+        self.list.update(system.positions, system.cell)
+        if self._prepared_for != self.list.n_builds:
+            self._prepare(system)
 
     def _prepare(self, system: System) -> None:
         """After a list build: parameters in the order of its clusters, and the array of its forces."""
@@ -157,23 +139,3 @@ def fill_lanes(table, species_index, atom, owner, columns, species):
         for a in range(table.shape[0]):
             for p in range(table.shape[2]):
                 columns[p, a * slots + slot] = table[a, species[slot], p]
-
-
-@kernel
-def net_force(forces):
-    """Σ F = (x, y, z) [energy/length]."""
-    x = y = z = 0.0
-    for i in range(forces.shape[0]):
-        x, y, z = x + forces[i, 0], y + forces[i, 1], z + forces[i, 2]
-    return x, y, z
-
-
-@kernel
-def take_out(before, forces):
-    """forces −= (Σ F − before) / N, if finite. The net force of pairs is only rounding; without it momentum is conserved."""
-    x, y, z = net_force(forces)
-    x, y, z = x - before[0], y - before[1], z - before[2]
-    if np.isfinite(x) and np.isfinite(y) and np.isfinite(z):
-        x, y, z = x / forces.shape[0], y / forces.shape[0], z / forces.shape[0]
-        for i in range(forces.shape[0]):
-            forces[i, 0], forces[i, 1], forces[i, 2] = forces[i, 0] - x, forces[i, 1] - y, forces[i, 2] - z

@@ -15,6 +15,7 @@ from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws
 from minimd.forces.pair_list_term import PairListTerm
+from minimd.integrators.splitting.state import State
 from minimd.neighbors.queries import closest_pair
 from minimd.neighbors.verlet_list import VerletList
 from minimd.potentials.laws import Scaled
@@ -112,6 +113,15 @@ class Forces:
         self.n_evaluations += 1
         self._detail = detail
         return self.forces
+
+    def march(self, state: State, durations: NDArray[np.float64], n: int) -> int:
+        """See March in integrators.splitting; for scenes with one term that can.  Raises as compute."""
+        if len(self.terms) != 1 or not self.terms[0].marches or not self.system.cell.same_as(self._planned_for):
+            return 0
+        with KNOWN if FORCES in self._compiled else self._compiling(FORCES):
+            made = self.terms[0].march(self.system, state, durations, n)
+        self.n_evaluations += made * len(durations)
+        return made
 
     @contextmanager
     def _compiling(self, detail: int) -> Iterator[None]:

@@ -23,12 +23,13 @@ GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of t
 COARSEST = 1e-6  # of the cutoff: on a coarser grid, coordinates are rounded more than float32 rounds their differences
 
 
-class Memory(namedtuple("Memory", "coordinates shift origin unit forces far")):
+class Memory(namedtuple("Memory", "coordinates shift origin unit forces far net")):
     """What the loop reads and writes; coordinates are in the precision of the pair arithmetic, see separation in cluster_loop.
 
     coordinates, forces : flat, a block for each ghost.
     shift : (M, 3) of each ghost, as the coordinates.  origin : (3,) [length] and unit [length]: coordinate = (x − origin) / unit.
     far : flat, n numbers for each set of lanes: 0 for lanes in it, ∞ for others, which are then infinitely far [length²].
+    net : (K, 3) sum of the forces on the atoms of each domain [energy/length], in mixed precision only.
     """
 
 
@@ -103,13 +104,13 @@ class ClusterList(VerletList):
         ghosts, number = self.ghosts, np.float32 if self._is_mixed else np.float64
         (forces,) = self._memory.carve("scratch", (number, (len(exact),)))  # sorting is over
         if not self._is_mixed:
-            return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces, self._far)
+            return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces, self._far, np.zeros((0, 3)))
         shift, origin = self._memory.array("grid shift", np.int32, len(ghosts.owner), 3), np.empty(3)
         unit = lay_grid(ghosts, self.skin, origin, shift)
         if unit > COARSEST * self.cutoff:
             width, limit = unit * GRID, COARSEST * self.cutoff
             raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take precision='double'")
-        return Memory(self._memory.array("grid", np.int32, len(exact)), shift, origin, unit, forces, self._far)
+        return Memory(self._memory.array("grid", np.int32, len(exact)), shift, origin, unit, forces, self._far, np.zeros((self.n_domains, 3)))
 
 
 def far(n_lanes: int) -> NDArray[np.float64]:
@@ -187,10 +188,10 @@ def coordinate(x, origin, unit, coordinates):
 
 @scalar
 def scatter(domain, arrays, forces, work):
-    """forces (N, 3) += those on all ghosts of the clusters of a domain. work : (3 n,) float64, scratch."""
+    """forces (N, 3) += those on all ghosts of the clusters of a domain; their sum is noted where it is wanted. work : (3 n,) float64, scratch."""
     clusters, domain_start, ghosts, _, memory = arrays
     lanes, n_lanes = clusters.lanes, count(clusters.lanes)
-    block = DIMENSIONS * n_lanes
+    block, x, y, z = DIMENSIONS * n_lanes, 0.0, 0.0, 0.0
     for k in range(domain_start[domain], domain_start[domain + 1]):
         for c in range(0, block, n_lanes):
             force = convert(load(memory.forces, ghosts.of[ghosts.start[k]] * block + c, lanes), 0.0)
@@ -198,5 +199,16 @@ def scatter(domain, arrays, forces, work):
                 force = force + convert(load(memory.forces, ghosts.of[p] * block + c, lanes), 0.0)
             store(work, c, force)
         for lane in range(clusters.filled[k]):
+            i = clusters.atom[k * n_lanes + lane]
             for c in range(3):
-                forces[clusters.atom[k * n_lanes + lane], c] += work[c * n_lanes + lane]
+                forces[i, c] += work[c * n_lanes + lane]
+            x, y, z = x + work[lane], y + work[n_lanes + lane], z + work[2 * n_lanes + lane]
+    if is_mixed(arrays):
+        memory.net[domain, 0], memory.net[domain, 1], memory.net[domain, 2] = x, y, z
+
+
+@by_type
+def is_mixed(arrays):
+    """Whether the pair arithmetic is float32, as a constant for the compiler."""
+    answer = arrays[-1].types[-2].dtype == types.float32
+    return lambda arrays: answer

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel
+from minimd.compiled.kernels import kernel, scalar
 from minimd.structure.cell import Cell
 from minimd.structure.errors import NonFiniteError
 
@@ -40,14 +40,16 @@ class VerletList(ABC):
     Displacements are true ones: an atom moved by a lattice vector has moved.  L. Verlet, Phys. Rev. 159, 98 (1967).
 
     cutoff : [length].  skin : [length], ≥ 0.  n_builds : how often it was built.
+    built_at : (N, 3) positions of the last build.  limit2 : square of the distance from there up to which the list is valid [length²].
     excluded : (P, 2) int, pairs whose nearest image is left out.
     """
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
         self.cutoff, self.skin, self.n_builds = cutoff, skin, 0
+        self.limit2 = 0.25 * skin**2 if cutoff < np.inf else np.finfo(float).max  # without a cutoff: until a position is not finite
         self._excluded = partners(excluded, n_atoms)
         self._cell: Cell | None = None
-        self._built_at = np.empty((n_atoms, 3))
+        self.built_at = np.empty((n_atoms, 3))
 
     @abstractmethod
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
@@ -58,12 +60,11 @@ class VerletList(ABC):
 
         Raises NonFiniteError if a position is not finite.
         """
-        limit2 = 0.25 * self.skin**2 if self.cutoff < np.inf else np.finfo(float).max  # without a cutoff: until a position is not finite
         is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
-        if is_same and not any_moved(positions, self._built_at, limit2):
+        if is_same and not any_moved(positions, self.built_at, self.limit2):
             return False
         self._cell = None  # no list until the new one is whole
-        n_bad, first = copy_finite(positions, self._built_at)
+        n_bad, first = copy_finite(positions, self.built_at)
         if n_bad:
             raise NonFiniteError(f"positions of {n_bad} atoms are not finite, the first is atom {first}")
         self._build(positions, cell)
@@ -75,10 +76,16 @@ class VerletList(ABC):
 def any_moved(positions, reference, limit2):
     """True if an atom is farther than √limit2 from its reference position, or if its position is NaN."""
     for i in range(positions.shape[0]):
-        dx, dy, dz = positions[i, 0] - reference[i, 0], positions[i, 1] - reference[i, 1], positions[i, 2] - reference[i, 2]
-        if not dx * dx + dy * dy + dz * dz <= limit2:
+        if has_moved(i, positions, reference, limit2):
             return True
     return False
+
+
+@scalar
+def has_moved(i, positions, reference, limit2):
+    """Whether atom i is farther than √limit2 from its reference position, or its position is NaN."""
+    dx, dy, dz = positions[i, 0] - reference[i, 0], positions[i, 1] - reference[i, 1], positions[i, 2] - reference[i, 2]
+    return not dx * dx + dy * dy + dz * dz <= limit2
 
 
 @kernel

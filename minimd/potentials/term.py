@@ -55,6 +55,7 @@ class Term:
     list : the list of neighbors, if the term keeps one.  summary : that list, for the report.
     ingredient : name of what this term adds to a scene; the report lists it where absent.  warning : for the user, given once.
     needs_one_accumulator : whether add with TOTALS adds to the first elements of energies and virials only.
+    marches : whether march does anything.
     """
 
     pair_law: PairLaw | None = None
@@ -64,6 +65,7 @@ class Term:
     ingredient: str = ""
     warning: str = ""
     needs_one_accumulator: bool = False
+    marches: bool = False
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """Add to forces (N, 3), and unless detail is FORCES to energies (N,) and virials (N, 6), xx yy zz yz xz xy.
@@ -71,6 +73,10 @@ class Term:
         With TOTALS only the sums of energies and virials over all atoms must be right, with PER_ATOM each atom's share.
         """
         raise NotImplementedError(f"{type(self).__name__} has no add")
+
+    def march(self, system: System, state: Any, durations: NDArray, n: int) -> int:
+        """What a March does, see integrators.splitting, for a term that is the only one of its scene."""
+        return 0
 
     def skipped(self) -> Iterable[str]:
         """What this term does not need in this scene, for the report."""

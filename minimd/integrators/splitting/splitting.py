@@ -11,8 +11,10 @@ from collections.abc import Callable
 from inspect import signature
 from typing import ClassVar
 
-from minimd.compiled.kernels import kernel
-from minimd.integrators.method import ClassProperty, Method, Problem, Step
+import numpy as np
+
+from minimd.compiled.kernels import kernel, scalar
+from minimd.integrators.method import Array, ClassProperty, Method, Problem, Step
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.state import State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize, is_palindrome, mechanical, merged
@@ -21,24 +23,40 @@ __all__ = ["Splitting"]
 
 ComputeForces = Callable[[State, bool], None]  # fills state.forces; with True, evaluates the energy too
 
+# (state, durations, n): up to n times the kicks and drifts that last durations (P, 2) [time], forces evaluated before each kick; returns how
+# many times, 0 if it can't. The forces are then outdated.
+March = Callable[[State, Array, int], int]
+
+
+@scalar
+def kick_atom(i, velocities, forces, inverse_masses, duration):
+    """v_i += duration · F_i / m_i."""
+    scale = duration * inverse_masses[i]
+    velocities[i, 0] += scale * forces[i, 0]
+    velocities[i, 1] += scale * forces[i, 1]
+    velocities[i, 2] += scale * forces[i, 2]
+
+
+@scalar
+def drift_atom(i, positions, velocities, duration):
+    """r_i += duration · v_i."""
+    positions[i, 0] += duration * velocities[i, 0]
+    positions[i, 1] += duration * velocities[i, 1]
+    positions[i, 2] += duration * velocities[i, 2]
+
 
 @kernel
 def kick(velocities, forces, inverse_masses, duration):
     """velocities += duration · forces / m.  (N, 3) [length/time], (N, 3) [energy/length], (N,) [1/mass], [time]."""
     for i in range(velocities.shape[0]):
-        scale = duration * inverse_masses[i]
-        velocities[i, 0] += scale * forces[i, 0]
-        velocities[i, 1] += scale * forces[i, 1]
-        velocities[i, 2] += scale * forces[i, 2]
+        kick_atom(i, velocities, forces, inverse_masses, duration)
 
 
 @kernel
 def drift(positions, velocities, duration):
     """positions += duration · velocities.  (N, 3) [length], (N, 3) [length/time], [time]."""
     for i in range(positions.shape[0]):
-        positions[i, 0] += duration * velocities[i, 0]
-        positions[i, 1] += duration * velocities[i, 1]
-        positions[i, 2] += duration * velocities[i, 2]
+        drift_atom(i, positions, velocities, duration)
 
 
 def stages(method: "type[Splitting]") -> int:
@@ -103,27 +121,34 @@ class Splitting(Method):
         return problem.sequence_order(cls.sequence()) if hasattr(problem, "sequence_order") else cls.order
 
     def advance(
-        self, state: State, compute_forces: ComputeForces, n_steps: int, with_energy: bool = True, surroundings: Surroundings | None = None
+        self,
+        state: State,
+        compute_forces: ComputeForces,
+        n_steps: int,
+        with_energy: bool = True,
+        surroundings: Surroundings | None = None,
+        march: March | None = None,
     ) -> int:
         """Make n_steps steps, at least one, fewer if surroundings.stop_requested becomes true; return how many.
 
         with_energy : evaluate the energy with the forces of the last step.  surroundings : constraints and bath, if there are any.
+        march : makes many plain steps at once, where it can; see March.
 
         Raises
         ------
         ConstraintError : if a length cannot be kept.  ValueError : from a thermostat without a bath.
         """
         around = Surroundings() if surroundings is None else surroundings
-        first = self.substeps[0]
-        opening, body, between, closing = self._merged(isinstance(first, Kick) or (around.constraints is None and isinstance(first, Drift)))
-        for step in range(1, n_steps + 1):
-            is_last = step == n_steps or around.stop_requested
-            substeps = (opening if step == 1 else ()) + body + (closing if is_last else between)
+        start, cycle, end = self._grouped(may_merge_drifts=around.constraints is None)
+        durations = self._durations(cycle) if march is not None and around.constraints is None else None
+        step = 0
+        while True:
+            substeps = start if step == 0 else cycle if step < n_steps else end
             for k, substep in enumerate(substeps, start=1):
                 duration = substep.coefficient * self.timestep
                 if isinstance(substep, Kick):
                     if not state.forces_are_current:
-                        compute_forces(state, with_energy and is_last and k == len(substeps))
+                        compute_forces(state, with_energy and step == n_steps and k == len(substeps))
                         state.forces_are_current = True
                     kick(state.velocities, state.forces, state.inverse_masses, duration)
                 elif isinstance(substep, Thermalize):
@@ -134,10 +159,15 @@ class Splitting(Method):
                     else:
                         around.constraints.drift(state.positions, state.velocities, duration)
                     state.forces_are_current = False
-            if around.bath is not None:
+            if around.bath is not None and step > 0:
                 around.bath.step, around.bath.contact = around.bath.step + 1, 0
-            if is_last:
+            if step == n_steps:
                 break
+            if durations is not None and not state.forces_are_current:
+                step += march(state, durations, n_steps - 1 - step)
+            step += 1
+            if around.stop_requested:
+                n_steps = step
         around.project(state)
         return step
 
@@ -145,9 +175,23 @@ class Splitting(Method):
         """Contact with the bath over a duration: what a substep Thermalize does. Methods without a bath have no such substep."""
         raise NotImplementedError(f"{self.name} has no thermostat")
 
-    def _merged(self, may_merge: bool) -> tuple[Substeps, ...]:
+    def _grouped(self, may_merge_drifts: bool) -> tuple[Substeps, Substeps, Substeps]:
+        """A block of n steps as start, n − 1 times cycle, end: a cycle begins with a kick where it can."""
+        opening, body, between, closing = self._merged(may_merge_drifts)
+        kicks = [k for k, substep in enumerate(body) if isinstance(substep, Kick)]
+        first = 0 if self.is_thermostat else min(kicks, default=len(body))  # noise belongs to a step: its substeps stay together
+        return opening + body[:first], body[first:] + between + body[:first], body[first:] + closing
+
+    def _durations(self, cycle: Substeps) -> Array | None:
+        """Times of the kicks and drifts of a cycle, (P, 2) [time]; None unless they alternate."""
+        if [type(substep) for substep in cycle] != [Kick, Drift] * (len(cycle) // 2):
+            return None
+        return self.timestep * np.array([substep.coefficient for substep in cycle]).reshape(-1, 2)
+
+    def _merged(self, may_merge_drifts: bool) -> tuple[Substeps, ...]:
         """The row as substeps before, in, between and after the steps. Two contacts with a bath, and two constrained drifts, are not one."""
         first, last = self.substeps[0], self.substeps[-1]
+        may_merge = isinstance(first, Kick) or (may_merge_drifts and isinstance(first, Drift))
         if len(self.substeps) == 1 or type(first) is not type(last) or not may_merge:
             return self.opening, self.substeps, (), self.closing
         merged = type(first)(first.coefficient + last.coefficient)

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numba
 from numba.core import event
@@ -94,6 +95,29 @@ def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type
         return named
 
     return tie
+
+
+class DirectCalls:
+    """Calls of kernels by somebody who always gives them arguments of the same types, and arrays of the same layout.
+
+    Numba looks at the types of all arguments in each call, which takes it 14 µs for 40 arrays in named tuples. Here it does so once.
+    """
+
+    def __init__(self) -> None:
+        self._codes: dict[Callable, Callable] = {}
+
+    def code(self, kernel: Callable, *arguments: object) -> Callable:
+        """The machine code of a kernel for arguments of these types; compiles it at the first call."""
+        code = self._codes.get(kernel)
+        if code is None:
+            types = tuple(numba.typeof(one) for one in arguments)
+            kernel.compile(types)  # type: ignore[attr-defined]
+            code = self._codes[kernel] = kernel.get_overload(types)  # type: ignore[attr-defined]
+        return code
+
+    def __call__(self, kernel: Callable, *arguments: object) -> Any:
+        """kernel(*arguments)."""
+        return self.code(kernel, *arguments)(*arguments)
 
 
 @functools.cache

@@ -25,10 +25,10 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from numba import typeof, types
+from numba import types
 from numba.extending import intrinsic
 
-from minimd.compiled.kernels import kernel, scalar, shared_kernel
+from minimd.compiled.kernels import DirectCalls, kernel, scalar, shared_kernel
 
 OPEN, STOPPED, FINISHED, CLAIMS = 0, 4, 8, 16  # shared counters: the open phase, the last task that was stopped, the finished chunks
 # of the phase, and for each chunk the last phase it was taken in
@@ -52,6 +52,7 @@ class ThreadPool:
     def __init__(self, n_threads: int) -> None:
         self.n_threads = n_threads
         self._counters = np.zeros(CLAIMS + MOST_CHUNKS, dtype=np.int64)
+        self._worker = Worker(self._counters, 0, n_threads)
         self._busy = threading.Lock()
         self._task: tuple = ()
         self._n_tasks, self._core = 0, -1
@@ -61,11 +62,14 @@ class ThreadPool:
             wake.acquire()
             helper.start()
 
-    def run(self, kernel: Callable, *arguments: object) -> Any:
+    def run(self, kernel: Callable, *arguments: object, calls: DirectCalls | None = None) -> Any:
         """kernel(worker, task, *arguments) on this thread, and on the others as soon as they are awake; returns what it returns on this one.
 
+        calls : of a caller who always gives this kernel arguments of the same types.
         The kernel must call begin and share as described above, and release Python's lock (shared_kernel).
         """
+        if calls is not None:
+            kernel = calls.code(kernel, self._worker, 0, *arguments)
         with self._busy:
             self._n_tasks += 1
             self._task = (self._n_tasks, kernel, arguments)
@@ -75,19 +79,9 @@ class ThreadPool:
                 if wake.locked():
                     wake.release()
             try:
-                return kernel(Worker(self._counters, 0, self.n_threads), self._n_tasks, *arguments)
+                return kernel(self._worker, self._n_tasks, *arguments)
             finally:
                 self._task = ()
-
-    def compiled(self, kernel: Callable, *arguments: object) -> Callable:
-        """The machine code of a kernel for arguments of these types, for run; compiles it if need be.
-
-        It does not look at the types of its arguments, for which Numba takes 14 µs in each call if there are 40 arrays in named tuples.
-        So it must be given arguments of the same types only, and arrays of the same layout.
-        """
-        types = tuple(typeof(one) for one in (Worker(self._counters, 0, self.n_threads), self._n_tasks, *arguments))
-        kernel.compile(types)  # type: ignore[attr-defined]
-        return kernel.get_overload(types)  # type: ignore[attr-defined]
 
     def _keep_off_callers_core(self) -> None:
         """Linux likes to wake a thread on the core of the one that wakes it, where it would wait for the end of the task."""

@@ -9,20 +9,19 @@ from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, is_stopped, stop, take
 from minimd.forces.cluster_loop import add_cluster_forces
 from minimd.integrators.splitting.splitting import drift_atom, kick_atom
-from minimd.neighbors.cluster_list import gather, is_mixed, scatter
+from minimd.neighbors.cluster_list import are_near, collect, gather, is_mixed, place, scatter
 from minimd.neighbors.clusters import DIMENSIONS
-from minimd.neighbors.verlet_list import has_moved
 
 
 class Rest(namedtuple("Rest", "")):
     """No motion: the forces are evaluated once."""
 
 
-class Motion(namedtuple("Motion", "velocities inverse_masses durations n built_at limit2")):
+class Motion(namedtuple("Motion", "velocities inverse_masses durations first n limit2")):
     """n kicks and drifts, each kick after an evaluation of the forces; only an evaluation if n is 0.
 
-    velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].  durations : (P, 2) of P kicks and drifts, in turn [time].
-    built_at : (N, 3) positions of the last list build.  limit2 : square of the distance from there at which the list is outdated [length²].
+    velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].  durations : (P, 2) of P kicks and drifts, in turn from the first [time].
+    limit2 : square of the distance that an atom may be from where it was when the list was built [length²].
     """
 
 
@@ -38,7 +37,8 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
     phase = begin(worker, task)
     chunk = take(worker, phase, n)
     while chunk >= 0:
-        gather(chunk, arrays, positions)
+        for k in range(arrays.domain_start[chunk], arrays.domain_start[chunk + 1]):
+            gather(k, arrays, positions, space)
         chunk = finish_and_take(worker, phase, n)
     phase = barrier(worker, phase)
     while True:
@@ -49,16 +49,15 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
         phase = barrier(worker, phase)
         chunk = take(worker, phase, n)
         while chunk >= 0:
-            scatter(chunk, arrays, forces, space)
-            if not is_mixed(arrays):
-                _move(chunk, arrays, positions, forces, motion, n_made, worker, task)
+            if _end_step(chunk, arrays, positions, forces, space, motion, n_made):
+                stop(worker, task)
             chunk = finish_and_take(worker, phase, n)
         phase = barrier(worker, phase)
         if is_mixed(arrays):
             chunk = take(worker, phase, n)
             while chunk >= 0:
-                _level(chunk, arrays, forces)
-                _move(chunk, arrays, positions, forces, motion, n_made, worker, task)
+                if _end_mixed_step(chunk, arrays, positions, forces, space, motion, n_made):
+                    stop(worker, task)
                 chunk = finish_and_take(worker, phase, n)
             phase = barrier(worker, phase)
         n_made += 1
@@ -86,43 +85,65 @@ def _add_all(domain, arrays, laws, sums):
 
 
 @scalar
-def _level(domain, arrays, forces):
-    """forces −= Σ F / N on the atoms of a domain, if finite. The net force of pairs is only rounding; without it momentum is conserved."""
-    clusters, net, n_lanes = arrays.clusters, arrays.memory.net, count(arrays.clusters.lanes)
-    x = y = z = 0.0
-    for d in range(net.shape[0]):
-        x, y, z = x + net[d, 0], y + net[d, 1], z + net[d, 2]
-    if np.isfinite(x) and np.isfinite(y) and np.isfinite(z):
-        x, y, z = x / forces.shape[0], y / forces.shape[0], z / forces.shape[0]
-        for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-            for slot in range(k * n_lanes, k * n_lanes + clusters.filled[k]):
-                i = clusters.atom[slot]
-                forces[i, 0], forces[i, 1], forces[i, 2] = forces[i, 0] - x, forces[i, 1] - y, forces[i, 2] - z
-
-
-@by_type
-def _move(domain, arrays, positions, forces, motion, n_made, worker, task):
-    """Kick and drift the atoms of a domain, and set their forces to zero; with Rest nothing. Stops the task if the list is outdated then."""
-    if motion.instance_class is Rest:
-        return lambda domain, arrays, positions, forces, motion, n_made, worker, task: None
-
-    def move(domain, arrays, positions, forces, motion, n_made, worker, task):
-        if motion.n > 0 and _kick_and_drift(domain, arrays, positions, forces, motion, motion.durations[n_made % motion.durations.shape[0]]):
-            stop(worker, task)
-
-    return move
+def _end_step(domain, arrays, positions, forces, work, motion, n_made):
+    """Forces of the atoms of a domain, with which they move unless precision is mixed. True if the list is outdated then."""
+    n_lanes, net, x, y, z, is_outdated = count(arrays.clusters.lanes), arrays.memory.net, 0.0, 0.0, 0.0, False
+    for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
+        collect(k, arrays, work)
+        if is_mixed(arrays):
+            for lane in range(arrays.clusters.filled[k]):
+                x, y, z = x + work[lane], y + work[n_lanes + lane], z + work[2 * n_lanes + lane]
+        if not is_mixed(arrays) and motion_steps(motion) > 0:
+            is_outdated |= _kick_and_drift(k, arrays, positions, work, motion, n_made)
+        else:
+            scatter(k, arrays.clusters, work, forces)
+    if is_mixed(arrays):
+        net[domain, 0], net[domain, 1], net[domain, 2] = x, y, z
+    return is_outdated
 
 
 @scalar
-def _kick_and_drift(domain, arrays, positions, forces, motion, durations):
-    """See _move; true if an atom is farther from where the list was built than it may be, or nowhere."""
-    clusters, n_lanes, is_outdated = arrays.clusters, count(arrays.clusters.lanes), False
+def _end_mixed_step(domain, arrays, positions, forces, work, motion, n_made):
+    """forces −= Σ F / N, if finite: the net force of pairs is only rounding, and without it momentum is conserved. Then the atoms move."""
+    clusters, net, n_lanes, is_outdated = arrays.clusters, arrays.memory.net, count(arrays.clusters.lanes), False
+    x = y = z = 0.0
+    for d in range(net.shape[0]):
+        x, y, z = x + net[d, 0], y + net[d, 1], z + net[d, 2]
+    if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+        x = y = z = 0.0
+    x, y, z = x / forces.shape[0], y / forces.shape[0], z / forces.shape[0]
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-        for slot in range(k * n_lanes, k * n_lanes + clusters.filled[k]):
-            i = clusters.atom[slot]
-            kick_atom(i, motion.velocities, forces, motion.inverse_masses, durations[0])
-            drift_atom(i, positions, motion.velocities, durations[1])
-            forces[i, 0] = forces[i, 1] = forces[i, 2] = 0.0
-            is_outdated |= has_moved(i, positions, motion.built_at, motion.limit2)
-    gather(domain, arrays, positions)
+        for lane in range(clusters.filled[k]):
+            i = clusters.atom[k * n_lanes + lane]
+            forces[i, 0], forces[i, 1], forces[i, 2] = forces[i, 0] - x, forces[i, 1] - y, forces[i, 2] - z
+            if motion_steps(motion) > 0:
+                work[lane], work[n_lanes + lane], work[2 * n_lanes + lane] = forces[i, 0], forces[i, 1], forces[i, 2]
+                forces[i, 0] = forces[i, 1] = forces[i, 2] = 0.0
+        if motion_steps(motion) > 0:
+            is_outdated |= _kick_and_drift(k, arrays, positions, work, motion, n_made)
     return is_outdated
+
+
+@by_type
+def _kick_and_drift(k, arrays, positions, block, motion, n_made):
+    """The atoms of cluster k move, and its ghosts with them. True if the list is outdated then.
+
+    block : (3 n,), the forces on the atoms; afterwards their positions.
+    """
+    if motion.instance_class is Rest:
+        return lambda k, arrays, positions, block, motion, n_made: False
+
+    def move(k, arrays, positions, block, motion, n_made):
+        clusters, n_lanes = arrays.clusters, count(arrays.clusters.lanes)
+        durations, last = motion.durations[(motion.first + n_made) % motion.durations.shape[0]], clusters.filled[k] - 1
+        for lane in range(n_lanes):
+            i = clusters.atom[k * n_lanes + lane]
+            if lane <= last:  # not padding
+                kick_atom(i, motion.velocities, (block[lane], block[n_lanes + lane], block[2 * n_lanes + lane]), motion.inverse_masses, durations[0])
+                drift_atom(i, positions, motion.velocities, durations[1])
+            for c in range(3):
+                block[c * n_lanes + lane] = positions[i, c]
+        place(k, arrays, block)
+        return not are_near(k, clusters, block, motion.limit2)
+
+    return move

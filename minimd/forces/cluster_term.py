@@ -1,11 +1,11 @@
 """Pair laws on the cluster list: eight pairs at a time, on a pool of threads."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel, without_cache
+from minimd.compiled.kernels import DirectCalls, kernel, without_cache
 from minimd.compiled.simd.lanes import DOUBLE, MIXED
 from minimd.compiled.threads import thread_pool
 from minimd.forces.cluster_kernel import Motion, Rest, evaluate_clusters
@@ -22,7 +22,7 @@ from minimd.potentials.user_laws import is_recognized
 from minimd.structure.system import System
 
 NOTHING = np.zeros((0, 3))
-AT_REST = Motion(NOTHING, np.zeros(0), np.zeros((1, 2)), 0, NOTHING, 0.0)  # of the type that moves: one compiled kernel for both
+AT_REST = Motion(NOTHING, np.zeros(0), np.zeros((1, 2)), 0, 0, 0.0)  # of the type that moves: one compiled kernel for both
 MOST_MOVED = 4_000_000  # atoms in a call, half a second
 
 
@@ -42,7 +42,7 @@ class ClusterTerm(Term):
         self._pair_laws = laws
         are_recognized = all(is_recognized(one.law) for one in laws.members)
         self._evaluate = evaluate_clusters if are_recognized else without_cache(evaluate_clusters)
-        self._compiled: dict[int, Callable] = {}  # by detail
+        self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
         self._prepared_for = 0  # which build of the list
         self._memory = Buffers()
 
@@ -51,7 +51,7 @@ class ClusterTerm(Term):
         self._update(system)
         sums = self._force_sums if detail == FORCES else self._sums(detail)
         arguments = (system.positions, self.list.arrays, self._laws, sums, forces, AT_REST if detail == FORCES else Rest())
-        self._pool.run(self._kernel(detail, arguments), *arguments)
+        self._pool.run(self._evaluate, *arguments, calls=self._calls[detail])
         if detail == TOTALS:
             energies[0] += sums.energies.sum()
             virials[0] += sums.virials.sum(axis=0)
@@ -65,16 +65,10 @@ class ClusterTerm(Term):
         state.forces[:] = 0.0
         while made < n_pairs:
             self._update(system)
-            ahead = np.roll(durations, -made, axis=0)  # the next kick first
-            motion = Motion(state.velocities, state.inverse_masses, ahead, n_pairs - made, self.list.built_at, self.list.limit2)
+            motion = Motion(state.velocities, state.inverse_masses, durations, made, n_pairs - made, self.list.limit2)
             arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, state.forces, motion)
-            made += self._pool.run(self._kernel(FORCES, arguments), *arguments)
+            made += self._pool.run(self._evaluate, *arguments, calls=self._calls[FORCES])
         return n_cycles
-
-    def _kernel(self, detail: int, arguments: tuple[object, ...]) -> Callable:
-        if detail not in self._compiled:
-            self._compiled[detail] = self._pool.compiled(self._evaluate, *arguments)
-        return self._compiled[detail]
 
     def _update(self, system: System) -> None:
         """A valid list, and what is prepared for it."""

@@ -68,7 +68,7 @@ def skin_for(system: System, laws: PairLaws, options: Options, displacement: flo
     safe = float(np.sqrt(cell.safe_distance2)) if len(laws.excluded) else np.inf
     skin = options.skin
     if skin is None:
-        skin = best_skin(cutoff, number_density(system, cutoff), displacement)
+        skin = best_skin(cutoff, number_density(system, cutoff), displacement, len(system))
         for room in (safe - cutoff, cell.heights[cell.pbc].min(initial=np.inf) - cutoff):
             skin = min(skin, ROUNDED_DOWN * room) if room > LEAST_SKIN * cutoff else skin
     return 0.0 if cutoff + skin > safe else skin

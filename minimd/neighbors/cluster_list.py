@@ -1,14 +1,13 @@
 """The cluster list with a skin: rows of clusters for the vector loop, and the memory that the loop works on."""
 
 from collections import namedtuple
-from collections.abc import Callable
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import by_type, kernel, scalar, shared_kernel
-from minimd.compiled.simd import broadcast, convert, load, store
+from minimd.compiled.kernels import DirectCalls, by_type, kernel, scalar, shared_kernel
+from minimd.compiled.simd import bits_from_mask, broadcast, convert, lane, load, store, with_lane
 from minimd.compiled.simd.lanes import DOUBLE, MIXED, count, lanes_for
 from minimd.compiled.threads import ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.buffers import SPARE, Buffers
@@ -51,7 +50,7 @@ class ClusterList(VerletList):
         super().__init__(n_atoms, cutoff, skin, excluded)
         self._pool, self._is_mixed = pool, is_mixed
         self._columns_of: Cell | None = None
-        self._build_all: Callable | None = None
+        self._calls = DirectCalls()
         self.lanes = lanes_for(MIXED if is_mixed else DOUBLE)
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
         self._memory = Buffers()
@@ -62,8 +61,8 @@ class ClusterList(VerletList):
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
             self._columns, self._columns_of = make_columns(cell, positions, self.cutoff + self.skin, self.lanes), cell
-        self.clusters = sort_into_clusters(positions, self._columns, self.lanes, self._memory, self._pool)
-        self.domains = cut_into_domains(self.clusters, self._columns, len(positions))
+        self.clusters = sort_into_clusters(positions, self._columns, self.lanes, self._memory, self._pool, self._calls)
+        self.domains = cut_into_domains(self.clusters, self._columns, len(positions), self._calls)
         self.n_domains, n_clusters, n_ghosts = len(self.domains.run) - 1, len(self.clusters.filled), int(self.domains.ghost[-1])
         if n_ghosts > GHOST_BITS:
             raise ValueError(f"cluster lists hold up to {GHOST_BITS} ghost clusters, this scene needs {n_ghosts}: simulate fewer atoms")
@@ -71,11 +70,11 @@ class ClusterList(VerletList):
         exact = self._memory.array("coordinates", np.float64, n_ghosts * self.lanes.size * DIMENSIONS)
         layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, exact)
         self.rows = self._find_rows(layout)
-        sort_ghosts(self.ghosts)
+        self._calls(sort_ghosts, self.ghosts)
         self.memory = self._make_memory(exact)
         if self._excluded[1].size:
             slot_of, image = self._memory.array("slot of", np.int64, len(positions)), (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-            self._pool.run(exclude_pairs, layout, image, self._excluded, slot_of, self.rows)
+            self._pool.run(exclude_pairs, layout, image, self._excluded, slot_of, self.rows, calls=self._calls)
         self.arrays = ClusterArrays(self.clusters, self.domains.cluster, self.ghosts, self.rows, self.memory)
 
     def _find_rows(self, layout: Layout) -> Rows:
@@ -86,9 +85,7 @@ class ClusterList(VerletList):
         needed = np.zeros(self.n_domains, dtype=np.int64)
         while True:
             rows = Rows(start, stop, self._entries)
-            arguments = (layout, rows, self._entry_start, needed)
-            self._build_all = self._build_all or self._pool.compiled(_build_domains, *arguments)
-            self._pool.run(self._build_all, *arguments)
+            self._pool.run(_build_domains, layout, rows, self._entry_start, needed, calls=self._calls)
             if np.all(needed <= np.diff(self._entry_start)):
                 return rows
             self._make_entries(np.maximum(np.diff(self._entry_start), (SPARE * needed).astype(np.int64)))
@@ -106,7 +103,7 @@ class ClusterList(VerletList):
         if not self._is_mixed:
             return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces, self._far, np.zeros((0, 3)))
         shift, origin = self._memory.array("grid shift", np.int32, len(ghosts.owner), 3), np.empty(3)
-        unit = lay_grid(ghosts, self.skin, origin, shift)
+        unit = self._calls(lay_grid, ghosts, self.skin, origin, shift)
         if unit > COARSEST * self.cutoff:
             width, limit = unit * GRID, COARSEST * self.cutoff
             raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take precision='double'")
@@ -158,53 +155,76 @@ def lay_grid(ghosts, skin, origin, shift):
 
 
 @scalar
-def gather(domain, arrays, positions):
-    """Positions of the atoms of a domain, to all ghosts of their clusters; forces there = 0."""
-    clusters, domain_start, ghosts, _, memory = arrays
-    lanes, n_lanes = clusters.lanes, count(clusters.lanes)
-    nothing = broadcast(0.0, load(memory.forces, 0, lanes))
-    for k in range(domain_start[domain], domain_start[domain + 1]):
-        home = ghosts.home[k] * DIMENSIONS * n_lanes
-        for lane in range(n_lanes):
-            slot = k * n_lanes + lane
-            for c in range(3):
-                x = positions[clusters.atom[slot], c] + clusters.offsets[slot, c]
-                memory.coordinates[home + c * n_lanes + lane] = coordinate(x, memory.origin[c], memory.unit, memory.coordinates)
-        for p in range(ghosts.start[k], ghosts.start[k + 1]):
-            m = ghosts.of[p]
-            for d in range(3):
-                place = (m * DIMENSIONS + d) * n_lanes
-                store(memory.coordinates, place, load(memory.coordinates, home + d * n_lanes, lanes) + memory.shift[m, d])
-                store(memory.forces, place, nothing)
-
-
-@by_type
-def coordinate(x, origin, unit, coordinates):
-    """A coordinate x [length] as an array of coordinates holds it, see Memory."""
-    if isinstance(coordinates.dtype, types.Float):
-        return lambda x, origin, unit, coordinates: x
-    return lambda x, origin, unit, coordinates: np.int32(np.rint((x - origin) / unit))
+def gather(k, arrays, positions, work):
+    """The positions of the atoms of cluster k, to all its ghosts, see place.  work : (3 n,) float64, scratch."""
+    clusters, n_lanes = arrays.clusters, count(arrays.clusters.lanes)
+    for lane in range(n_lanes):
+        i = clusters.atom[k * n_lanes + lane]
+        for c in range(3):
+            work[c * n_lanes + lane] = positions[i, c]
+    place(k, arrays, work)
 
 
 @scalar
-def scatter(domain, arrays, forces, work):
-    """forces (N, 3) += those on all ghosts of the clusters of a domain; their sum is noted where it is wanted. work : (3 n,) float64, scratch."""
-    clusters, domain_start, ghosts, _, memory = arrays
+def place(k, arrays, positions):
+    """Positions of the atoms of cluster k, a block (3 n,) as in Clusters, to all its ghosts; forces there = 0."""
+    clusters, _, ghosts, _, memory = arrays
     lanes, n_lanes = clusters.lanes, count(clusters.lanes)
-    block, x, y, z = DIMENSIONS * n_lanes, 0.0, 0.0, 0.0
-    for k in range(domain_start[domain], domain_start[domain + 1]):
-        for c in range(0, block, n_lanes):
-            force = convert(load(memory.forces, ghosts.of[ghosts.start[k]] * block + c, lanes), 0.0)
-            for p in range(ghosts.start[k] + 1, ghosts.start[k + 1]):
-                force = force + convert(load(memory.forces, ghosts.of[p] * block + c, lanes), 0.0)
-            store(work, c, force)
-        for lane in range(clusters.filled[k]):
-            i = clusters.atom[k * n_lanes + lane]
-            for c in range(3):
-                forces[i, c] += work[c * n_lanes + lane]
-            x, y, z = x + work[lane], y + work[n_lanes + lane], z + work[2 * n_lanes + lane]
-    if is_mixed(arrays):
-        memory.net[domain, 0], memory.net[domain, 1], memory.net[domain, 2] = x, y, z
+    nothing = broadcast(0.0, load(memory.forces, 0, lanes))
+    for c in range(3):
+        x = load(positions, c * n_lanes, lanes) + load(clusters.offsets, (k * DIMENSIONS + c) * n_lanes, lanes)
+        x = coordinate(x, memory.origin[c], memory.unit, load(memory.coordinates, 0, lanes))
+        for p in range(ghosts.start[k], ghosts.start[k + 1]):
+            m = ghosts.of[p]
+            store(memory.coordinates, (m * DIMENSIONS + c) * n_lanes, x + memory.shift[m, c])
+            store(memory.forces, (m * DIMENSIONS + c) * n_lanes, nothing)
+
+
+@by_type
+def coordinate(x, origin, unit, like):
+    """A vector of coordinates x [length] as an array of coordinates holds it, see Memory; like : a vector from that array."""
+    if like.is_float:
+        return lambda x, origin, unit, like: x
+    lanes = x.lanes
+
+    def on_grid(x, origin, unit, like):
+        for k in range(lanes):
+            like = with_lane(like, k, np.int32(np.rint((lane(x, k) - origin) / unit)))
+        return like
+
+    return on_grid
+
+
+@scalar
+def collect(k, arrays, forces):
+    """The forces on the atoms of cluster k, a block (3 n,): the sums of those on all its ghosts."""
+    clusters, _, ghosts, _, memory = arrays
+    lanes, n_lanes = clusters.lanes, count(clusters.lanes)
+    block = DIMENSIONS * n_lanes
+    for c in range(0, block, n_lanes):
+        force = convert(load(memory.forces, ghosts.of[ghosts.start[k]] * block + c, lanes), 0.0)
+        for p in range(ghosts.start[k] + 1, ghosts.start[k + 1]):
+            force = force + convert(load(memory.forces, ghosts.of[p] * block + c, lanes), 0.0)
+        store(forces, c, force)
+
+
+@scalar
+def scatter(k, clusters, block, forces):
+    """forces (N, 3) += those of a block (3 n,) on the atoms of cluster k."""
+    n_lanes = count(clusters.lanes)
+    for lane in range(clusters.filled[k]):
+        for c in range(3):
+            forces[clusters.atom[k * n_lanes + lane], c] += block[c * n_lanes + lane]
+
+
+@scalar
+def are_near(k, clusters, positions, limit2):
+    """Whether all atoms of cluster k, their positions in a block (3 n,), are within √limit2 of where the cluster was made: not if one is NaN."""
+    lanes, n_lanes = clusters.lanes, count(clusters.lanes)
+    at = k * DIMENSIONS * n_lanes
+    dx, dy = load(positions, 0, lanes) - load(clusters.positions, at, lanes), load(positions, n_lanes, lanes) - load(clusters.positions, at + n_lanes, lanes)
+    dz = load(positions, 2 * n_lanes, lanes) - load(clusters.positions, at + 2 * n_lanes, lanes)
+    return bits_from_mask(dx * dx + dy * dy + dz * dz <= limit2) == (1 << n_lanes) - 1
 
 
 @by_type

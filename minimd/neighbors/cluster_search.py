@@ -190,18 +190,17 @@ def _exclude_partners(domain, layout, image, partners, slot_of, rows):
         i = clusters.atom[slot]
         if slot == slot_of[i]:  # not padding
             for p in range(start[i], start[i + 1]):
-                _exclude(slot, slot_of[values[p]], clusters, layout.ghosts, image, rows)
+                _exclude(slot, slot_of[values[p]], layout, image, rows)
 
 
 @scalar
-def _exclude(slot, other, clusters, ghosts, image, rows):
+def _exclude(slot, other, layout, image, rows):
     """Clear the lane of the atom in slot other in the row of a slot, if it is there."""
-    n_lanes = count(clusters.lanes)
+    ghosts, coordinates, n_lanes = layout.ghosts, layout.coordinates, count(layout.clusters.lanes)
     cluster, lane = other // n_lanes, other % n_lanes
-    own, place = slot // n_lanes * DIMENSIONS * n_lanes + slot % n_lanes, cluster * DIMENSIONS * n_lanes + lane
-    x = clusters.coordinates[place] - clusters.coordinates[own]
-    y = clusters.coordinates[place + n_lanes] - clusters.coordinates[own + n_lanes]
-    z = clusters.coordinates[place + 2 * n_lanes] - clusters.coordinates[own + 2 * n_lanes]
+    own, place = ghosts.home[slot // n_lanes] * DIMENSIONS * n_lanes + slot % n_lanes, ghosts.home[cluster] * DIMENSIONS * n_lanes + lane
+    x, y = coordinates[place] - coordinates[own], coordinates[place + n_lanes] - coordinates[own + n_lanes]
+    z = coordinates[place + 2 * n_lanes] - coordinates[own + 2 * n_lanes]
     a, b, c = minimum_image(x, y, z, *image)
     key = cluster * IMAGES + HOME + int(9.0 * a + 3.0 * b + c)
     for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])):  # unsigned: no check for indices that count from the end

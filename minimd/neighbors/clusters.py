@@ -16,7 +16,7 @@ from collections import namedtuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel, scalar, shared_kernel
+from minimd.compiled.kernels import DirectCalls, kernel, scalar, shared_kernel
 from minimd.compiled.simd.lanes import Lanes, count
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
@@ -36,14 +36,14 @@ class Columns(namedtuple("Columns", "counts distance reach along origin extent p
     """
 
 
-class Clusters(namedtuple("Clusters", "lanes atom filled offsets column_start bottom top coordinates boxes")):
+class Clusters(namedtuple("Clusters", "lanes atom filled positions offsets column_start bottom top boxes")):
     """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n.
 
     lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
-    offsets : (n C, 3) lattice vectors that bring the atom into the cell [length].
+    positions, offsets : flat, a block of 3 n numbers for each cluster: of its atoms when it was made, and lattice vectors that bring them into
+        the cell [length].
     column_start : (columns + 1,) int, first cluster of each column.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
-    coordinates : flat, a block of 3 n numbers for each cluster [length].
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
     """
 
@@ -67,20 +67,20 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float, lanes
     return Columns(counts, reach, needed.astype(np.int64), along_z, origin, extent, cell.pbc, cell.lattice, cell.inverse)
 
 
-def sort_into_clusters(positions: NDArray[np.float64], columns: Columns, lanes: Lanes, memory: Buffers, pool: ThreadPool) -> Clusters:
+def sort_into_clusters(positions: NDArray[np.float64], columns: Columns, lanes: Lanes, memory: Buffers, pool: ThreadPool, calls: DirectCalls) -> Clusters:
     """The clusters of all columns, the second lattice direction running faster than the first."""
     n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
-    of_atoms, of_bins = (np.int32, (n,)), (np.int32, (n_bins + 1,))
-    binned = Binned(*memory.carve("scratch", of_atoms, of_atoms, of_bins, of_bins, (np.float64, (n, 3)), (np.float64, (n,))))
+    each, of_bins = (np.int32, (n,)), (np.int32, (n_bins + 1,))
+    binned = Binned(*memory.carve("scratch", each, each, of_bins, of_bins, (np.float64, (n, 3)), (np.float64, (n,))))
     column_start = memory.array("column_start", np.int64, n_columns + 1)
-    sort_into_columns(positions, columns, binned, lanes.size, column_start)
+    calls(sort_into_columns, positions, columns, binned, lanes.size, column_start)
     n_clusters = int(column_start[-1])
     n_slots, array = n_clusters * lanes.size, memory.array
-    atom, filled, offsets = array("atom", np.int32, n_slots), array("filled", np.int64, n_clusters), array("offsets", np.float64, n_slots, 3)
+    atom, filled, boxes = array("atom", np.int32, n_slots), array("filled", np.int64, n_clusters), array("boxes", np.float64, n_clusters, 6)
     bottom, top = (array(name, np.float64, n_clusters) for name in ("bottom", "top"))
-    coordinates, boxes = array("home coordinates", np.float64, n_slots * DIMENSIONS), array("boxes", np.float64, n_clusters, 6)
-    clusters = Clusters(lanes, atom, filled, offsets, column_start, bottom, top, coordinates, boxes)
-    pool.run(_fill_clusters, positions, columns, binned, clusters, min(int(columns.counts[0]), MOST_CHUNKS))
+    at, offsets = (array(name, np.float64, n_slots * DIMENSIONS) for name in ("positions", "offsets"))
+    clusters = Clusters(lanes, atom, filled, at, offsets, column_start, bottom, top, boxes)
+    pool.run(_fill_clusters, positions, columns, binned, clusters, min(int(columns.counts[0]), MOST_CHUNKS), calls=calls)
     return clusters
 
 
@@ -133,11 +133,10 @@ def _fill_column(column, positions, columns, binned, clusters):
         for c in range(3):
             low, high = np.inf, -np.inf
             for k in range(n_lanes):
-                i, slot = order[p + min(k, n - 1)], cluster * n_lanes + k
-                offset = cells[i, 0] * lattice[0, c] + cells[i, 1] * lattice[1, c] + cells[i, 2] * lattice[2, c]
-                x = positions[i, c] + offset
-                clusters.atom[slot], clusters.offsets[slot, c] = i, offset
-                clusters.coordinates[(cluster * DIMENSIONS + c) * n_lanes + k] = x
+                i, place = order[p + min(k, n - 1)], (cluster * DIMENSIONS + c) * n_lanes + k
+                clusters.atom[cluster * n_lanes + k], clusters.positions[place] = i, positions[i, c]
+                clusters.offsets[place] = cells[i, 0] * lattice[0, c] + cells[i, 1] * lattice[1, c] + cells[i, 2] * lattice[2, c]
+                x = clusters.positions[place] + clusters.offsets[place]
                 low, high = min(low, x), max(high, x)
             clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = low, high
         cluster += 1

@@ -20,7 +20,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from minimd.compiled.kernels import kernel, scalar
+from minimd.compiled.kernels import DirectCalls, kernel, scalar
 from minimd.compiled.simd import load, store
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import MOST_CHUNKS
@@ -59,14 +59,14 @@ class Layout(namedtuple("Layout", "columns clusters domains ghosts coordinates")
     """The clusters of a scene and where their ghosts stand.  coordinates : flat, a block for each ghost [length]."""
 
 
-def cut_into_domains(clusters: Clusters, columns: Columns, n_atoms: int) -> Domains:
+def cut_into_domains(clusters: Clusters, columns: Columns, n_atoms: int, calls: DirectCalls) -> Domains:
     """As many domains as have enough atoms each and are at least as wide as their rows look ahead; the same for any number of threads."""
     across = int(columns.counts[0]) // max(1, int(columns.reach[0]))
     n_domains = max(1, min(n_atoms // ATOMS_PER_DOMAIN, across, MOST_CHUNKS))
     n_runs = int((columns.counts[0] + n_domains * columns.reach[0]) * (columns.counts[1] + 2 * columns.reach[1]))
     column, cluster, run = (np.empty(n_domains + 1, dtype=np.int64) for _ in range(3))
     domains = Domains(column, cluster, run, np.zeros(n_runs + 1, dtype=np.int64))
-    _cut(clusters, columns, domains)
+    calls(_cut, clusters, columns, domains)
     return domains
 
 
@@ -150,7 +150,8 @@ def fill_ghosts(domain, layout):
                         low, high = clusters.boxes[k, d] + shift, clusters.boxes[k, d + 3] + shift
                         ghosts.boxes[d * stride + ghost] = low - OUTWARD * abs(low)
                         ghosts.boxes[(d + 3) * stride + ghost] = high + OUTWARD * abs(high)
-                        x = load(clusters.coordinates, (k * DIMENSIONS + d) * n_lanes, lanes)
+                        place = (k * DIMENSIONS + d) * n_lanes
+                        x = load(clusters.positions, place, lanes) + load(clusters.offsets, place, lanes)
                         store(coordinates, (ghost * DIMENSIONS + d) * n_lanes, x + shift)
                     if is_home:
                         ghosts.home[k] = ghost

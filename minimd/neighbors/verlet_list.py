@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel, scalar
+from minimd.compiled.kernels import kernel
 from minimd.structure.cell import Cell
 from minimd.structure.errors import NonFiniteError
 
@@ -14,9 +14,10 @@ LEAST_SKIN = 0.02  # of the cutoff
 SKINS = np.geomspace(LEAST_SKIN, 1.0, 100)  # of the cutoff, to choose from
 STEP_COST = (16.0, 3.0)  # ns per atom: a constant, and per atom in a cube as wide as the list reaches
 BUILD_COST = (40.0, 5.0)  # ns per atom, likewise
+CALLS_COST = 60_000.0  # ns of each build, however small the scene is
 
 
-def best_skin(cutoff: float, density: float, displacement: float) -> float:
+def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int) -> float:
     """The skin that makes a step cheapest [length].
 
         cost(s) = step(c) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / d steps between two builds
@@ -29,7 +30,7 @@ def best_skin(cutoff: float, density: float, displacement: float) -> float:
     skins = SKINS * cutoff
     crowd = density * (cutoff + skins) ** 3
     builds = np.minimum(1.0, 2.0 * displacement / skins)  # in each step
-    cost = STEP_COST[0] + STEP_COST[1] * crowd + (BUILD_COST[0] + BUILD_COST[1] * crowd) * builds
+    cost = STEP_COST[0] + STEP_COST[1] * crowd + (BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms) * builds
     return float(skins[np.argmin(cost)])
 
 
@@ -40,7 +41,7 @@ class VerletList(ABC):
     Displacements are true ones: an atom moved by a lattice vector has moved.  L. Verlet, Phys. Rev. 159, 98 (1967).
 
     cutoff : [length].  skin : [length], ≥ 0.  n_builds : how often it was built.
-    built_at : (N, 3) positions of the last build.  limit2 : square of the distance from there up to which the list is valid [length²].
+    limit2 : square of the distance that an atom may move before the list is outdated [length²].
     excluded : (P, 2) int, pairs whose nearest image is left out.
     """
 
@@ -49,7 +50,7 @@ class VerletList(ABC):
         self.limit2 = 0.25 * skin**2 if cutoff < np.inf else np.finfo(float).max  # without a cutoff: until a position is not finite
         self._excluded = partners(excluded, n_atoms)
         self._cell: Cell | None = None
-        self.built_at = np.empty((n_atoms, 3))
+        self._built_at = np.empty((n_atoms, 3))
 
     @abstractmethod
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
@@ -61,10 +62,10 @@ class VerletList(ABC):
         Raises NonFiniteError if a position is not finite.
         """
         is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
-        if is_same and not any_moved(positions, self.built_at, self.limit2):
+        if is_same and not any_moved(positions, self._built_at, self.limit2):
             return False
         self._cell = None  # no list until the new one is whole
-        n_bad, first = copy_finite(positions, self.built_at)
+        n_bad, first = copy_finite(positions, self._built_at)
         if n_bad:
             raise NonFiniteError(f"positions of {n_bad} atoms are not finite, the first is atom {first}")
         self._build(positions, cell)
@@ -76,16 +77,10 @@ class VerletList(ABC):
 def any_moved(positions, reference, limit2):
     """True if an atom is farther than √limit2 from its reference position, or if its position is NaN."""
     for i in range(positions.shape[0]):
-        if has_moved(i, positions, reference, limit2):
+        dx, dy, dz = positions[i, 0] - reference[i, 0], positions[i, 1] - reference[i, 1], positions[i, 2] - reference[i, 2]
+        if not dx * dx + dy * dy + dz * dz <= limit2:
             return True
     return False
-
-
-@scalar
-def has_moved(i, positions, reference, limit2):
-    """Whether atom i is farther than √limit2 from its reference position, or its position is NaN."""
-    dx, dy, dz = positions[i, 0] - reference[i, 0], positions[i, 1] - reference[i, 1], positions[i, 2] - reference[i, 2]
-    return not dx * dx + dy * dy + dz * dz <= limit2
 
 
 @kernel

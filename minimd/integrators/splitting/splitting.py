@@ -29,12 +29,12 @@ March = Callable[[State, Array, int], int]
 
 
 @scalar
-def kick_atom(i, velocities, forces, inverse_masses, duration):
-    """v_i += duration · F_i / m_i."""
+def kick_atom(i, velocities, force, inverse_masses, duration):
+    """v_i += duration · F_i / m_i, with F_i = (x, y, z)."""
     scale = duration * inverse_masses[i]
-    velocities[i, 0] += scale * forces[i, 0]
-    velocities[i, 1] += scale * forces[i, 1]
-    velocities[i, 2] += scale * forces[i, 2]
+    velocities[i, 0] += scale * force[0]
+    velocities[i, 1] += scale * force[1]
+    velocities[i, 2] += scale * force[2]
 
 
 @scalar
@@ -49,7 +49,7 @@ def drift_atom(i, positions, velocities, duration):
 def kick(velocities, forces, inverse_masses, duration):
     """velocities += duration · forces / m.  (N, 3) [length/time], (N, 3) [energy/length], (N,) [1/mass], [time]."""
     for i in range(velocities.shape[0]):
-        kick_atom(i, velocities, forces, inverse_masses, duration)
+        kick_atom(i, velocities, (forces[i, 0], forces[i, 1], forces[i, 2]), inverse_masses, duration)
 
 
 @kernel

@@ -16,13 +16,14 @@ from minimd.integrators.splitting.state import State
 from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList
+from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
 from minimd.potentials.user_laws import is_recognized
 from minimd.structure.system import System
 
 NOTHING = np.zeros((0, 3))
-AT_REST = Motion(NOTHING, np.zeros(0), np.zeros((1, 2)), 0, 0, 0.0)  # of the type that moves: one compiled kernel for both
+AT_REST = Motion(np.zeros((1, 2)), 0, 0, 0.0, NOTHING, *(np.zeros(0) for _ in range(4)))  # a Motion: one compiled kernel for both
 MOST_MOVED = 4_000_000  # atoms in a call, half a second
 
 
@@ -62,10 +63,9 @@ class ClusterTerm(Term):
         """See Term. Between two list builds all threads stay in one kernel; only so many atoms move in a call that Ctrl-C is answered soon."""
         n_cycles = min(n, max(1, MOST_MOVED // (len(system) * len(durations))))
         n_pairs, made, state.forces_are_current = n_cycles * len(durations), 0, False
-        state.forces[:] = 0.0
         while made < n_pairs:
             self._update(system)
-            motion = Motion(state.velocities, state.inverse_masses, durations, made, n_pairs - made, self.list.limit2)
+            motion = Motion(durations, made, n_pairs - made, self.list.limit2, state.velocities, state.inverse_masses, *self._own)
             arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, state.forces, motion)
             made += self._pool.run(self._evaluate, *arguments, calls=self._calls[FORCES])
         return n_cycles
@@ -82,6 +82,12 @@ class ClusterTerm(Term):
         self._laws = tuple((one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True))
         self._force_sums = ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
         self._prepared_for = self.list.n_builds
+
+    @property
+    def _own(self) -> list[NDArray]:
+        """Memory for the atoms in the order of the clusters, see Motion."""
+        n = len(self.list.clusters.atom)
+        return [self._memory.array(f"own {k}", np.float64, size) for k, size in enumerate((DIMENSIONS * n, DIMENSIONS * n, n))]
 
     def _sums(self, detail: int) -> Sums:
         """Accumulators with zeros: one for each cluster if only totals are wanted, else one for each slot, and for each lane of a ghost."""

@@ -7,10 +7,10 @@ from numba import types
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import DirectCalls, by_type, kernel, scalar, shared_kernel
-from minimd.compiled.simd import bits_from_mask, broadcast, convert, lane, load, store, with_lane
+from minimd.compiled.simd import broadcast, convert, lane, load, store, with_lane
 from minimd.compiled.simd.lanes import DOUBLE, MIXED, count, lanes_for
 from minimd.compiled.threads import ThreadPool, barrier, begin, finish_and_take, take
-from minimd.neighbors.buffers import SPARE, Buffers
+from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers
 from minimd.neighbors.cluster_search import GHOST_BITS, Rows, exclude_pairs, find_rows, make_work
 from minimd.neighbors.clusters import DIMENSIONS, make_columns, sort_into_clusters
 from minimd.neighbors.domains import SIDES, Layout, cut_into_domains, fill_ghosts, make_ghosts, sort_ghosts
@@ -32,8 +32,8 @@ class Memory(namedtuple("Memory", "coordinates shift origin unit forces far net"
     """
 
 
-class ClusterArrays(namedtuple("ClusterArrays", "clusters domain_start ghosts rows memory")):
-    """What the loop over clusters gets from the list.  domain_start : (K + 1,) int, first cluster of each domain."""
+class ClusterArrays(namedtuple("ClusterArrays", "clusters domain_start ghost_start ghosts rows memory")):
+    """What the loop over clusters gets from the list.  domain_start, ghost_start : (K + 1,) int, first cluster and first ghost of each domain."""
 
 
 class ClusterList(VerletList):
@@ -75,7 +75,8 @@ class ClusterList(VerletList):
         if self._excluded[1].size:
             slot_of, image = self._memory.array("slot of", np.int64, len(positions)), (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
             self._pool.run(exclude_pairs, layout, image, self._excluded, slot_of, self.rows, calls=self._calls)
-        self.arrays = ClusterArrays(self.clusters, self.domains.cluster, self.ghosts, self.rows, self.memory)
+        first_ghosts = self.domains.ghost[self.domains.run]
+        self.arrays = ClusterArrays(self.clusters, self.domains.cluster, first_ghosts, self.ghosts, self.rows, self.memory)
 
     def _find_rows(self, layout: Layout) -> Rows:
         """Find the rows. If the memory is too small, it is enlarged and the search repeated."""
@@ -99,7 +100,7 @@ class ClusterList(VerletList):
 
     def _make_memory(self, exact: NDArray[np.float64]) -> Memory:
         ghosts, number = self.ghosts, np.float32 if self._is_mixed else np.float64
-        (forces,) = self._memory.carve("scratch", (number, (len(exact),)))  # sorting is over
+        (forces,) = self._memory.carve("scratch", (number, (len(exact),)), in_page=HALF_A_PAGE)  # sorting is over
         if not self._is_mixed:
             return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces, self._far, np.zeros((0, 3)))
         shift, origin = self._memory.array("grid shift", np.int32, len(ghosts.owner), 3), np.empty(3)
@@ -155,29 +156,26 @@ def lay_grid(ghosts, skin, origin, shift):
 
 
 @scalar
-def gather(k, arrays, positions, work):
-    """The positions of the atoms of cluster k, to all its ghosts, see place.  work : (3 n,) float64, scratch."""
-    clusters, n_lanes = arrays.clusters, count(arrays.clusters.lanes)
+def gather(k, clusters, of_atoms, block, start):
+    """Three numbers of each atom of cluster k, from (N, 3) to a flat array of blocks, from index start on."""
+    n_lanes = count(clusters.lanes)
     for lane in range(n_lanes):
         i = clusters.atom[k * n_lanes + lane]
         for c in range(3):
-            work[c * n_lanes + lane] = positions[i, c]
-    place(k, arrays, work)
+            block[start + c * n_lanes + lane] = of_atoms[i, c]
 
 
 @scalar
-def place(k, arrays, positions):
-    """Positions of the atoms of cluster k, a block (3 n,) as in Clusters, to all its ghosts; forces there = 0."""
-    clusters, _, ghosts, _, memory = arrays
+def place(k, arrays, positions, start):
+    """Positions of the atoms of cluster k, in a flat array from index start on, to all its ghosts."""
+    clusters, ghosts, memory = arrays.clusters, arrays.ghosts, arrays.memory
     lanes, n_lanes = clusters.lanes, count(clusters.lanes)
-    nothing = broadcast(0.0, load(memory.forces, 0, lanes))
     for c in range(3):
-        x = load(positions, c * n_lanes, lanes) + load(clusters.offsets, (k * DIMENSIONS + c) * n_lanes, lanes)
+        x = load(positions, start + c * n_lanes, lanes) + load(clusters.offsets, (k * DIMENSIONS + c) * n_lanes, lanes)
         x = coordinate(x, memory.origin[c], memory.unit, load(memory.coordinates, 0, lanes))
         for p in range(ghosts.start[k], ghosts.start[k + 1]):
             m = ghosts.of[p]
             store(memory.coordinates, (m * DIMENSIONS + c) * n_lanes, x + memory.shift[m, c])
-            store(memory.forces, (m * DIMENSIONS + c) * n_lanes, nothing)
 
 
 @by_type
@@ -196,35 +194,27 @@ def coordinate(x, origin, unit, like):
 
 
 @scalar
-def collect(k, arrays, forces):
-    """The forces on the atoms of cluster k, a block (3 n,): the sums of those on all its ghosts."""
-    clusters, _, ghosts, _, memory = arrays
-    lanes, n_lanes = clusters.lanes, count(clusters.lanes)
-    block = DIMENSIONS * n_lanes
-    for c in range(0, block, n_lanes):
-        force = convert(load(memory.forces, ghosts.of[ghosts.start[k]] * block + c, lanes), 0.0)
-        for p in range(ghosts.start[k] + 1, ghosts.start[k + 1]):
-            force = force + convert(load(memory.forces, ghosts.of[p] * block + c, lanes), 0.0)
-        store(forces, c, force)
+def clear(domain, arrays):
+    """Forces on all ghosts of a domain = 0. Who adds to them does so, and has them in its cache then."""
+    lanes, n_lanes, forces = arrays.clusters.lanes, count(arrays.clusters.lanes), arrays.memory.forces
+    nothing = broadcast(0.0, load(forces, 0, lanes))
+    for place in range(arrays.ghost_start[domain] * DIMENSIONS * n_lanes, arrays.ghost_start[domain + 1] * DIMENSIONS * n_lanes, n_lanes):
+        store(forces, place, nothing)
 
 
 @scalar
-def scatter(k, clusters, block, forces):
-    """forces (N, 3) += those of a block (3 n,) on the atoms of cluster k."""
-    n_lanes = count(clusters.lanes)
-    for lane in range(clusters.filled[k]):
-        for c in range(3):
-            forces[clusters.atom[k * n_lanes + lane], c] += block[c * n_lanes + lane]
+def collected(k, arrays):
+    """The forces on the atoms of cluster k, sums of those on all its ghosts: vectors x, y, z in double precision."""
+    return _collected(k, 0, arrays), _collected(k, 1, arrays), _collected(k, 2, arrays)
 
 
 @scalar
-def are_near(k, clusters, positions, limit2):
-    """Whether all atoms of cluster k, their positions in a block (3 n,), are within √limit2 of where the cluster was made: not if one is NaN."""
-    lanes, n_lanes = clusters.lanes, count(clusters.lanes)
-    at = k * DIMENSIONS * n_lanes
-    dx, dy = load(positions, 0, lanes) - load(clusters.positions, at, lanes), load(positions, n_lanes, lanes) - load(clusters.positions, at + n_lanes, lanes)
-    dz = load(positions, 2 * n_lanes, lanes) - load(clusters.positions, at + 2 * n_lanes, lanes)
-    return bits_from_mask(dx * dx + dy * dy + dz * dz <= limit2) == (1 << n_lanes) - 1
+def _collected(k, c, arrays):
+    ghosts, forces, lanes = arrays.ghosts, arrays.memory.forces, arrays.clusters.lanes
+    force = convert(load(forces, (ghosts.of[ghosts.start[k]] * DIMENSIONS + c) * count(lanes), lanes), 0.0)
+    for p in range(ghosts.start[k] + 1, ghosts.start[k + 1]):
+        force = force + convert(load(forces, (ghosts.of[p] * DIMENSIONS + c) * count(lanes), lanes), 0.0)
+    return force
 
 
 @by_type

@@ -20,7 +20,7 @@ from minimd.compiled.kernels import DirectCalls, kernel, scalar, shared_kernel
 from minimd.compiled.simd.lanes import Lanes, count
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
-from minimd.neighbors.buffers import Buffers
+from minimd.neighbors.buffers import HALF_A_PAGE, Buffers
 from minimd.structure.cell import Cell
 
 DIMENSIONS = 3  # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
@@ -71,7 +71,7 @@ def sort_into_clusters(positions: NDArray[np.float64], columns: Columns, lanes: 
     """The clusters of all columns, the second lattice direction running faster than the first."""
     n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
     each, of_bins = (np.int32, (n,)), (np.int32, (n_bins + 1,))
-    binned = Binned(*memory.carve("scratch", each, each, of_bins, of_bins, (np.float64, (n, 3)), (np.float64, (n,))))
+    binned = Binned(*memory.carve("scratch", each, each, of_bins, of_bins, (np.float64, (n, 3)), (np.float64, (n,)), in_page=HALF_A_PAGE))
     column_start = memory.array("column_start", np.int64, n_columns + 1)
     calls(sort_into_columns, positions, columns, binned, lanes.size, column_start)
     n_clusters = int(column_start[-1])

@@ -29,34 +29,33 @@ March = Callable[[State, Array, int], int]
 
 
 @scalar
-def kick_atom(i, velocities, force, inverse_masses, duration):
-    """v_i += duration · F_i / m_i, with F_i = (x, y, z)."""
-    scale = duration * inverse_masses[i]
-    velocities[i, 0] += scale * force[0]
-    velocities[i, 1] += scale * force[1]
-    velocities[i, 2] += scale * force[2]
+def kicked(velocity, force, inverse_mass, duration):
+    """v + duration · F/m, of numbers or of vectors."""
+    return velocity + duration * inverse_mass * force
 
 
 @scalar
-def drift_atom(i, positions, velocities, duration):
-    """r_i += duration · v_i."""
-    positions[i, 0] += duration * velocities[i, 0]
-    positions[i, 1] += duration * velocities[i, 1]
-    positions[i, 2] += duration * velocities[i, 2]
+def drifted(position, velocity, duration):
+    """r + duration · v, of numbers or of vectors."""
+    return position + duration * velocity
 
 
 @kernel
 def kick(velocities, forces, inverse_masses, duration):
     """velocities += duration · forces / m.  (N, 3) [length/time], (N, 3) [energy/length], (N,) [1/mass], [time]."""
     for i in range(velocities.shape[0]):
-        kick_atom(i, velocities, (forces[i, 0], forces[i, 1], forces[i, 2]), inverse_masses, duration)
+        velocities[i, 0] = kicked(velocities[i, 0], forces[i, 0], inverse_masses[i], duration)
+        velocities[i, 1] = kicked(velocities[i, 1], forces[i, 1], inverse_masses[i], duration)
+        velocities[i, 2] = kicked(velocities[i, 2], forces[i, 2], inverse_masses[i], duration)
 
 
 @kernel
 def drift(positions, velocities, duration):
     """positions += duration · velocities.  (N, 3) [length], (N, 3) [length/time], [time]."""
     for i in range(positions.shape[0]):
-        drift_atom(i, positions, velocities, duration)
+        positions[i, 0] = drifted(positions[i, 0], velocities[i, 0], duration)
+        positions[i, 1] = drifted(positions[i, 1], velocities[i, 1], duration)
+        positions[i, 2] = drifted(positions[i, 2], velocities[i, 2], duration)
 
 
 def stages(method: "type[Splitting]") -> int:

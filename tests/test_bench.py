@@ -47,7 +47,7 @@ def fakes(monkeypatch):
     """Engines of known speed instead of all others."""
     monkeypatch.setattr(turns, "perf_counter", lambda: FakeEngine.clock)
     monkeypatch.setattr(peers, "available_cores", lambda: 2)
-    monkeypatch.setattr(peers, "find_spec", lambda name: True)
+    monkeypatch.setattr(engines.Peer, "is_installed", True)
     monkeypatch.setattr(peers, "Minimd", lambda scene, threads, precision: FakeEngine("minimd", threads, precision, OWN_SECONDS[threads, precision]))
     fast = engines.Peer("fast", lambda scene, threads, timestep: FakeEngine("fast", threads, "single", PEER_SECONDS / threads), threads="each")
     slow = engines.Peer("slow", lambda scene, threads, timestep: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS), most_atoms=N_ATOMS)
@@ -190,7 +190,7 @@ def test_peer_with_another_time_step_is_refused(monkeypatch):
 
 @pytest.mark.parametrize(("name", "scene"), [(name, scene) for name, peer in engines.PEERS.items() for scene in peer.scenes])
 def test_peers_have_the_same_energies(name, scene):
-    if not find_spec(engines.PEERS[name].package):
+    if not engines.PEERS[name].is_installed:
         pytest.skip(f"{name} is not installed")
     loaded = scenes.melt(4) if scene == "melt" else scenes.equilibrated(scenes.SCENES[scene](4))
     turns.check_agreement([engines.Minimd(loaded), engines.PEERS[name].load(loaded, 1, scenes.TIMESTEP)], len(loaded.system))

@@ -6,10 +6,12 @@ All engines start from the same positions and velocities.
 import contextlib
 import ctypes
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 from typing import Literal, NamedTuple, Protocol
@@ -38,8 +40,8 @@ class TimedEngine(Protocol):
     def total_energy(self) -> float:
         """U + K [ε] of the present state."""
 
-    def run(self, n_steps: int) -> None:
-        """Make steps."""
+    def run(self, n_steps: int) -> float | None:
+        """Make steps; returns the seconds that they took, if the engine has a clock of its own."""
 
 
 class Minimd:
@@ -210,7 +212,7 @@ class OpenMM:
 class Peer(NamedTuple):
     """An engine to compare with.
 
-    package : what must be installed.  load : makes it from a scene, a number of threads and a time step.
+    package : what must be installed, a package of Python or a program.  load : makes it from a scene, a number of threads and a time step.
     threads : whether it takes part on "one", on "each" number that is asked for, or on the "most" alone.
     most_atoms : in a scene where it takes part without being asked for.  scenes : names of those it can run.
     """
@@ -221,11 +223,22 @@ class Peer(NamedTuple):
     most_atoms: float = np.inf
     scenes: tuple[str, ...] = ("melt", "chains", "dumbbells")
 
+    @property
+    def is_installed(self) -> bool:
+        """Whether its package can be imported, or its program is on the path."""
+        return bool(find_spec(self.package) or shutil.which(self.package))
+
 
 def _on_ase(name: str, scene: BenchScene, _threads: int, timestep: float) -> TimedEngine:
     from minimd.bench.ase_peers import ENGINES
 
     return ENGINES[name](scene, timestep)
+
+
+def _gromacs(scene: BenchScene, threads: int, timestep: float) -> TimedEngine:
+    from minimd.bench.gromacs import Gromacs
+
+    return Gromacs(scene, threads, timestep)
 
 
 PEERS = {
@@ -234,6 +247,7 @@ PEERS = {
     "lammps-shake": Peer("lammps", partial(Lammps, suffix="opt", checked=True, rigid="shake"), scenes=("dumbbells",)),
     "lammps-plain": Peer("lammps", partial(Lammps, suffix="", checked=False)),
     "lammps-omp": Peer("lammps", partial(Lammps, suffix="omp", checked=False), threads="most"),  # OpenMP has one number of threads in a process
+    "gromacs": Peer("gmx", _gromacs, threads="each", scenes=("melt",)),
     "openmm": Peer("openmm", OpenMM, threads="each"),
     "ase": Peer("ase", partial(_on_ase, "ase"), most_atoms=4000, scenes=("melt",)),  # hundreds of times slower
     "asap3": Peer("asap3", partial(_on_ase, "asap3"), scenes=("melt",)),

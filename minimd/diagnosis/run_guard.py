@@ -85,9 +85,11 @@ class RunGuard:
         ValueError if the scene no longer fits the list it needs.
         """
         engine = self.engine
+        is_due = not self._snapshots or engine.step - self._snapshots[-1].step >= SNAPSHOTS_APART
+        self._snapshots, self._before = self._snapshots[-1:] if is_due else self._snapshots, None  # makes room for the new one
         self._before = before = engine.snapshot()
-        if not self._snapshots or before.step - self._snapshots[-1].step >= SNAPSHOTS_APART:
-            self._snapshots = [*self._snapshots[-1:], before]
+        if is_due:
+            self._snapshots.append(before)
         started, compiled, self._reason = perf_counter(), compile_clock.seconds, None
         try:
             done = engine.advance(n_steps, with_energy)

@@ -12,9 +12,9 @@ from minimd.compiled.simd.lanes import DOUBLE, MIXED, count, lanes_for
 from minimd.compiled.threads import ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers
 from minimd.neighbors.cluster_search import GHOST_BITS, Rows, exclude_pairs, find_rows, make_work
-from minimd.neighbors.clusters import DIMENSIONS, make_columns, sort_into_clusters
+from minimd.neighbors.clusters import DIMENSIONS, any_moved_from_clusters, make_columns, sort_into_clusters
 from minimd.neighbors.domains import SIDES, Layout, cut_into_domains, fill_ghosts, make_ghosts, sort_ghosts
-from minimd.neighbors.verlet_list import VerletList
+from minimd.neighbors.verlet_list import VerletList, partners
 from minimd.structure.cell import Cell
 
 ENTRIES_GUESSED = 12  # for each atom, at first
@@ -41,13 +41,14 @@ class ClusterList(VerletList):
 
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
-    cutoff, skin, excluded : see VerletList.  is_mixed : whether the pair arithmetic is float32.  pool : the threads that build it.
+    cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.  is_mixed : whether the pair arithmetic is float32.  pool : the threads that build it.
     lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.
     arrays : what the loop needs of them.  n_domains : number of chunks of a task.
     """
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_mixed: bool, pool: ThreadPool) -> None:
-        super().__init__(n_atoms, cutoff, skin, excluded)
+        super().__init__(cutoff, skin)
+        self._excluded = partners(excluded, n_atoms) if len(excluded) else None
         self._pool, self._is_mixed = pool, is_mixed
         self._columns_of: Cell | None = None
         self._calls = DirectCalls()
@@ -57,6 +58,9 @@ class ClusterList(VerletList):
         sets = far(self.lanes.size)
         self._far = self._memory.array("far", np.float32 if is_mixed else np.float64, len(sets))
         self._far[:] = sets
+
+    def _has_moved(self, positions: NDArray[np.float64]) -> bool:
+        return self._calls(any_moved_from_clusters, positions, self.clusters, self.limit2)
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
@@ -72,7 +76,7 @@ class ClusterList(VerletList):
         self.rows = self._find_rows(layout)
         self._calls(sort_ghosts, self.ghosts)
         self.memory = self._make_memory(exact)
-        if self._excluded[1].size:
+        if self._excluded is not None:
             slot_of, image = self._memory.array("slot of", np.int64, len(positions)), (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
             self._pool.run(exclude_pairs, layout, image, self._excluded, slot_of, self.rows, calls=self._calls)
         first_ghosts = self.domains.ghost[self.domains.run]

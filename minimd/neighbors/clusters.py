@@ -140,3 +140,17 @@ def _fill_column(column, positions, columns, binned, clusters):
                 low, high = min(low, x), max(high, x)
             clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = low, high
         cluster += 1
+
+
+@kernel
+def any_moved_from_clusters(positions, clusters, limit2):
+    """True if an atom is farther than √limit2 from where it was when the clusters were made, or if its position is NaN."""
+    n_lanes = count(clusters.lanes)
+    for k in range(clusters.filled.size):
+        for lane in range(clusters.filled[k]):
+            i, at = clusters.atom[k * n_lanes + lane], k * DIMENSIONS * n_lanes + lane
+            dx, dy = positions[i, 0] - clusters.positions[at], positions[i, 1] - clusters.positions[at + n_lanes]
+            dz = positions[i, 2] - clusters.positions[at + 2 * n_lanes]
+            if not dx * dx + dy * dy + dz * dz <= limit2:
+                return True
+    return False

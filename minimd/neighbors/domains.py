@@ -87,7 +87,7 @@ def _cut(clusters, columns, domains):
     n_domains, n_clusters = domains.column.size - 1, column_start[counts[0] * counts[1]]
     x = 0
     for d in range(n_domains + 1):
-        while x < counts[0] and (column_start[x * counts[1]] + column_start[(x + 1) * counts[1]]) * n_domains <= 2 * d * n_clusters:
+        while 0 < d and x < counts[0] and (column_start[x * counts[1]] + column_start[(x + 1) * counts[1]]) * n_domains <= 2 * d * n_clusters:
             x += 1  # to the border nearest to d equal shares
         domains.column[d] = counts[0] if d == n_domains else x
         domains.cluster[d] = column_start[domains.column[d] * counts[1]]

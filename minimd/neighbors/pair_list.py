@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from minimd.neighbors.binning import make_grid, sort_into_bins
 from minimd.neighbors.buffers import SPARE
 from minimd.neighbors.search import bins_of, find_pairs
-from minimd.neighbors.verlet_list import VerletList, starts
+from minimd.neighbors.verlet_list import VerletList, any_moved, partners, starts
 from minimd.structure.cell import Cell
 
 
@@ -23,14 +23,23 @@ class Pairs(namedtuple("Pairs", "start second image translations")):
 class PairList(VerletList):
     """All pairs within cutoff + skin, in any cell, all images of them; built in linear time.
 
-    cutoff, skin, excluded : see VerletList; an infinite cutoff lists all pairs, in open scenes.
+    cutoff, skin : see VerletList; an infinite cutoff lists all pairs, in open scenes.
+    excluded : (P, 2) int, pairs whose nearest image is left out.
     pairs : Pairs, counting in the order of the list.  order : (N,) int, user's index of each atom in that order.
     offsets : (N, 3), lattice vectors to add to positions[order].  n_builds : how often it was built.
     """
 
     _second = _image = np.empty(0, dtype=np.uint32)
 
+    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
+        super().__init__(cutoff, skin)
+        self._excluded, self._built_at = partners(excluded, n_atoms), np.empty((n_atoms, 3))
+
+    def _has_moved(self, positions: NDArray[np.float64]) -> bool:
+        return any_moved(positions, self._built_at, self.limit2)
+
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
+        self._built_at[:] = positions
         if self.cutoff == np.inf:
             return self._list_all_pairs(positions)
         reach = self.cutoff + self.skin

@@ -42,19 +42,20 @@ class VerletList(ABC):
 
     cutoff : [length].  skin : [length], ≥ 0.  n_builds : how often it was built.
     limit2 : square of the distance that an atom may move before the list is outdated [length²].
-    excluded : (P, 2) int, pairs whose nearest image is left out.
     """
 
-    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
+    def __init__(self, cutoff: float, skin: float) -> None:
         self.cutoff, self.skin, self.n_builds = cutoff, skin, 0
         self.limit2 = 0.25 * skin**2 if cutoff < np.inf else np.finfo(float).max  # without a cutoff: until a position is not finite
-        self._excluded = partners(excluded, n_atoms)
         self._cell: Cell | None = None
-        self._built_at = np.empty((n_atoms, 3))
 
     @abstractmethod
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         """List what is within cutoff + skin."""
+
+    @abstractmethod
+    def _has_moved(self, positions: NDArray[np.float64]) -> bool:
+        """Whether an atom is farther than √limit2 from where it was at the last build, or its position is NaN."""
 
     def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
         """Build the list anew if it may miss a pair; True if it was built.
@@ -62,10 +63,10 @@ class VerletList(ABC):
         Raises NonFiniteError if a position is not finite.
         """
         is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
-        if is_same and not any_moved(positions, self._built_at, self.limit2):
+        if is_same and not self._has_moved(positions):
             return False
         self._cell = None  # no list until the new one is whole
-        n_bad, first = copy_finite(positions, self._built_at)
+        n_bad, first = count_not_finite(positions)
         if n_bad:
             raise NonFiniteError(f"positions of {n_bad} atoms are not finite, the first is atom {first}")
         self._build(positions, cell)
@@ -84,11 +85,10 @@ def any_moved(positions, reference, limit2):
 
 
 @kernel
-def copy_finite(positions, copy):
-    """Copy positions, (N, 3); returns how many atoms have one that is not finite, and the first of them."""
+def count_not_finite(positions):
+    """How many atoms have a position that is not finite, (N, 3), and the first of them."""
     n_bad, first = 0, -1
     for i in range(positions.shape[0]):
-        copy[i, 0], copy[i, 1], copy[i, 2] = positions[i, 0], positions[i, 1], positions[i, 2]
         if not np.isfinite(positions[i, 0] + positions[i, 1] + positions[i, 2]):
             first = i if n_bad == 0 else first
             n_bad += 1

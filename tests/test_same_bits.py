@@ -6,7 +6,9 @@ from cluster_scenes import KINDS, SMOOTH, atoms_per_domain, n_domains, rod
 from references import melt
 
 import minimd as md
+from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
+from minimd.integrators.methods import METHODS
 
 THREADS = [2, 3, 4, 8]
 SERIES = ("potential_energy", "kinetic_energy", "total_energy", "temperature", "pressure", "momentum", "angular_momentum")
@@ -77,3 +79,46 @@ def test_energies_of_atoms_have_the_same_bits_too(precision):
 def test_the_same_run_twice_gives_the_same_bits(precision):
     (one, _), (other, _) = (ran("mixture", precision, 2, 50) for _ in range(2))
     assert np.array_equal(one.positions, other.positions)
+
+
+def marched(method, precision, marches, monkeypatch):
+    """A gas of three species, open along z, whose clusters have padding: its end, and how many forces were evaluated and lists built."""
+    monkeypatch.setattr(ClusterTerm, "marches", marches)
+    positions = melt().positions * np.array([1.0, 1.0, 1.7])
+    system = md.System(positions, cell=np.diag([*melt().cell.heights[:2], 60.0]), pbc=(True, True, False), species=["A", "B", "C", "A"] * (len(positions) // 4))
+    simulation = md.Simulation(system, SMOOTH["three species"], method, precision=precision)
+    simulation.set_temperature(1.5, 2)
+    simulation.run(155, every=50)
+    return simulation.positions, simulation.velocities, simulation.engine.interactions.counts
+
+
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize("name", ["velocity-verlet", "position-verlet", "symplectic-euler-1", "symplectic-euler-2", "ruth-3", "mclachlan-atela-4"])
+def test_many_steps_in_one_call_have_the_bits_of_single_ones(name, precision, monkeypatch):
+    method = METHODS[name](0.004)
+    together, alone = (marched(method, precision, marches, monkeypatch) for marches in (True, False))
+    assert all(np.array_equal(one, other) for one, other in zip(together, alone, strict=True))
+    assert alone[2][1] > 3  # lists
+
+
+def test_plain_scenes_march_and_others_do_not(monkeypatch):
+    calls, march = [], ClusterTerm.march
+    monkeypatch.setattr(ClusterTerm, "march", lambda self, *arguments: calls.append(1) or march(self, *arguments))
+    pair, fixed = md.LennardJones(1.0, 1.0, 2.5), md.FixedAtoms([0])
+    scenes = {
+        "plain": (md.VelocityVerlet(0.003), [pair], ()),
+        "atoms fixed": (md.VelocityVerlet(0.003), [pair], fixed),
+        "bath": (md.LangevinBAOAB(0.003, 1.0, 1.0, seed=1), [pair], ()),
+        "rigid": (md.VelocityVerlet(0.003), [pair], md.DistanceConstraints([[0, 1]])),
+        "springs": (md.VelocityVerlet(0.003), [pair, md.HarmonicBond(50.0, 1.1)], ()),
+    }
+    marching = set()
+    for name, (method, potentials, constraints) in scenes.items():
+        system = melt()
+        if name == "springs":
+            system = md.System(system.positions, cell=system.cell, bonds=[[0, 1]])
+        calls.clear()
+        md.Simulation(system, potentials, method, constraints).run(10)
+        if calls:
+            marching.add(name)
+    assert marching == {"plain", "atoms fixed"}

@@ -12,7 +12,7 @@ memory. So the result has the same bits for any number of threads, and whichever
 
 A barrier waits for chunks, not for threads. The calling thread starts at once; the others sleep between tasks, and join when
 they are awake (some 20 µs later), or not at all if the machine is busy: they can make a task faster, never delay it.
-The work of a chunk may not raise: no other thread would finish that chunk. It may stop the task: after the phase, is_stopped is true for all.
+The work of a chunk may not raise: no other thread would finish that chunk. It may call stop: after the phase, was_stopped tells all.
 Each thread begins with the same chunks in every task, whose memory is then in its cache, and goes on with those of the others.
 """
 
@@ -30,8 +30,8 @@ from numba.extending import intrinsic
 
 from minimd.compiled.kernels import DirectCalls, kernel, scalar, shared_kernel
 
-OPEN, STOPPED, FINISHED, CLAIMS = 0, 4, 8, 16  # shared counters: the open phase, the last task that was stopped, the finished chunks
-# of the phase, and for each chunk the last phase it was taken in
+OPEN, STOPPED, FINISHED, CLAIMS = 0, 4, 8, 16  # shared counters: the open phase, the last phase in which stop was called, the
+# finished chunks of the open phase, and for each chunk the last phase it was taken in
 MOST_CHUNKS = 1024
 PHASES = 1 << 20  # a task has fewer
 PATIENCE = 2000  # reads of a counter before a waiting thread lets others run
@@ -82,6 +82,7 @@ class ThreadPool:
                 return kernel(self._worker, self._n_tasks, *arguments)
             finally:
                 self._task = ()
+                self._counters[OPEN] = (self._n_tasks + 1) * PHASES - 1  # nobody waits for this task, even if it has failed
 
     def _keep_off_callers_core(self) -> None:
         """Linux likes to wake a thread on the core of the one that wakes it, where it would wait for the end of the task."""
@@ -116,10 +117,15 @@ if hasattr(os, "register_at_fork"):
 
 @scalar
 def begin(worker, task):
-    """The first phase of a task; the calling thread opens it."""
+    """The first phase of a task; the calling thread opens it, the others wait until it has. So no thread is ever ahead of the open phase."""
     phase = task * PHASES
     if worker.thread == 0:
         _exchange(worker.counters, OPEN, phase)
+    reads = 0
+    while _read(worker.counters, OPEN) < phase:
+        reads += 1
+        if reads > PATIENCE:
+            _let_others_run()
     return phase
 
 
@@ -158,15 +164,15 @@ def barrier(worker, phase):
 
 
 @scalar
-def stop(worker, task):
-    """Tell all threads that the task ends with the present phase."""
-    _exchange(worker.counters, STOPPED, task)
+def stop(worker, phase):
+    """Called by a chunk: tell all threads that the work of the task ends with this phase, see was_stopped."""
+    _exchange(worker.counters, STOPPED, phase)
 
 
 @scalar
-def is_stopped(worker, task):
-    """Whether a chunk has stopped the task. To be asked after a barrier."""
-    return _read(worker.counters, STOPPED) == task
+def was_stopped(worker, phase):
+    """Whether a chunk of this phase called stop. To be asked after its barrier; then all threads get the same answer, however late they are."""
+    return _read(worker.counters, STOPPED) == phase
 
 
 def _at(counters, emit: Callable) -> Callable:

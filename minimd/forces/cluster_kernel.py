@@ -7,7 +7,7 @@ import numpy as np
 from minimd.compiled.kernels import by_type, scalar, shared_kernel
 from minimd.compiled.simd import bits_from_mask, load, store, total
 from minimd.compiled.simd.lanes import count
-from minimd.compiled.threads import barrier, begin, finish_and_take, is_stopped, stop, take
+from minimd.compiled.threads import barrier, begin, finish_and_take, stop, take, was_stopped
 from minimd.forces.cluster_loop import add_cluster_forces
 from minimd.integrators.splitting.splitting import drifted, kicked
 from minimd.neighbors.cluster_list import clear, collected, gather, is_mixed, place
@@ -65,11 +65,11 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
             if n_moves == 0:
                 _scatter(chunk, arrays, excess, forces, work)
             elif not _move(chunk, arrays, excess, motion, n_made):
-                stop(worker, task)
+                stop(worker, phase)
             chunk = finish_and_take(worker, phase, n)
-        phase = barrier(worker, phase)
+        moved, phase = phase, barrier(worker, phase)
         n_made += 1
-        if n_made >= n_moves or is_stopped(worker, task):
+        if n_made >= n_moves or was_stopped(worker, moved):
             break
     if n_moves > 0:
         chunk = take(worker, phase, n)

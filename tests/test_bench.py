@@ -3,7 +3,6 @@
 import json
 import re
 import warnings
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -251,8 +250,8 @@ def test_scaling_runs(short, monkeypatch, tmp_path):
         (["--scene", "ice"], "--scene must be of melt, kob-andersen, chains, dumbbells; it is 'ice'"),
         (["--precision", "double,half"], "--precision must be of double, mixed; it is 'half'"),
         (
-            ["--peers", "gromacs"],
-            f"--peers must be of {command.PEER_NAMES}, none; it is 'gromacs'",
+            ["--peers", "namd"],
+            f"--peers must be of {command.PEER_NAMES}, none; it is 'namd'",
         ),
         (
             ["--peers", "none,ase"],
@@ -277,7 +276,7 @@ def test_numbers_must_be_numbers(capsys, options):
 
 
 def test_missing_peers_are_told_with_what_installs_them(fakes, monkeypatch, capsys):
-    monkeypatch.setattr(peers, "find_spec", lambda name: name != "fast")
+    monkeypatch.setattr(engines.Peer, "is_installed", property(lambda peer: peer.package != "fast"))
     outcome = run_peers(PeersOptions(cells=(4,), threads=(1,), repeats=1))
     assert [row.engine for row in outcome.sizes[0]] == ["minimd", "slow (serial)"]
     assert "not installed, so not compared with: fast; pip install 'minimd[peers]' installs them" in capsys.readouterr().err

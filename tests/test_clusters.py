@@ -12,6 +12,7 @@ from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws
 from minimd.forces.pair_list_term import PairListTerm
+from minimd.neighbors.cluster_list import ClusterList
 from minimd.potentials.term import PER_ATOM, TOTALS
 
 SKINNED, BARE = Options(skin=SKIN, threads=2), Options(skin=0.0)
@@ -277,7 +278,7 @@ def test_a_build_that_failed_leaves_no_list_behind(monkeypatch):
     agree(clustered, listed, system, EQUAL)
     system.positions[:] += np.random.default_rng(1).uniform(-SKIN, SKIN, system.positions.shape)
     with monkeypatch.context() as broken:
-        broken.setattr("minimd.neighbors.cluster_list.sort_ghosts", lambda copies: (_ for _ in ()).throw(MemoryError))
+        broken.setattr(ClusterList, "_make_memory", lambda found, exact: (_ for _ in ()).throw(MemoryError))
         with pytest.raises(MemoryError):
             summed(clustered, system)
     agree(clustered, listed, system, EQUAL)

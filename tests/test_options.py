@@ -14,7 +14,7 @@ import minimd as md
 from minimd.ase import Calculator, VelocityVerlet
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import skin_for
-from minimd.neighbors.verlet_list import BUILD_COST, DEFAULT_SKIN, SKINS, STEP_COST, best_skin
+from minimd.neighbors.verlet_list import BUILD_COST, CALLS_COST, DEFAULT_SKIN, SKINS, STEP_COST, best_skin
 from minimd.scene import parse_scene
 from minimd.structure.system import number_density
 
@@ -104,14 +104,14 @@ def test_the_report_names_skin_threads_and_precision(threads, words, precision):
     assert f"cluster list (skin 0.25, {words}, {precision} precision)" in str(simulation.report())
 
 
-@given(POSITIVE, POSITIVE, POSITIVE)
-def test_the_best_skin_is_the_cheapest(cutoff, density, stride):
+@given(POSITIVE, POSITIVE, POSITIVE, st.integers(1, 10**7))
+def test_the_best_skin_is_the_cheapest(cutoff, density, stride, n_atoms):
     """The cost of a step by the formula, for skins to choose from."""
-    skin = best_skin(cutoff, density, stride)
+    skin = best_skin(cutoff, density, stride, n_atoms)
 
     def cost(s):
         crowd = density * (cutoff + s) ** 3
-        return STEP_COST[0] + STEP_COST[1] * crowd + (BUILD_COST[0] + BUILD_COST[1] * crowd) / max(1.0, s / (2.0 * stride))
+        return STEP_COST[0] + STEP_COST[1] * crowd + (BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms) / max(1.0, s / (2.0 * stride))
 
     assert skin in SKINS * cutoff
     assert cost(skin) <= min(cost(s) for s in SKINS * cutoff) * (1.0 + 1e-12)
@@ -120,12 +120,14 @@ def test_the_best_skin_is_the_cheapest(cutoff, density, stride):
 @given(POSITIVE, POSITIVE)
 def test_the_default_skin_is_a_part_of_the_cutoff(cutoff, density):
     for unknown in (0.0, -1.0, np.nan):
-        assert best_skin(cutoff, density, unknown) == DEFAULT_SKIN * cutoff
+        assert best_skin(cutoff, density, unknown, 500) == DEFAULT_SKIN * cutoff
 
 
 def test_faster_atoms_get_a_wider_skin_and_denser_ones_a_thinner():
-    by_stride = [best_skin(2.5, 0.8, stride) for stride in np.geomspace(1e-5, 0.1, 20)]
-    by_density = [best_skin(2.5, density, 0.02) for density in np.geomspace(1e-4, 10.0, 20)]
+    by_stride = [best_skin(2.5, 0.8, stride, 4000) for stride in np.geomspace(1e-5, 0.1, 20)]
+    by_density = [best_skin(2.5, density, 0.02, 4000) for density in np.geomspace(1e-4, 10.0, 20)]
+    by_size = [best_skin(2.5, 0.8, 0.02, n_atoms) for n_atoms in (50, 500, 5000, 10**6)]
+    assert by_size[0] > by_size[1] > by_size[-1]  # each build has calls to pay
     assert np.all(np.diff(by_stride) >= 0.0)
     assert by_stride[-1] > 3.0 * by_stride[0]
     assert np.all(np.diff(by_density) <= 0.0)
@@ -134,7 +136,7 @@ def test_faster_atoms_get_a_wider_skin_and_denser_ones_a_thinner():
 
 @given(POSITIVE, st.floats(1e-4, 0.2), st.floats(1e-3, 1e3))
 def test_the_best_skin_does_not_depend_on_the_unit_of_length(density, stride, unit):
-    assert best_skin(2.5 * unit, density / unit**3, stride * unit) == pytest.approx(unit * best_skin(2.5, density, stride), rel=0.05)
+    assert best_skin(2.5 * unit, density / unit**3, stride * unit, 4000) == pytest.approx(unit * best_skin(2.5, density, stride, 4000), rel=0.05)
 
 
 def test_skins_follow_the_speed_of_the_atoms_and_of_the_method():
@@ -144,7 +146,7 @@ def test_skins_follow_the_speed_of_the_atoms_and_of_the_method():
         skins.append(skin_of(after_start(system, timestep=timestep)))
         assert skins[-1] == skin_of(after_start(system, timestep=timestep))
         fastest = timestep * np.linalg.norm(system.velocities, axis=1).max()
-        assert skins[-1] == best_skin(2.5, number_density(system, 2.5), fastest)
+        assert skins[-1] == best_skin(2.5, number_density(system, 2.5), fastest, len(system))
     assert np.all(np.diff(skins) > 0.0)
     assert skin_of(after_start(liquid(8), skin=0.2)) == 0.2
 

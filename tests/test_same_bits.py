@@ -85,7 +85,9 @@ def marched(method, precision, marches, monkeypatch):
     """A gas of three species, open along z, whose clusters have padding: its end, and how many forces were evaluated and lists built."""
     monkeypatch.setattr(ClusterTerm, "marches", marches)
     positions = melt().positions * np.array([1.0, 1.0, 1.7])
-    system = md.System(positions, cell=np.diag([*melt().cell.heights[:2], 60.0]), pbc=(True, True, False), species=["A", "B", "C", "A"] * (len(positions) // 4))
+    system = md.System(
+        positions, cell=np.diag([*melt().cell.heights[:2], 60.0]), pbc=(True, True, False), species=["A", "B", "C", "A"] * (len(positions) // 4)
+    )
     simulation = md.Simulation(system, SMOOTH["three species"], method, precision=precision)
     simulation.set_temperature(1.5, 2)
     simulation.run(155, every=50)

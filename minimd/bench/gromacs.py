@@ -117,8 +117,9 @@ def _structure(scene: BenchScene, timestep: float) -> str:
     system = scene.system
     velocities = system.velocities - 0.5 * timestep * md.evaluate(system, scene.potentials).forces
     wrapped = system.positions - np.floor(system.positions / scene.edges) * scene.edges
-    lines = [
-        f"{(k + 1) % 100000:5d}A    {'A':>5s}{(k + 1) % 100000:5d}" + "".join(f"{x:14.9f}" for x in wrapped[k]) + "".join(f"{v:14.10f}" for v in velocities[k])
-        for k in range(len(system))
-    ]
+    name = f"A    {'A':>5s}"
+    lines = []
+    for k, (place, velocity) in enumerate(zip(wrapped, velocities, strict=True), start=1):
+        numbers = "".join(f"{x:14.9f}" for x in place) + "".join(f"{v:14.10f}" for v in velocity)
+        lines.append(f"{k % 100000:5d}{name}{k % 100000:5d}{numbers}")
     return "\n".join(["melt", str(len(system)), *lines, " ".join(f"{edge:.12f}" for edge in scene.edges)]) + "\n"

@@ -46,6 +46,7 @@ class ClusterTerm(Term):
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
         self._prepared_for = 0  # which build of the list
         self._memory = Buffers()
+        self._own: tuple[NDArray, ...] = ()
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
@@ -61,10 +62,11 @@ class ClusterTerm(Term):
 
     def march(self, system: System, state: State, durations: NDArray, n: int) -> int:
         """See Term. Between two list builds all threads stay in one kernel; only so many atoms move in a call that Ctrl-C is answered soon."""
-        n_cycles = min(n, max(1, MOST_MOVED // (len(system) * len(durations))))
+        n_cycles = min(n, max(1, MOST_MOVED // (state.velocities.shape[0] * len(durations))))
         n_pairs, made, state.forces_are_current = n_cycles * len(durations), 0, False
         while made < n_pairs:
             self._update(system)
+            self._own = self._own or self._own_arrays()
             motion = Motion(durations, made, n_pairs - made, self.list.limit2, state.velocities, state.inverse_masses, *self._own)
             arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, state.forces, motion)
             made += self._pool.run(self._evaluate, *arguments, calls=self._calls[FORCES])
@@ -81,13 +83,13 @@ class ClusterTerm(Term):
         of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(self._pair_laws.members)]
         self._laws = tuple((one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True))
         self._force_sums = ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
+        self._own = ()  # made where atoms march
         self._prepared_for = self.list.n_builds
 
-    @property
-    def _own(self) -> list[NDArray]:
+    def _own_arrays(self) -> tuple[NDArray, ...]:
         """Memory for the atoms in the order of the clusters, see Motion."""
         n = len(self.list.clusters.atom)
-        return [self._memory.array(f"own {k}", np.float64, size) for k, size in enumerate((DIMENSIONS * n, DIMENSIONS * n, n))]
+        return tuple(self._memory.array(f"own {k}", np.float64, size) for k, size in enumerate((DIMENSIONS * n, DIMENSIONS * n, n)))
 
     def _sums(self, detail: int) -> Sums:
         """Accumulators with zeros: one for each cluster if only totals are wanted, else one for each slot, and for each lane of a ghost."""

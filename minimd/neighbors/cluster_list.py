@@ -41,7 +41,8 @@ class ClusterList(VerletList):
 
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
-    cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.  is_mixed : whether the pair arithmetic is float32.  pool : the threads that build it.
+    cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.
+    is_mixed : whether the pair arithmetic is float32.  pool : the threads that build it.
     lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.
     arrays : what the loop needs of them.  n_domains : number of chunks of a task.
     """
@@ -163,10 +164,10 @@ def lay_grid(ghosts, skin, origin, shift):
 def gather(k, clusters, of_atoms, block, start):
     """Three numbers of each atom of cluster k, from (N, 3) to a flat array of blocks, from index start on."""
     n_lanes = count(clusters.lanes)
-    for lane in range(n_lanes):
-        i = clusters.atom[k * n_lanes + lane]
+    for slot in range(n_lanes):
+        i = clusters.atom[k * n_lanes + slot]
         for c in range(3):
-            block[start + c * n_lanes + lane] = of_atoms[i, c]
+            block[start + c * n_lanes + slot] = of_atoms[i, c]
 
 
 @scalar

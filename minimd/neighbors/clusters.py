@@ -67,7 +67,9 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float, lanes
     return Columns(counts, reach, needed.astype(np.int64), along_z, origin, extent, cell.pbc, cell.lattice, cell.inverse)
 
 
-def sort_into_clusters(positions: NDArray[np.float64], columns: Columns, lanes: Lanes, memory: Buffers, pool: ThreadPool, calls: DirectCalls) -> Clusters:
+def sort_into_clusters(
+    positions: NDArray[np.float64], columns: Columns, lanes: Lanes, memory: Buffers, pool: ThreadPool, calls: DirectCalls
+) -> Clusters:
     """The clusters of all columns, the second lattice direction running faster than the first."""
     n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
     each, of_bins = (np.int32, (n,)), (np.int32, (n_bins + 1,))

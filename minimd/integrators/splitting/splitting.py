@@ -139,7 +139,7 @@ class Splitting(Method):
         """
         around = Surroundings() if surroundings is None else surroundings
         start, cycle, end = self._grouped(may_merge_drifts=around.constraints is None)
-        durations = self._durations(cycle) if march is not None and around.constraints is None else None
+        durations = self._durations(cycle) if around.constraints is None else None
         step = 0
         while True:
             substeps = start if step == 0 else cycle if step < n_steps else end
@@ -162,7 +162,7 @@ class Splitting(Method):
                 around.bath.step, around.bath.contact = around.bath.step + 1, 0
             if step == n_steps:
                 break
-            if durations is not None and not state.forces_are_current:
+            if march is not None and durations is not None and not state.forces_are_current:
                 step += march(state, durations, n_steps - 1 - step)
             step += 1
             if around.stop_requested:

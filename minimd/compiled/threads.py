@@ -35,7 +35,7 @@ OPEN, STOPPED, FINISHED, CLAIMS = 0, 4, 8, 16  # shared counters: the open phase
 MOST_CHUNKS = 1024
 PHASES = 1 << 20  # a task has fewer
 PATIENCE = 2000  # reads of a counter before a waiting thread lets others run
-LINGERING = 100_000  # reads, about 100 µs, before a helper goes to sleep: waking it takes as long as a small task
+LINGERING = 1000  # times that a helper lets others run, about a millisecond, before it goes to sleep: waking it takes as long as a small task
 
 HAS_AFFINITY = hasattr(os, "sched_setaffinity")
 _sched_getcpu = types.ExternalFunction("sched_getcpu", types.int32())
@@ -216,8 +216,10 @@ def _replace(_context, counters, place, expected, number):
 def _linger(counters, task):
     """Stay awake for a moment after a task: in a run of steps the next one begins soon."""
     reads = 0
-    while reads < LINGERING and _read(counters, OPEN) < (task + 1) * PHASES:
+    while reads < LINGERING * PATIENCE and _read(counters, OPEN) < (task + 1) * PHASES:
         reads += 1
+        if reads % PATIENCE == 0:
+            _let_others_run()
 
 
 @kernel

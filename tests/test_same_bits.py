@@ -85,17 +85,17 @@ def marched(method, precision, marches, monkeypatch):
     """A gas of three species, open along z, whose clusters have padding: its end, and how many forces were evaluated and lists built."""
     monkeypatch.setattr(ClusterTerm, "marches", marches)
     positions = melt().positions * np.array([1.0, 1.0, 1.7])
-    system = md.System(
-        positions, cell=np.diag([*melt().cell.heights[:2], 60.0]), pbc=(True, True, False), species=["A", "B", "C", "A"] * (len(positions) // 4)
-    )
+    cell, species = np.diag([*melt().cell.heights[:2], 60.0]), ["A", "B", "C", "A"] * (len(positions) // 4)
+    system = md.System(positions, cell=cell, pbc=(True, True, False), species=species)
     simulation = md.Simulation(system, SMOOTH["three species"], method, precision=precision)
     simulation.set_temperature(1.5, 2)
-    simulation.run(155, every=50)
+    simulation.run(75, every=25)
     return simulation.positions, simulation.velocities, simulation.engine.interactions.counts
 
 
-@pytest.mark.parametrize("precision", ["double", "mixed"])
-@pytest.mark.parametrize("name", ["velocity-verlet", "position-verlet", "symplectic-euler-1", "symplectic-euler-2", "ruth-3", "mclachlan-atela-4"])
+@pytest.mark.parametrize(
+    ("name", "precision"), [("velocity-verlet", "double"), ("velocity-verlet", "mixed"), ("position-verlet", "double"), ("ruth-3", "mixed")]
+)
 def test_many_steps_in_one_call_have_the_bits_of_single_ones(name, precision, monkeypatch):
     method = METHODS[name](0.004)
     together, alone = (marched(method, precision, marches, monkeypatch) for marches in (True, False))

@@ -10,8 +10,8 @@
 A task is cut into chunks by its size, never by the number of threads, and no two chunks of a phase write to the same
 memory. So the result has the same bits for any number of threads, and whichever thread did which chunk.
 
-A barrier waits for chunks, not for threads. The calling thread starts at once; the others sleep between tasks, and join when
-they are awake (some 20 µs later), or not at all if the machine is busy: they can make a task faster, never delay it.
+A barrier waits for chunks, not for threads. The calling thread starts at once; the others, which sleep if no task comes for a
+millisecond, join when they are awake (some 10 to 80 µs later), or not at all if the machine is busy: they can make a task faster, never delay it.
 The work of a chunk may not raise: no other thread would finish that chunk. It may call stop: after the phase, was_stopped tells all.
 Each thread begins with the same chunks in every task, whose memory is then in its cache, and goes on with those of the others.
 """

@@ -25,7 +25,10 @@ def run_shortened(name, folder):
     runpy.run_path(str(folder / name), run_name="__main__")
 
 
-@pytest.mark.parametrize("name", [name for name in SCRIPTS if name not in RUN_BELOW])
+LONG = ("ensemble_checks.py", "timestep_gain.py")  # a quarter of a minute each, on a quiet core
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in SCRIPTS if name not in RUN_BELOW])
 def test_example_runs(name, tmp_path, monkeypatch, capsys):
     if name == "ensemble_checks.py":
         pytest.importorskip("physical_validation")

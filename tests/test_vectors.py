@@ -46,6 +46,7 @@ def with_lanes(monkeypatch, kind, system, precision="double"):
     return ClusterTerm(system, laws_of(system), Options(precision=precision, threads=1))
 
 
+@pytest.mark.slow  # compiles the kernels of both widths; those of this processor are compared with pairs in test_clusters
 @pytest.mark.parametrize(("precision", "tolerance"), [("double", 1e-13), ("mixed", 3e-6)])
 @pytest.mark.parametrize("kind", [Lanes4, Lanes8])
 def test_vectors_of_any_width_give_the_same_physics(monkeypatch, kind, precision, tolerance):

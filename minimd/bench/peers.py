@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 MINIMD = "minimd"
 PRECISIONS = ("double", "mixed")
 NO_PEERS = ("none",)
-INSTALL = "pip install 'minimd[peers]'"
 
 
 class EngineSpeed(NamedTuple):
@@ -152,7 +151,7 @@ def check_options(options: PeersOptions) -> None:
         if name not in NO_PEERS and options.scene not in PEERS[name].scenes:
             raise ValueError(f"--peers {name} cannot run the scene {options.scene!r}; it runs {', '.join(PEERS[name].scenes)}")
         if name not in NO_PEERS and not PEERS[name].is_installed:
-            raise ValueError(f"{PEERS[name].package} is not installed; {INSTALL} installs the peers")
+            raise ValueError(f"{PEERS[name].package} is not installed; {PEERS[name].installer} installs it")
 
 
 def _peers(options: PeersOptions) -> tuple[str, ...]:
@@ -160,9 +159,10 @@ def _peers(options: PeersOptions) -> tuple[str, ...]:
     able = [name for name, peer in PEERS.items() if options.scene in peer.scenes]
     if not able or options.peers == NO_PEERS:
         return ()
-    missing = {PEERS[name].package: None for name in able if not PEERS[name].is_installed}
-    if missing and not options.peers:
-        tell(f"not installed, so not compared with: {', '.join(missing)}; {INSTALL} installs them")
+    missing = {PEERS[name].package: PEERS[name].installer for name in able if not PEERS[name].is_installed}
+    for installer in dict.fromkeys(() if options.peers else missing.values()):
+        packages = [package for package, its in missing.items() if its == installer]
+        tell(f"not installed, so not compared with: {', '.join(packages)}; {installer} installs them")
     return tuple(name for name in options.peers or able if PEERS[name].package not in missing)
 
 

@@ -13,7 +13,7 @@ from minimd.engine.engine import Engine
 from minimd.forces.forces import Potential
 from minimd.integrators.splitting.verlet import VelocityVerlet as Method
 from minimd.structure.ase_atoms import cell_of, same_scene
-from minimd.structure.console import stop_on_interrupt
+from minimd.structure.console import stop_on_signals
 from minimd.structure.system import System
 
 
@@ -62,7 +62,7 @@ class VelocityVerlet(MolecularDynamics):
         engine, start = guard.engine, guard.engine.step
         engine.method = Method(self.dt)
         try:
-            with stop_on_interrupt(engine.surroundings):
+            with stop_on_signals(engine.surroundings):
                 guard.check_start()
                 guard.observe()
                 guard.make_steps(n_steps, with_energy=True)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from minimd.bench.outcome import DisagreementError
 from minimd.commands import bench, check, doctor, plot, replay, resume, run
 from minimd.compiled.machine import version
+from minimd.structure.console import Terminated
 from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
 
 OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
@@ -15,7 +16,7 @@ CODES |= {KeyboardInterrupt: INTERRUPTED, NonFiniteError: BLOWN_UP, ConstraintEr
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted.
+    """Run one command and return its exit code: 0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted, 143 terminated.
 
     Expected failures end in one sentence for each problem on standard error.
     """
@@ -36,6 +37,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         for line in sentence(error).splitlines():
             print(f"minimd: error: {line}", file=sys.stderr)
         return next(code for kind, code in CODES.items() if isinstance(error, kind))
+    except Terminated as error:
+        print(f"minimd: error: {error}", file=sys.stderr)
+        return int(error.code or FAILED)
 
 
 if __name__ == "__main__":

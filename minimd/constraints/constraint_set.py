@@ -75,6 +75,11 @@ class ConstraintSet:
             self.bonds = ConstraintSolver(self.kept[-1], system.positions, self.inverse_masses, offsets, self._threads)
             self.bonds.iterations = iterations
 
+    def restore(self, system: System, offsets: NDArray[np.float64], tolerance: float) -> None:
+        """The solver of another set with the same constraints: images of its bonds, (K, 3) [length], and its tolerance."""
+        self.bonds = ConstraintSolver(self.kept[-1], system.positions, self.inverse_masses, offsets, self._threads, tolerance)
+        self._cell = system.cell
+
     def with_equal_masses(self, system: System) -> "ConstraintSet":
         """The same constraints and lengths on atoms of mass 1: projections are then the shortest moves."""
         light = System(system.positions, masses=1.0, cell=system.cell, units=system.units)

@@ -27,6 +27,7 @@ class ConstraintSolver:
     constraints : DistanceConstraints.  positions : (N, 3) [length].  inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
     offsets : (K, 3) [length], added to r_j − r_i: lattice translations of bonds across a periodic boundary.
     threads : maximum number of threads; results have the same bits for any number.
+    tolerance : of relative violations; that of the constraints, or the rounding of the positions if this is larger, if not given.
 
     Attributes
     ----------
@@ -39,13 +40,20 @@ class ConstraintSolver:
     """
 
     def __init__(
-        self, constraints: DistanceConstraints, positions: Floats, inverse_masses: Floats, offsets: Floats | None = None, threads: int = 1
+        self,
+        constraints: DistanceConstraints,
+        positions: Floats,
+        inverse_masses: Floats,
+        offsets: Floats | None = None,
+        threads: int = 1,
+        tolerance: float | None = None,
     ) -> None:
         offsets = np.zeros((len(constraints.pairs), 3)) if offsets is None else offsets
         lengths = _checked_lengths(constraints, positions, inverse_masses, offsets)
         self.pairs, self.lengths, self.offsets = constraints.pairs, lengths, offsets
         self.inverse_masses, self.threads = inverse_masses, threads
-        self.tolerance = max(constraints.tolerance, ROUNDINGS * EPS * float(np.abs(positions).max()) / float(lengths.min()))
+        rounding = ROUNDINGS * EPS * float(np.abs(positions).max()) / float(lengths.min())
+        self.tolerance = max(constraints.tolerance, rounding) if tolerance is None else tolerance
         self.accuracy = self.tolerance * float(lengths.max()) if constraints.solver == "shake" else 0.0
         self.groups = groups_of(self, positions, constraints.solver)
         constrained = np.zeros(len(positions), dtype=bool)

@@ -60,23 +60,34 @@ class RunGuard:
             self.seconds, self.n_steps, interactions.counts = counted
 
     def check_start(self) -> None:
-        """Take the state as it is now, and raise NonFiniteError if the first step would throw atoms across the scene."""
+        """Take the state as it is now, and raise NonFiniteError if the first step would throw atoms across the scene.
+
+        A state that nobody has changed since the last step goes on as if there had been no pause.
+        """
         engine = self.engine
         self._snapshots, self._first_step, self._reason, self._before, self._first = [], engine.step, None, None, None
-        engine.begin()
+        goes_on = engine.is_as_left
+        if not goes_on:
+            engine.begin()
         if self._checked_timestep != engine.method.timestep:
             self._checked_timestep = engine.method.timestep
             if warning := unstable_bond(engine):
                 warnings.warn(warning, stacklevel=outside_minimd())
-        engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
+        if not goes_on:
+            engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
         engine.evaluate()
         if fault := fault_at_start(engine):
             raise self._failure(fault, engine.step)
 
     def make_steps(self, n_steps: int, with_energy: bool = False) -> None:
         """Make steps, in blocks.  with_energy : evaluate the energy with the last forces.  Raises as advance."""
-        for done in range(0, n_steps, BLOCK):
-            self.advance(min(BLOCK, n_steps - done), with_energy and done + BLOCK >= n_steps)
+        if not self.engine.is_as_left:
+            self.engine.moved()
+        try:
+            for done in range(0, n_steps, BLOCK):
+                self.advance(min(BLOCK, n_steps - done), with_energy and done + BLOCK >= n_steps)
+        finally:
+            self.engine.leave()
 
     def advance(self, n_steps: int, with_energy: bool) -> None:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why.
@@ -95,7 +106,7 @@ class RunGuard:
             done = engine.advance(n_steps, with_energy)
         except (NonFiniteError, ConstraintError):
             self._replay(before, n_steps)
-        except ValueError:
+        except BaseException:  # a list that does not fit, or a second Ctrl-C in the middle of a step
             engine.restore(before)
             raise
         self.seconds += perf_counter() - started - (compile_clock.seconds - compiled)
@@ -127,8 +138,7 @@ class RunGuard:
         raise self._failure("a block of steps failed that succeeded one by one", engine.step)
 
     def _count(self, done: int) -> None:
-        self.engine.step += done
-        self.engine.time += done * self.engine.method.timestep
+        self.engine.count(done)
         self.n_steps += done
 
     def observe(self) -> Frame:

@@ -1,15 +1,19 @@
 """The engine: one system, its forces, its constraints and one method. It advances the state, and can go back to an earlier one."""
 
+import hashlib
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
+import numpy as np
+
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.state import Bath, State, Surroundings
+from minimd.integrators.splitting.state import Bath, OpenEnd, State, Surroundings
+from minimd.neighbors.verlet_list import Built
 from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint
@@ -18,13 +22,33 @@ from minimd.structure.system import AnySystem, System
 
 
 class Snapshot(NamedTuple):
-    """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy]."""
+    """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy].  open_end : see Surroundings.
+
+    clock : a step, and the time at it, from which the time of others is counted.
+    """
 
     step: int
     time: float
     positions: Array
     velocities: Array
     reservoir_energy: float
+    open_end: OpenEnd | None = None
+    clock: tuple[int, float] | None = None
+
+
+class Checkpoint(NamedTuple):
+    """All that decides the bits of the steps to come, beside system, potentials, method, constraints and options; see Engine.go_on_from.
+
+    state : Snapshot.
+    displacement : of the fastest atom in a step, for which skins were chosen [length].  lists : Built of each list of neighbors.
+    images : (K, 3) lattice vectors of rigid bonds [length], and their tolerance; None without.  equilibrated : of the engine.
+    """
+
+    state: Snapshot
+    displacement: float
+    lists: tuple[Built, ...]
+    images: tuple[Array, float] | None
+    equilibrated: int
 
 
 class Engine:
@@ -33,6 +57,8 @@ class Engine:
     system : System, the state; its arrays can be changed.  step : number of steps made.  time : [time].
     interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  surroundings : Surroundings of the method.
     noise_shift : step n has the noise with number n + noise_shift.  extra_observables : names of additional observables.
+    is_whole : whether a checkpoint has the bits of the run; false after a failure, when an earlier state was restored, but not its lists.
+    equilibrated : steps of equilibrations so far: none of them has the noise of another.  notes : title and scene, texts for files.
     """
 
     def __init__(
@@ -45,7 +71,8 @@ class Engine:
     ) -> None:
         self._method = _checked(method)
         self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
-        self.step, self.time, self.noise_shift = 0, 0.0, 0
+        self._step, self._clock, self.noise_shift = 0, (0, 0.0), 0
+        self.equilibrated, self.notes = 0, {"title": "", "scene": ""}
         self.extra_observables: Sequence[str] = ()
         self.interactions = Forces(self.system, potentials, options)
         _warn_of_dropped(self.system.constraints, constraints)
@@ -54,11 +81,15 @@ class Engine:
         self.system.constraints = self.constraint_set.kept
         self._state = State(self.system.positions, self.system.velocities, self.interactions.forces, self.constraint_set.inverse_masses)
         self._bath = Bath(k_B=self.system.units.k_B)
-        self.surroundings = Surroundings(self.constraint_set.bonds, self._bath)
+        self.surroundings = Surroundings(self.constraint_set.bonds, self._bath, keeps_open_end=True)
+        self._left: bytes | None = None
+        self.is_whole = True
         self._describe_bath()
 
     def advance(self, n_steps: int, with_energy: bool = True) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many. step and time stay as they are.
+
+        Blocks of any size have the same bits as one, if nothing is changed in between.
 
         Raises NonFiniteError, ConstraintError if a step fails; the state is then invalid, and a snapshot must be restored.
         """
@@ -71,6 +102,7 @@ class Engine:
     def begin(self) -> None:
         """Prepare a run from the present state: choose images of rigid bonds, project onto the constraints, mark the forces as outdated."""
         self.moved()
+        self.is_whole = True
         self._describe_bath()
         self.constraint_set.begin(self.system)
         self.surroundings.constraints = self.constraint_set.bonds
@@ -78,12 +110,38 @@ class Engine:
     def moved(self) -> None:
         """Mark the forces as outdated. To be called after atoms were moved or the cell was changed."""
         self._state.forces_are_current = False
+        self.turned()
+
+    def turned(self) -> None:
+        """Begin anew with the next block. To be called after velocities were changed."""
+        self.surroundings.open_end, self._left = None, None
+
+    def leave(self) -> None:
+        """Remember the state, for is_as_left."""
+        self._left = self._digest()
+
+    @property
+    def is_as_left(self) -> bool:
+        """Whether nobody has changed positions, velocities or cell since leave."""
+        return self._left is not None and self._left == self._digest()
+
+    def _digest(self) -> bytes:
+        digest = hashlib.sha1(usedforsecurity=False)
+        for array in (self.positions, self.velocities, self.system.cell.vectors, self.system.cell.pbc, self.system.masses):
+            digest.update(np.ascontiguousarray(array).data)
+        return digest.digest()
 
     def evaluate(self) -> None:
-        """Compute forces, energy and virial at the present positions, unless they are current."""
-        if not (self._state.forces_are_current and self.interactions.has_energy):
-            self.interactions.compute(TOTALS)
-            self._state.forces_are_current = True
+        """Compute forces, energy and virial at the present positions, unless they are current. The steps to come have the same bits without it."""
+        if self._state.forces_are_current and self.interactions.has_energy:
+            return
+        end = self.surroundings.open_end
+        is_aside = end is not None and end.positions is not None  # the next block does not come here
+        before, n_builds = self.interactions.lists_built() if is_aside else (), self.interactions.n_builds
+        self.interactions.compute(TOTALS)
+        self._state.forces_are_current = True
+        if is_aside and self.interactions.n_builds != n_builds:
+            self.interactions.build_lists(before)
 
     def fit_images(self) -> None:
         """Choose the images of rigid bonds again: between two runs atoms may have been moved by lattice vectors."""
@@ -103,12 +161,54 @@ class Engine:
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""
-        return Snapshot(self.step, self.time, self.positions.copy(), self.velocities.copy(), self.reservoir_energy)
+        arrays, end = (self.positions.copy(), self.velocities.copy()), self.surroundings.open_end
+        return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, end, self._clock)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot."""
-        self.step, self.time, self.positions[:], self.velocities[:], self.reservoir_energy = snapshot
         self.moved()
+        self._step, _, self.positions[:], self.velocities[:], self.reservoir_energy, self.surroundings.open_end, clock = snapshot
+        self._clock = clock or (snapshot.step, snapshot.time)
+        self.is_whole = False
+
+    def checkpoint(self) -> Checkpoint:
+        """A copy of all that decides the bits of the steps to come, for go_on_from."""
+        bonds, interactions = self.constraint_set.bonds, self.interactions
+        images = None if bonds is None else (bonds.offsets, bonds.tolerance)
+        return Checkpoint(self.snapshot(), interactions.displacement, interactions.lists_built(), images, self.equilibrated)
+
+    def go_on_from(self, checkpoint: Checkpoint) -> None:
+        """Take the place of the engine that the checkpoint is of: the next steps have the bits that its next steps have."""
+        self.restore(checkpoint.state)
+        self.equilibrated, self.is_whole = checkpoint.equilibrated, True
+        if checkpoint.images is not None:
+            self.constraint_set.restore(self.system, *checkpoint.images)
+            self.surroundings.constraints = self.constraint_set.bonds
+        self.interactions.go_on_with(checkpoint.displacement, checkpoint.lists)
+        self.leave()
+
+    @property
+    def step(self) -> int:
+        """Number of steps made. Setting it leaves the time as it is."""
+        return self._step
+
+    @step.setter
+    def step(self, step: int) -> None:
+        self._step, self._clock = step, (step, self.time)
+
+    @property
+    def time(self) -> float:
+        """[time] since the start: that of the last step at which it was set, and the time steps since."""
+        step, time = self._clock
+        return time + (self._step - step) * self.method.timestep
+
+    @time.setter
+    def time(self, time: float) -> None:
+        self._clock = self._step, time
+
+    def count(self, n_steps: int) -> None:
+        """So many steps were made."""
+        self._step += n_steps
 
     @property
     def system(self) -> System:
@@ -128,6 +228,9 @@ class Engine:
     @method.setter
     def method(self, method: Splitting) -> None:
         self.constraint_set.degrees_of_freedom(_checked(method).conserves_momentum)
+        if type(method) is not type(self._method) or method.parameters != self._method.parameters:
+            self._clock = self.step, self.time
+            self.turned()
         self._method = method
         self._describe_bath()
 

@@ -1,13 +1,12 @@
 """Trajectories written by ASE."""
 
-from pathlib import Path
-
 import ase.io
 from ase.calculators.singlepoint import SinglePointCalculator
 from ase.io.trajectory import TrajectoryWriter
 
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
+from minimd.files.claim import Claim
 from minimd.structure.ase_atoms import atoms_from_system
 
 
@@ -16,12 +15,14 @@ class ASEWriter:
 
     Each frame holds positions (not wrapped), momenta, masses, cell, constraints (.traj: all, but no lengths; else fixed atoms), the
     potential energy as that of a calculator, forces if they are to be stored, and step and time in info.
+
+    claim : on the file, which appears with its first frame.
     """
 
-    def __init__(self, file: Path, engine: Engine, store_forces: bool) -> None:
-        self._template = atoms_from_system(engine.system)
-        self._store_forces = store_forces
-        self._output = TrajectoryWriter(file, "w") if file.suffix.lower() == ".traj" else file.open("w", encoding="utf-8")
+    def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
+        self._claim, self._template, self._store_forces = claim, atoms_from_system(engine.system), store_forces
+        is_binary = claim.path.suffix.lower() == ".traj"
+        self._output = TrajectoryWriter(claim.place, "w") if is_binary else claim.place.open("w", encoding="utf-8")
 
     def write(self, frame: Frame) -> None:
         """Append one frame."""
@@ -35,7 +36,17 @@ class ASEWriter:
             self._output.write(atoms)
         else:
             ase.io.write(self._output, atoms, format="extxyz")
+        self._claim.check()
+        self._claim.appear()
 
-    def close(self, completed: bool) -> None:
-        """Finish the file, the same whether the run was completed or not."""
-        self._output.close()
+    def checkpoint(self) -> None:
+        """Bring to the disk what was taken."""
+        if not isinstance(self._output, TrajectoryWriter):
+            self._output.flush()
+
+    def close(self) -> None:
+        """Finish the file."""
+        try:
+            self._output.close()
+        finally:
+            self._claim.release()

@@ -1,8 +1,8 @@
 """The file that a failed run leaves: an H5MD file with the last good state, an earlier one, and what it takes to go there again.
 
 frames                 the earlier state and the last good one, with forces and observables; the restart is the last good one
-minimd/crash_report    findings, method, options and potentials in words, as JSON
-    positions ...      the earlier state to the last bit
+minimd/crash_report    findings, and the shift of the noise, as JSON
+    start              the earlier state to the last bit
 """
 
 import json
@@ -19,7 +19,6 @@ from minimd.diagnosis.crash_report import CrashReport
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Snapshot
 from minimd.engine.observation import observe
-from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.neighbors.queries import ClosestPair
 from minimd.structure.errors import ConstraintError, NonFiniteError
@@ -89,29 +88,31 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
 
     Raises OSError if it cannot be written.
     """
-    from minimd.files.h5md_schema import opened, write_state  # h5py takes its time to load
-    from minimd.files.h5md_writer import H5MDWriter
+    from minimd.files.claim import Claim  # h5py takes its time to load
+    from minimd.files.h5md_restart import flattened, write_group
+    from minimd.files.h5md_writer import H5MDWriter, edit
 
     part = path.with_name(f"{path.name}.part")  # a crash report that is half written never has the final name
-    engine, last = guard.engine, guard.engine.snapshot()
-    start, options = guard.failed_from or last, engine.interactions.options
+    engine, last = guard.engine, guard.engine.checkpoint()
+    start = guard.failed_from or last.state
     try:
-        writer = H5MDWriter(part, engine, store_forces=True)
+        writer = H5MDWriter(Claim(part, overwrite=True), engine, store_forces=True)
         try:
-            for snapshot in (start, last):
+            for snapshot in (start, last.state):
                 engine.restore(snapshot)
                 engine.fit_images()
                 writer.write(observe(engine))
         finally:
-            engine.restore(last)
-            writer.close(completed=False)
-        known = {"method": engine.method.name, "parameters": engine.method.parameters, "noise_shift": engine.noise_shift}
-        known |= {"precision": options.precision, "skin": options.skin}
-        known["potentials"] = [f"{type(one).__name__}: {one!r}" for one in engine.interactions.potentials]
-        with opened(part, "r+") as h5:
+            engine.go_on_from(last)
+            writer.close()
+        known = {"noise_shift": engine.noise_shift}
+
+        def add(h5: Any) -> None:
             group = h5.create_group("minimd/crash_report")
-            write_state(group, start)
+            write_group(group.create_group("start"), *flattened(last._replace(state=start)))
             group["findings"], group["words"], group["simulation"] = json.dumps(asdict(findings)), str(findings), json.dumps(known)
+
+        edit(part, add)
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
@@ -120,19 +121,17 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
 def read_crash_report(path: str | Path) -> CrashFile:
     """What the file of a failed run holds.  Raises FileNotFoundError, OSError, ValueError as read_file, or if it is not the file of a failed run."""
     from minimd.files.h5md_reader import read_file
-    from minimd.files.h5md_schema import opened, read_state
+    from minimd.files.h5md_restart import read_group, unflattened
+    from minimd.files.h5md_schema import opened
 
     contents = read_file(path)
-    with opened(path, "r") as h5:
+    with opened(path) as h5:
         if "minimd/crash_report" not in h5:
             raise ValueError(f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed")
         group = h5["minimd/crash_report"]
         told, found = (json.loads(group[name].asstr()[()]) for name in ("simulation", "findings"))
-        start, system = read_state(group), contents.system
+        start, system = unflattened(*read_group(group["start"])).state, contents.system
     system.positions, system.velocities = start.positions, start.velocities
-    method, parameters = told.pop("method"), told.pop("parameters")
-    if method not in METHODS:
-        raise ValueError(f"the run in {str(path)!r} was made with the method {method!r}, which is not one of minimd; run it again from its script")
-    made: Any = METHODS[method](**parameters)
     found["pair"], found["closest"] = found["pair"] and Contact(**found["pair"]), found["closest"] and ClosestPair(*found["closest"])
-    return CrashFile(CrashReport(**found), system, start, made, scene=contents.scene, **told)
+    options = {"precision": contents.precision, "skin": contents.skin, "potentials": contents.potentials, "scene": contents.scene}
+    return CrashFile(CrashReport(**found), system, start, contents.integrator(), noise_shift=told["noise_shift"], **options)

@@ -1,5 +1,7 @@
 """What a minimd file holds: record, restart and description, read back; see h5md_schema for the layout."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,10 +10,14 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.engine.engine import Snapshot
+from minimd.engine.engine import Checkpoint
 from minimd.engine.record import SERIES, Record
 from minimd.files.h5md_constraints import read_constraints
-from minimd.files.h5md_schema import STEPS, TRAJECTORY, all_series, opened, read_state
+from minimd.files.h5md_digest import damaged_frames, is_signed, n_whole_frames
+from minimd.files.h5md_restart import read_restart
+from minimd.files.h5md_schema import STEPS, TRAJECTORY, opened
+from minimd.integrators.methods import METHODS
+from minimd.integrators.splitting.splitting import Splitting
 from minimd.structure.cell import Cell
 from minimd.structure.system import System
 from minimd.structure.units import SYSTEMS
@@ -22,13 +28,16 @@ class H5MDContents:
     """What a minimd file holds apart from its frames.
 
     record : Record, one entry for each frame.  system : System at the restart, to the last bit, with the constraints of the run.
-    step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
+    restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
+    parameters : arguments that make the method again.  precision, skin : of the options.  potentials : in words.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
+    repaired : a sentence, if the newest restart is damaged and this is the one before.
     """
 
     record: Record
     system: System
+    restart: Checkpoint
     step: int
     time: float
     timestep: float
@@ -39,46 +48,81 @@ class H5MDContents:
     has_forces: bool
     title: str
     scene: str
+    parameters: dict[str, Any]
+    precision: Any
+    skin: float | None
+    potentials: list[str]
+    repaired: str
+
+    def integrator(self) -> Splitting:
+        """The method with its time step.  Raises ValueError if it is not one of minimd."""
+        if self.method not in METHODS:
+            raise ValueError(f"the run was made with the method {self.method!r}, which is not one of minimd; pass one like it")
+        made: Any = METHODS[self.method](**self.parameters)
+        return made
 
 
 def read_file(path: str | Path) -> H5MDContents:
-    """Record, restart and description of a minimd file.
+    """Record, restart and description of a minimd file, of which the checksums are right. Those of the frames are verify_frames'.
 
-    Frames that are not in every series, which only a machine that went down while writing can leave, do not count.
-
-    Raises FileNotFoundError, OSError as opened.  ValueError if it is not HDF5, not written by minimd, or holds no frame.
+    Raises FileNotFoundError, OSError as opened, and OSError if it is damaged.  ValueError if it is not HDF5, or not written by minimd.
     """
-    with opened(path, "r") as h5:
-        if "minimd/restart" not in h5:
+    with opened(path) as h5:
+        if "minimd" not in h5:
             raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
-        n_frames, group = min((len(series) for series in all_series(h5)), default=0), h5["minimd"]
-        if n_frames == 0:
-            raise ValueError(f"file {str(path)!r} holds no frame; the run ended before its first")
-        restart = read_state(group["restart"])
-        system = _system(group, restart)
-        return H5MDContents(
-            record=_record(h5, system, n_frames),
-            system=system,
-            step=restart.step,
-            time=restart.time,
-            timestep=float(group.attrs["timestep"]),
-            method=str(group.attrs["method"]),
-            reservoir_energy=restart.reservoir_energy,
-            conserves_momentum=bool(group.attrs["conserves_momentum"]),
-            n_frames=n_frames,
-            has_forces=f"{TRAJECTORY}/force" in h5,
-            title=str(group.attrs["title"]),
-            scene=str(group.attrs["scene"]),
-        )
+        with _damage_told(path):
+            n_frames, group = n_whole_frames(h5), h5["minimd"]
+            if not is_signed(h5):
+                raise ValueError("its description is not the one that was written")
+            restart, _, is_earlier = read_restart(h5)
+            system, at = _system(group, restart), group.attrs
+            repaired = f"the newest restart in {path} is damaged; the one before it is used, of step {restart.state.step}" if is_earlier else ""
+            return H5MDContents(
+                record=_record(h5, system, n_frames),
+                system=system,
+                restart=restart,
+                step=restart.state.step,
+                time=restart.state.time,
+                timestep=float(at["timestep"]),
+                method=str(at["method"]),
+                reservoir_energy=restart.state.reservoir_energy,
+                conserves_momentum=bool(at["conserves_momentum"]),
+                n_frames=n_frames,
+                has_forces=f"{TRAJECTORY}/force" in h5,
+                title=str(at["title"]),
+                scene=str(at["scene"]),
+                parameters={name: at[name].item() for name in at["parameters"]},
+                precision=str(at["precision"]),
+                skin=None if np.isnan(at["skin"]) else float(at["skin"]),
+                potentials=list(at["potentials"]),
+                repaired=repaired,
+            )
 
 
-def _system(group: h5py.Group, restart: Snapshot) -> System:
+def verify_frames(path: str | Path) -> None:
+    """Raise OSError unless all frames of a minimd file are those that were written; and as opened."""
+    with opened(path) as h5, _damage_told(path):
+        if which := damaged_frames(h5):
+            raise ValueError(f"{which} are not those that were written")
+
+
+@contextmanager
+def _damage_told(path: str | Path) -> Iterator[None]:
+    """Turn whatever goes wrong while a file is read into a sentence."""
+    try:
+        yield
+    except Exception as error:  # HDF5 and h5py raise almost anything for bytes they do not expect
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise OSError(f"file {str(path)!r} is damaged: {reason}; copy it again, or run again") from error
+
+
+def _system(group: h5py.Group, restart: Checkpoint) -> System:
     names = group["species_names"]
     labels = names.asstr()[:] if h5py.check_string_dtype(names.dtype) else names[:]
     return System(
-        restart.positions,
+        restart.state.positions,
         masses=group["masses"][:],
-        velocities=restart.velocities,
+        velocities=restart.state.velocities,
         cell=Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
         species=np.array(labels.tolist())[group["species_index"][:]],
         bonds=group["bonds"][:],

@@ -3,7 +3,7 @@
     particles/trajectory    box/edges, position, velocity, force [Å, Å/ps, kJ/mol/Å; times in ps], species, mass
     connectivity/bonds      pairs of bonded atoms
     observables/<name>      the numbers of the record, to the last bit, in the units of the simulation
-    minimd                  what H5MD has no place for: units, cell, pbc, timestep, method, constraints, exact times, restart
+    minimd                  what H5MD has no place for: units, cell, pbc, timestep, method, constraints, exact times, restarts, digests
 
 Reduced numbers are written unchanged under the same labels, because MDAnalysis refuses a file without units; the group
 minimd then says units = "LJ". MDAnalysis takes a box with edges for periodic in all directions and one without for open in all:
@@ -14,16 +14,18 @@ P. de Buyl, P. H. Colberg, F. Höfling, Comput. Phys. Commun. 185, 1546 (2014); 
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
 from minimd.compiled.machine import version
-from minimd.engine.engine import Engine, Snapshot
+from minimd.engine.engine import Engine
 from minimd.engine.record import SERIES, Frame
 from minimd.files.h5md_constraints import describe_constraints
+from minimd.files.journaled_file import repair
 from minimd.structure.cell import Cell
+from minimd.structure.errors import sentence
 from minimd.structure.system import System
 
 CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own
@@ -88,39 +90,29 @@ def series_of(h5: h5py.File, column: Column, frame: Frame) -> h5py.Dataset:
 
 
 def describe(h5: h5py.File, engine: Engine) -> None:
-    """Everything that does not change: who wrote the file, species, masses, bonds, cell, method, constraints; and an empty restart."""
+    """Everything that does not change: who wrote the file, species, masses, bonds, cell, method, constraints."""
     system = engine.system
     _describe_standard(h5, system)
     group = h5.create_group("minimd")
-    group.attrs.update({"version": version("minimd"), "units": system.units.name, "pbc": system.cell.pbc, "scene": ""})
-    group.attrs["title"] = f"{len(system)} atoms of {', '.join(str(name) for name in system.species_names)}"
+    title = engine.notes["title"] or f"{len(system)} atoms of {', '.join(str(name) for name in system.species_names)}"
+    group.attrs.update(
+        {"version": version("minimd"), "units": system.units.name, "pbc": system.cell.pbc, "title": title, "scene": engine.notes["scene"]}
+    )
     describe_method(group, engine)
     describe_constraints(group, engine.constraints)
     names = system.species_names
     group["species_names"] = np.array(names, dtype=h5py.string_dtype() if isinstance(names[0], str) else np.int64)
     group["cell"], group["species_index"] = system.cell.vectors, system.species_index
     group["masses"], group["bonds"] = h5[f"{TRAJECTORY}/mass"], h5["connectivity/bonds"]
-    write_state(group.create_group("restart"), engine)
-
-
-def write_state(group: h5py.Group, state: Engine | Frame | Snapshot) -> None:
-    """Write positions, velocities, step, time and reservoir energy into a group, or over those that it holds."""
-    for name in ("positions", "velocities"):
-        array = getattr(state, name)
-        group.require_dataset(name, array.shape, array.dtype)[...] = array
-    for name, kind in (("step", np.int64), ("time", np.float64), ("reservoir_energy", np.float64)):
-        group.attrs.modify(name, kind(getattr(state, name)))
-
-
-def read_state(group: h5py.Group) -> Snapshot:
-    """The state that write_state wrote, to the last bit."""
-    at = group.attrs
-    return Snapshot(int(at["step"]), float(at["time"]), group["positions"][:], group["velocities"][:], float(at["reservoir_energy"]))
 
 
 def describe_method(group: h5py.Group, engine: Engine) -> None:
-    """Method and time step of the frames that come next."""
+    """Method and time step of the frames that come next, and the options with which they are computed."""
+    options = engine.interactions.options
     group.attrs.update({"method": engine.method.name, "conserves_momentum": engine.conserves_momentum})
+    group.attrs.update({"precision": options.precision, "skin": np.nan if options.skin is None else options.skin})
+    group.attrs["potentials"] = [f"{type(one).__name__}: {one!r}" for one in engine.interactions.potentials]
+    group.attrs["parameters"] = list(engine.method.parameters)
     group.attrs.update({name: np.asarray(value) for name, value in engine.method.parameters.items()})
 
 
@@ -141,33 +133,27 @@ def _describe_standard(h5: h5py.File, system: System) -> None:
     h5["connectivity/bonds"].attrs["particles_group"] = particles.ref
 
 
-def all_series(h5: h5py.File) -> list[h5py.Dataset]:
-    """Every dataset that grows with the frames, each once."""
-    found: list[h5py.HLObject] = []
-    h5.visititems(lambda _name, item: found.append(item))
-    return [item for item in found if isinstance(item, h5py.Dataset) and item.maxshape[:1] == (None,)]
+def opened(path: str | Path) -> h5py.File:
+    """An HDF5 file, for reading. A write that was interrupted is finished first.
 
-
-def opened(path: str | Path, mode: Literal["r", "r+", "w"]) -> h5py.File:
-    """An HDF5 file.
-
-    Raises FileNotFoundError if it is read and does not exist.  ValueError if it is not HDF5. OSError if it is damaged, being written by another
-    process, or its folder does not let it be written.
+    Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5.  OSError if it is damaged, or being written by a run.
     """
-    if mode != "w" and not Path(path).is_file():
+    if not Path(path).is_file():
         raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")
-    if mode != "w" and not h5py.is_hdf5(path):
-        raise ValueError(f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run")
     try:
-        return h5py.File(path, mode)
+        repair(path)
+        if not h5py.is_hdf5(path):
+            raise ValueError(f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run")
+        return h5py.File(path, "r")
     except (OSError, RuntimeError) as error:
-        raise OSError(f"file {str(path)!r} cannot be opened: {_reason(str(error))}") from error
+        raise OSError(f"file {str(path)!r} cannot be opened: {_reason(error)}") from error
 
 
-def _reason(words: str) -> str:
-    """Why HDF5 does not open a file, from its own words."""
+def _reason(error: Exception) -> str:
+    """Why a file cannot be opened, in words."""
+    words = sentence(error)
     if "unable to lock file" in words:
-        return "another process is writing it"
+        return "another run is writing it"
     if "truncated file" in words:
         return "it is damaged, it ends before its data do; copy it again, or run again"
     return words.splitlines()[0]

@@ -1,15 +1,16 @@
 """One float64 file for a run: trajectory, observables and restart, laid out as H5MD; see h5md_schema.
 
-A frame is whole or absent. Frames are collected in memory for up to a second; then the room for them is reserved on the disk,
-and only then does HDF5 append them. (Where HDF5 itself runs out of room it leaves a file that cannot be opened, or crashes.)
+Frames are collected in memory for up to a second. Then they, and the state from which the run can go on, are brought to the disk in one commit
+of the journaled file: whenever the process is killed, the file holds the frames up to a commit, and the restart of that commit.
 """
 
-import errno
-import os
+import signal
+import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 import h5py
 import numpy as np
@@ -17,172 +18,191 @@ import numpy as np
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files import h5md_schema as layout
-from minimd.files.h5md_constraints import difference, n_bytes
+from minimd.files.claim import Claim
+from minimd.files.h5md_constraints import difference
+from minimd.files.h5md_digest import add_block, drop_frames, sign
 from minimd.files.h5md_reader import H5MDContents, read_file
-from minimd.files.h5md_schema import opened, write_state
+from minimd.files.h5md_restart import write_restart
+from minimd.files.journaled_file import JournaledFile
 
 SECONDS_BETWEEN_FLUSHES = 1.0
-BUFFER_BYTES = 8 * 1024**2  # of frames kept in memory between two flushes
-METADATA_BYTES = 256 * 1024  # room for HDF5's own tables, far above what a flush was seen to need
-BYTES_PER_ATOM, BYTES_PER_BOND = 96, 32  # of what is written once: masses, species, restart; bonds
-FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
+SHARE_OF_TIME = 0.02  # that flushes may take, while there is memory for frames
+BUFFER_BYTES = 32 * 1024**2  # of frames kept in memory between two flushes
 
 
 class H5MDWriter:
     """A new H5MD file that takes frames.
 
-    After each flush, at least once a second while frames come, and after close the file is valid, whatever ended the run.
-    Its restart is the last frame; or the end of the run, where that lies beyond the last frame and close is told that it was reached.
+    Its restart is the state of the engine at the last flush, checkpoint or close.
 
-    file : replaced if it exists.  engine : whose frames will come.  store_forces : also write forces.
+    claim : on the file.  engine : whose frames will come.  store_forces : also write forces.
 
     Raises OSError if the file cannot be created or has no room.
     """
 
     _last_step: int
-    _flushed: float
+    _next_flush: float
+    _n_frames: int
+    _pending: list[Frame]
 
-    def __init__(self, file: Path, engine: Engine, store_forces: bool) -> None:
-        self._begin(Path(file), engine, opened(file, "w"), store_forces)
-        system = engine.system
+    def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
+        self._begin(claim, engine, store_forces, "w")
         with self._telling("begin"):
-            self._reserve(BYTES_PER_ATOM * len(system) + BYTES_PER_BOND * len(system.bonds) + n_bytes(engine.constraints))
             layout.describe(self._h5, engine)
-            self._h5.flush()
 
     @classmethod
-    def append_to(cls, file: Path, engine: Engine, store_forces: bool = False) -> "H5MDWriter":
+    def append_to(cls, file: str | Path, engine: Engine, store_forces: bool = False) -> "H5MDWriter":
         """A writer that continues a file from its restart; frames behind the restart are dropped.
 
-        Forces are written if the file has them. The frame at the restart, which a resumed run observes again, is not doubled.
+        Forces are written if the file has them. A frame at the step of the restart is not doubled.
 
         Raises ValueError if the file holds another system or other constraints, no forces although store_forces, or if the simulation does not
         stand at the step of the restart.  OSError if the file cannot be written.
         """
         contents = read_file(file)
-        _check_continues(file, contents, engine, store_forces)
+        _check_continues(Path(file), contents, engine, store_forces)
         writer = cls.__new__(cls)
-        writer._begin(Path(file), engine, opened(file, "r+"), contents.has_forces)
+        writer._begin(Claim(file, is_new=False), engine, contents.has_forces, "r+")
         with writer._telling("be continued"):
             writer._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
-            writer._take_back()
-            writer._last_step = int(writer._h5[layout.STEPS][-1])
+            writer._last_step = int(contents.record.step[writer._n_frames - 1])
+            drop_frames(writer._h5, writer._n_frames)
             layout.describe_method(writer._h5["minimd"], engine)
+            sign(writer._h5)
         return writer
 
     def write(self, frame: Frame) -> None:
-        """Take one frame; a second one of the same step is passed over.
+        """Take one frame, of the present step of the engine; a second one of the same step is passed over.
 
         Raises OSError if the file has no room or cannot be written; what it held before stays valid.  ValueError if it is closed.
         """
         if not self._h5:
-            raise ValueError(f"trajectory {str(self._file)!r} is closed; it takes no frame of step {frame.step}")
+            raise ValueError(f"trajectory {self._claim.name!r} is closed; it takes no frame of step {frame.step}")
         if frame.step == self._last_step:
             return
         copies = {name: getattr(frame, name).copy() for name in ("positions", "velocities", "forces")}
         self._pending.append(frame._replace(**copies))
         self._last_step = frame.step
         is_full = 3 * frame.positions.nbytes * len(self._pending) > BUFFER_BYTES
-        if is_full or monotonic() - self._flushed >= SECONDS_BETWEEN_FLUSHES:
-            self._flush()
+        if is_full or monotonic() >= self._next_flush:
+            self.checkpoint()
 
-    def close(self, completed: bool) -> None:
-        """Write what is left and close the file; do nothing if it is closed or has failed.
+    def checkpoint(self) -> None:
+        """Bring all frames, and the present state of the engine as the restart, to the disk.  Raises OSError as write."""
+        if not self._h5 or (self._n_frames == 0 and not self._pending):
+            return
+        started, step = monotonic(), self._pending[0].step if self._pending else self._engine.step
+        with self._telling(f"take the frame of step {step}"), uninterrupted():
+            self._add_pending()
+            if self._engine.is_whole or self._n_frames == 0:
+                write_restart(self._h5, self._engine.checkpoint(), self._n_frames + len(self._pending))
+            self._commit()
+            self._n_frames += len(self._pending)
+            self._pending = []
+        now = monotonic()
+        self._next_flush = now + max(SECONDS_BETWEEN_FLUSHES, (now - started) / SHARE_OF_TIME)
 
-        completed : whether the run came to its end; the restart is then that end, else the last frame.
+    def close(self) -> None:
+        """Write what is left, make the present state of the engine the restart, and close the file; do nothing if it is closed or has failed.
 
         Raises OSError if what is left cannot be written.
         """
-        if not self._h5:
-            return
         try:
-            self._flush()
-            engine = self._engine
-            if completed and engine.step > self._last_step:
-                with self._telling(f"take the end of the run, step {engine.step}"):
-                    self._write_restart(engine)
+            self.checkpoint()
         finally:
             self._shut()
 
-    def _begin(self, file: Path, engine: Engine, h5: h5py.File, store_forces: bool) -> None:
-        self._file, self._engine, self._h5, self._store_forces = file, engine, h5, store_forces
-        self._pending: list[Frame] = []
-        self._n_frames: int = 0  # in the file
-        self._last_step, self._flushed = -1, -np.inf  # that was taken; when [s]
+    def _begin(self, claim: Claim, engine: Engine, store_forces: bool, mode: Any) -> None:
+        self._claim, self._engine, self._store_forces = claim, engine, store_forces
+        self._disk = JournaledFile(claim)
+        self._h5 = h5py.File(self._disk, mode)
+        self._pending, self._n_frames = [], 0  # not yet in the file, and in it
+        self._last_step, self._next_flush = -1, -np.inf  # that was taken; when [s]
 
-    def _flush(self) -> None:
-        """Append the pending frames, all of them or none."""
+    def _add_pending(self) -> None:
+        """The series and their digest, with the pending frames; done again after an error, it leaves the same."""
         frames = self._pending
         if not frames:
             return
-        with self._telling(f"take the frame of step {frames[0].step}"):
-            table = layout.columns(self._engine.system, list(frames[0].observables), self._store_forces)
-            entries = [np.asarray(column.entry(frames[0])) for column in table]
-            self._reserve(sum(one.nbytes * (len(frames) + layout.chunk_rows(one)) for one in entries))  # one chunk of each series may be new
-            for column in table:
-                series = layout.series_of(self._h5, column, frames[0])
-                series.resize(self._n_frames + len(frames), axis=0)
-                series[self._n_frames :] = np.array([column.entry(frame) for frame in frames])
-            self._write_restart(frames[-1])
-        self._n_frames += len(frames)
-        self._pending, self._flushed = [], monotonic()
+        table = layout.columns(self._engine.system, list(frames[0].observables), self._store_forces)
+        entries = {column.path: np.array([column.entry(frame) for frame in frames]) for column in table}
+        n_frames = self._n_frames + len(frames)
+        for column in table:
+            series = layout.series_of(self._h5, column, frames[0])
+            series.resize(n_frames, axis=0)
+            series[self._n_frames :] = entries[column.path]
+        add_block(self._h5, n_frames, entries)
+        if self._n_frames == 0:
+            sign(self._h5)  # the series are there now
 
-    def _write_restart(self, state: Engine | Frame) -> None:
-        write_state(self._h5["minimd/restart"], state)
+    def _commit(self) -> None:
         self._h5.flush()
-
-    def _reserve(self, n_bytes: int) -> None:
-        """Make sure that the disk has room for so many bytes more [B].  Raises OSError if it has not. A filesystem that cannot reserve is trusted."""
-        if not hasattr(os, "posix_fallocate"):
-            return
-        try:
-            os.posix_fallocate(self._h5.id.get_vfd_handle(), self._h5.id.get_filesize(), n_bytes + METADATA_BYTES)
-        except OSError as error:
-            if error.errno in FULL:
-                raise
+        self._disk.commit()
 
     @contextmanager
     def _telling(self, what: str) -> Iterator[None]:
-        """Turn a failure into a sentence and give the file up; after Ctrl-C take half a block back, close will write it."""
+        """Turn a failure into a sentence and give the file up; it is then as it was at the last commit."""
         try:
             yield
         except (OSError, RuntimeError) as error:
             self._pending = []
-            for give_up in (self._take_back, self._shut):
-                with suppress(OSError, RuntimeError):
-                    give_up()
+            self._give_up()
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-            raise OSError(f"trajectory {str(self._file)!r} could not {what}: {reason}; its {self._n_frames} frames before that are valid") from error
-        except BaseException:
-            self._take_back()
-            raise
+            raise OSError(f"trajectory {self._claim.name!r} could not {what}: {reason}; its {self._n_frames} frames before that are valid") from error
 
-    def _take_back(self) -> None:
-        """Drop what lies behind the last whole frame."""
-        for series in layout.all_series(self._h5):
-            if len(series) > self._n_frames:
-                series.resize(self._n_frames, axis=0)
-        self._h5.flush()
+    def _give_up(self) -> None:
+        self._h5.close()
+        self._disk.close()
 
     def _shut(self) -> None:
-        """Close the file and return the room that was reserved and not needed."""
+        """Close the file: HDF5 writes its tables anew."""
         if not self._h5:
             return
-        size = self._h5.id.get_filesize()
-        self._h5.close()
-        if self._file.stat().st_size > size:
-            os.truncate(self._file, size)
+        with self._telling("be closed"), uninterrupted():
+            self._h5.close()
+            if self._n_frames:
+                self._disk.commit()
+            self._disk.close()
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Context that Ctrl-C does not leave in the middle; it is noticed at the end."""
+    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def annotate(path: str | Path, *, title: str | None = None, scene: str | None = None) -> None:
-    """Store a title, or the text of the scene file that a run came from, in a minimd file; also from an observer of that run.
+    """Store a title, or the text of a scene file, in a minimd file.
 
-    Raises FileNotFoundError, OSError, ValueError if there is no such file.
+    Raises FileNotFoundError, OSError, ValueError if there is no such file, or a run is writing it.
     """
-    with opened(path, "r+") as h5:
-        if "minimd" not in h5:
-            raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
-        h5["minimd"].attrs.update({name: text for name, text in (("title", title), ("scene", scene)) if text is not None})
+    notes = {name: text for name, text in (("title", title), ("scene", scene)) if text is not None}
+    edit(path, lambda h5: h5["minimd"].attrs.update(notes))
+
+
+def edit(path: str | Path, change: Any) -> None:
+    """Change a minimd file in one commit.  change : gets the h5py.File.  Raises as annotate."""
+    layout.opened(path).close()
+    try:
+        disk = JournaledFile(Claim(path, is_new=False))
+    except OSError as error:
+        raise OSError(f"file {str(path)!r} cannot be changed: {error.strerror}") from None
+    try:
+        with h5py.File(disk, "r+") as h5:
+            if "minimd" not in h5:
+                raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
+            change(h5)
+            sign(h5)
+        disk.commit()
+    finally:
+        disk.close()
 
 
 def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_forces: bool) -> None:

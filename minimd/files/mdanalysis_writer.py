@@ -4,7 +4,6 @@ import warnings
 from contextlib import suppress
 from errno import ENOSPC
 from functools import partial
-from pathlib import Path
 from shutil import disk_usage
 from typing import Any
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
+from minimd.files.claim import Claim
 from minimd.files.h5md_schema import has_edges
 from minimd.structure.cell import Cell
 from minimd.structure.console import outside_minimd
@@ -31,12 +31,14 @@ class MDAnalysisWriter:
     TRR and NCDF hold velocities; XTC, rounded to 0.001 Å, and DCD do not. A DCD states the time between its frames at
     its beginning, so that it is begun with the second frame.
 
+    claim : on the file, which appears with its first frame.
+
     Raises OSError if the file cannot be written.
     """
 
-    def __init__(self, file: Path, engine: Engine, _store_forces: bool = False) -> None:
-        system = engine.system
-        self._file, self._format = Path(file), FORMATS.get(Path(file).suffix.lower(), Path(file).suffix[1:].upper())
+    def __init__(self, claim: Claim, engine: Engine, _store_forces: bool = False) -> None:
+        system, file = engine.system, claim.path
+        self._claim, self._format = claim, FORMATS.get(file.suffix.lower(), file.suffix[1:].upper())
         self._angstrom, self._picosecond = system.units.to_angstrom, system.units.to_picosecond
         self._timestep = engine.method.timestep * self._picosecond
         self._dimensions = cell_dimensions(system.cell, self._angstrom)
@@ -47,7 +49,7 @@ class MDAnalysisWriter:
         dimensions, vectors = cell_dimensions(system.cell, 1.0), system.cell.vectors
         if dimensions is not None and not np.allclose(triclinic_vectors(dimensions), vectors, atol=1e-4 * abs(vectors).max()):
             warnings.warn(
-                f"trajectory {str(file)!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the "
+                f"trajectory {claim.name!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the "
                 "xy plane, which they do not; distances across the boundary will be wrong, write .h5md too",
                 stacklevel=outside_minimd(),
             )
@@ -58,26 +60,34 @@ class MDAnalysisWriter:
         if self._format != "DCD" or self._writer is not None or len(self._waiting) > 1:
             self._write_waiting()
 
-    def close(self, completed: bool) -> None:
-        """Finish the file, the same whether the run was completed or not; do nothing if it has failed."""
-        self._write_waiting()
-        self._shut()
+    def checkpoint(self) -> None:
+        """Nothing: frames are written at once, and the format holds no restart."""
+
+    def close(self) -> None:
+        """Finish the file; do nothing if it has failed."""
+        try:
+            self._write_waiting()
+            self._shut()
+        finally:
+            self._claim.release()
 
     def _write_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
         for frame in waiting:
             try:
-                if disk_usage(self._file.absolute().parent).free < frame.positions.nbytes + ROOM:
+                if disk_usage(self._claim.place.parent).free < frame.positions.nbytes + ROOM:
                     raise OSError(ENOSPC, "no room on the disk")  # not every format notices that it could not write
                 with quiet():
                     self._writer = self._writer or self._opened(waiting)
                     self._place(frame)
                     self._writer.write(self._universe)
+                self._claim.check()
+                self._claim.appear()
             except (OSError, RuntimeError) as error:
                 with suppress(OSError, RuntimeError):
                     self._shut()
                 reason = getattr(error, "strerror", None) or error
-                raise OSError(f"trajectory {str(self._file)!r} could not take the frame of step {frame.step}: {reason}") from error
+                raise OSError(f"trajectory {self._claim.name!r} could not take the frame of step {frame.step}: {reason}") from error
 
     def _shut(self) -> None:
         writer, self._writer = self._writer, None
@@ -88,7 +98,7 @@ class MDAnalysisWriter:
         steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1  # between frames
         spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
         options: dict[str, dict[str, Any]] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": spacing}
-        return MDAnalysis.Writer(str(self._file), n_atoms=len(self._universe.atoms), format=self._format, **options.get(self._format, {}))
+        return MDAnalysis.Writer(str(self._claim.place), n_atoms=len(self._universe.atoms), format=self._format, **options.get(self._format, {}))
 
     def _place(self, frame: Frame) -> None:
         ts = self._universe.trajectory.ts

@@ -1,14 +1,15 @@
 """Trajectory files: which writer a suffix means, and that all are closed whatever happens."""
 
+import os
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
+from minimd.files.claim import Claim
 
 
 class Writer(Protocol):
@@ -17,11 +18,14 @@ class Writer(Protocol):
     def write(self, frame: Frame) -> None:
         """Append one frame."""
 
-    def close(self, completed: bool) -> None:
-        """Finish the file; it is valid afterwards, however many frames it got.  completed : whether the run came to its end."""
+    def checkpoint(self) -> None:
+        """Bring to the disk what was taken, and, in a format that can hold it, the present state of the engine as a restart."""
+
+    def close(self) -> None:
+        """Finish the file; it is valid afterwards, however many frames it got."""
 
 
-FORMATS = {  # suffix: module and class of its writer, loaded when needed and called with file, engine and store_forces
+FORMATS = {  # suffix: module and class of its writer, loaded when needed and called with claim, engine and store_forces
     ".h5md": ("minimd.files.h5md_writer", "H5MDWriter"),
     **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter")),
     **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter")),
@@ -29,29 +33,59 @@ FORMATS = {  # suffix: module and class of its writer, loaded when needed and ca
 
 
 @contextmanager
-def open_trajectories(paths: str | Path | Sequence[str | Path], engine: Engine, *, store_forces: bool, overwrite: bool) -> Iterator[list[Writer]]:
+def open_trajectories(
+    paths: str | Path | Sequence[str | Path], engine: Engine, *, store_forces: bool, overwrite: bool, append: bool = False
+) -> Iterator[list[Writer]]:
     """Writers for some files, all checked before the first is opened, all closed at the end; if one cannot be opened, none is left.
 
-    Raises ValueError for a suffix that no writer knows.  FileExistsError for a file that exists, unless overwrite. FileNotFoundError,
-    PermissionError for a folder that does not exist or cannot be written.
+    Raises ValueError for a suffix that no writer knows, a file that is named twice, or one that cannot be appended to.  FileExistsError for a
+    file that exists, unless overwrite.  FileNotFoundError, PermissionError for a folder that does not exist or cannot be written.
+    OSError if another run writes the file, or it is no regular file.
     """
     several = [paths] if isinstance(paths, (str, Path)) else list(paths)
-    files = [checked_output(path, overwrite) for path in several]
-    with ExitStack() as closing, ExitStack() as undoing:
+    _check_are_different(several)
+    files = [_appendable(path) if append else checked_output(path, overwrite) for path in several]
+    with ExitStack() as closing:
         writers: list[Writer] = []
         for file in files:
-            if not file.exists():
-                undoing.callback(file.unlink, missing_ok=True)
-            module, name = FORMATS[file.suffix.lower()]
-            writers.append(getattr(import_module(module), name)(file, engine, store_forces))
-            closing.push(partial(_close, writers[-1]))
-        undoing.pop_all()
+            writers.append(_continued(file, engine, store_forces) if append else _new(file, engine, store_forces, overwrite))
+            closing.callback(writers[-1].close)
         yield writers
 
 
-def _close(writer: Writer, failure: type[BaseException] | None, *_: object) -> None:
-    """The exit of a context: close a writer, and tell it whether the body came to its end."""
-    writer.close(completed=failure is None)
+def _new(file: Path, engine: Engine, store_forces: bool, overwrite: bool) -> Writer:
+    module, name = FORMATS[file.suffix.lower()]
+    try:
+        claim = Claim(file, overwrite=overwrite)
+    except OSError as error:
+        raise type(error)(f"output {str(file)!r} cannot be written: {error.strerror}") from None
+    try:
+        writer: Writer = getattr(import_module(module), name)(claim, engine, store_forces)
+    except BaseException:
+        claim.release()
+        raise
+    return writer
+
+
+def _continued(file: Path, engine: Engine, store_forces: bool) -> Writer:
+    from minimd.files.h5md_writer import H5MDWriter
+
+    return H5MDWriter.append_to(file, engine, store_forces)
+
+
+def _appendable(path: str | Path) -> Path:
+    file = Path(path)
+    if file.suffix.lower() != ".h5md":
+        raise ValueError(f"only .h5md files can be appended to, because they hold the state from which to go on; the file is {str(file)!r}")
+    return file
+
+
+def _check_are_different(paths: Sequence[str | Path]) -> None:
+    """Raise ValueError if two paths lead to one file."""
+    seen: dict[str, str | Path] = {}
+    for path in paths:
+        if (first := seen.setdefault(os.path.realpath(path), path)) is not path:
+            raise ValueError(f"each trajectory must be a file of its own; {str(first)!r} and {str(path)!r} are the same: name it once")
 
 
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
@@ -66,6 +100,8 @@ def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] 
         raise FileExistsError(f"output {str(file)!r} exists; choose another name, or pass overwrite=True")
     if not file.absolute().parent.is_dir():
         raise FileNotFoundError(f"output folder {str(file.absolute().parent)!r} does not exist; make it first")
+    if file.exists() and not file.is_file():
+        raise ValueError(f"output {str(file)!r} must be a regular file, and it is none; choose another name")
     is_new = not file.exists()
     try:
         file.open("ab").close()

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,7 @@ from minimd.forces.pair_laws import PairLaws
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.integrators.splitting.state import State
 from minimd.neighbors.queries import closest_pair
-from minimd.neighbors.verlet_list import VerletList
+from minimd.neighbors.verlet_list import Built, VerletList
 from minimd.potentials.laws import Scaled
 from minimd.potentials.pair_loop import FixedPairs
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, bound
@@ -45,6 +45,7 @@ class Forces:
     Attributes
     ----------
     forces : (N, 3) [energy/length], of the last compute.  terms : those that compute adds up.
+    displacement : of the fastest atom in a step, for which skins were chosen [length]; 0 if unknown.
     n_evaluations : calls of compute since the last reset_counts.
 
     Raises
@@ -57,7 +58,7 @@ class Forces:
         self.system, self.options = system, options or Options()
         self.potentials = tuple(potentials) if isinstance(potentials, Sequence) and not isinstance(potentials, str) else (potentials,)
         self.terms: list[Term] = []
-        self.n_evaluations, self._builds_before, self._displacement = 0, 0, 0.0
+        self.n_evaluations, self._builds_before, self.displacement = 0, 0, 0.0
         self._bind()
         for term in self._bound:
             if term.warning:
@@ -69,18 +70,34 @@ class Forces:
         """Bind the potentials to the system, as it is in its present cell, and plan the terms."""
         self._plan([bound(potential, self.system) for potential in self.potentials])
 
-    def _plan(self, terms_bound: list[Term]) -> None:
-        """Choose lists and skins, which depend on the cell and on how fast the atoms move."""
-        terms = plan(terms_bound, self.system, self.options, self._displacement)
+    def _plan(self, terms_bound: list[Term], skins: Sequence[float] = ()) -> None:
+        """Choose lists, and skins unless they are given; both depend on the cell and on how fast the atoms move."""
+        terms = plan(terms_bound, self.system, self.options, self.displacement, skins)
         self._builds_before += _n_builds(self.terms) - _n_builds(terms)
         self.terms, self._bound, self._planned_for = terms, terms_bound, self.system.cell
         self._compiled: set[int] = set()  # details that the terms have been computed with
 
     def fit_skin(self, displacement: float) -> None:
         """Choose the skin anew if the displacement of the fastest atom in a step [length] has changed much, unless the user gave a skin."""
-        if self.options.skin is None and not self._displacement / CHANGED_SPEED <= displacement <= self._displacement * CHANGED_SPEED:
-            self._displacement = displacement
+        if self.options.skin is None and not self.displacement / CHANGED_SPEED <= displacement <= self.displacement * CHANGED_SPEED:
+            self.displacement = displacement
             self._plan(self._bound)
+
+    def lists_built(self) -> tuple[Built, ...]:
+        """What build_lists needs to make the lists that are in use."""
+        return tuple(one.built() for one in _lists(self.terms))
+
+    def build_lists(self, built: Sequence[Built]) -> None:
+        """The lists as they were."""
+        for one, as_it_was in zip(_lists(self.terms), built, strict=True):
+            one.build_again(as_it_was, self.system.cell)
+
+    def go_on_with(self, displacement: float, built: Sequence[Built]) -> None:
+        """Lists of the skins, and with the rows, of other Forces of the same scene; new ones if it is another."""
+        self.displacement = displacement
+        self._plan(self._bound, [one.skin for one in built] if len(built) == len(_lists(self.terms)) else ())
+        if len(built) == len(_lists(self.terms)):
+            self.build_lists(built)
 
     def reset_counts(self) -> None:
         """Count evaluations and list builds from zero."""
@@ -218,17 +235,19 @@ def _n_builds(terms: Sequence[Term]) -> int:
     return sum(one.n_builds for one in _lists(terms))
 
 
-def plan(terms_bound: Sequence[Term], system: System, options: Options, displacement: float) -> list[Term]:
+def plan(terms_bound: Sequence[Term], system: System, options: Options, displacement: float, skins: Sequence[float] = ()) -> list[Term]:
     """The terms to run: those that add their forces themselves, and one term with a list for all pair laws of one bonded_scale.
 
     terms_bound : the terms that the potentials were bound to.  displacement : of the fastest atom in a step [length], 0 if unknown.
+    skins : of the lists [length], if they are known.
     """
     terms = [term for term in terms_bound if term.pair_law is None]
     pair_laws = [term.pair_law for term in terms_bound if term.pair_law is not None]
-    for scale in dict.fromkeys(one.bonded_scale for one in pair_laws):
+    for k, scale in enumerate(dict.fromkeys(one.bonded_scale for one in pair_laws)):
+        known = replace(options, skin=skins[k]) if skins else options
         laws = PairLaws(system, [one for one in pair_laws if one.bonded_scale == scale])
-        with_list = ClusterTerm if laws.fit_clusters(system, options, displacement) else PairListTerm
-        terms.append(with_list(system, laws, options, displacement))
+        with_list = ClusterTerm if laws.fit_clusters(system, known, displacement) else PairListTerm
+        terms.append(with_list(system, laws, known, displacement))
         terms.extend(scaled_terms(system, laws))
     return terms
 

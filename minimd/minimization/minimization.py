@@ -11,7 +11,7 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces, Potential
 from minimd.minimization.fire import FIRE
 from minimd.potentials.term import TOTALS
-from minimd.structure.console import progress_of, stop_on_interrupt
+from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import Interrupted, checked_count
 from minimd.structure.system import AnySystem, System
@@ -105,7 +105,7 @@ def minimized(
     system, evaluated, energy_before = forces.system, forces.n_evaluations, _potential_energy(forces)
     constraint_set.fit(system)
     descent = FIRE(forces, constraint_set.with_equal_masses(system), max_step_length)
-    with progress_of(max_steps, "minimizing", progress) as tell, stop_on_interrupt(descent):
+    with progress_of(max_steps, "minimizing", progress) as tell, stop_on_signals(descent):
         largest_before = descent.begin()
         descent.run(force_tolerance, max_steps, tell)
     constraint_set.project(system.velocities, system.positions)

@@ -50,7 +50,7 @@ class ClusterList(VerletList):
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_mixed: bool, pool: ThreadPool) -> None:
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
-        self._pool, self._is_mixed = pool, is_mixed
+        self._n_atoms, self._pool, self._is_mixed = n_atoms, pool, is_mixed
         self._columns_of: Cell | None = None
         self._calls = DirectCalls()
         self.lanes = lanes_for(MIXED if is_mixed else DOUBLE)
@@ -62,6 +62,12 @@ class ClusterList(VerletList):
 
     def _has_moved(self, positions: NDArray[np.float64]) -> bool:
         return self._calls(any_moved_from_clusters, positions, self.clusters, self.limit2)
+
+    def _built_at(self) -> NDArray[np.float64]:
+        clusters, n_lanes = self.clusters, self.lanes.size
+        positions, real = np.empty((self._n_atoms, DIMENSIONS)), np.arange(n_lanes) < clusters.filled[:, None]
+        positions[clusters.atom[real.ravel()]] = clusters.positions.reshape(-1, DIMENSIONS, n_lanes).transpose(0, 2, 1)[real]
+        return positions
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):

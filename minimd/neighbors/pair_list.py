@@ -33,13 +33,16 @@ class PairList(VerletList):
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
         super().__init__(cutoff, skin)
-        self._excluded, self._built_at = partners(excluded, n_atoms), np.empty((n_atoms, 3))
+        self._excluded, self._reference = partners(excluded, n_atoms), np.empty((n_atoms, 3))
 
     def _has_moved(self, positions: NDArray[np.float64]) -> bool:
-        return any_moved(positions, self._built_at, self.limit2)
+        return any_moved(positions, self._reference, self.limit2)
+
+    def _built_at(self) -> NDArray[np.float64]:
+        return self._reference.copy()
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        self._built_at[:] = positions
+        self._reference[:] = positions
         if self.cutoff == np.inf:
             return self._list_all_pairs(positions)
         reach = self.cutoff + self.skin

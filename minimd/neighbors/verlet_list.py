@@ -1,6 +1,7 @@
 """When a list of neighbors must be built anew: the one rule for all lists."""
 
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,16 @@ def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int) 
     return float(skins[np.argmin(cost)])
 
 
+class Built(NamedTuple):
+    """What decides the order of a list, and so the rounding of its sums.
+
+    skin : [length].  positions : (N, 3) when it was built [length], a copy; None if there is no list that can be used.
+    """
+
+    skin: float
+    positions: NDArray[np.float64] | None
+
+
 class VerletList(ABC):
     """A list of all pairs within cutoff + skin, kept until an atom has moved by more than skin/2.
 
@@ -56,6 +67,21 @@ class VerletList(ABC):
     @abstractmethod
     def _has_moved(self, positions: NDArray[np.float64]) -> bool:
         """Whether an atom is farther than √limit2 from where it was at the last build, or its position is NaN."""
+
+    @abstractmethod
+    def _built_at(self) -> NDArray[np.float64]:
+        """Positions at the last build, (N, 3), a copy."""
+
+    def built(self) -> Built:
+        """What build_again needs to make the same list."""
+        return Built(self.skin, None if self._cell is None else self._built_at())
+
+    def build_again(self, built: Built, cell: Cell) -> None:
+        """The list that was built, of the same skin."""
+        self._cell = None
+        if built.positions is not None:
+            self._build(built.positions, cell)
+            self._cell, self.n_builds = cell, self.n_builds + 1
 
     def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
         """Build the list anew if it may miss a pair; True if it was built.

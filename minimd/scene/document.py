@@ -70,6 +70,7 @@ class Scene:
         potentials, method = self.potentials(), self.method()
         with _blamed_on(str(self.path)):
             simulation = Simulation(start, potentials, method, threads=dynamics.threads, precision=dynamics.precision)
+        simulation.engine.notes.update(title=self.sections.title or "", scene=self.text)
         if self.sections.output.shadow_energy:
             simulation.extra_observables = ("shadow_energy",)
             with _blamed_on(f"{self.path}: output.shadow_energy"):

@@ -6,8 +6,8 @@ from pathlib import Path
 from time import time
 
 from minimd.files.h5md_reader import read_file
-from minimd.files.h5md_writer import annotate
 from minimd.scene.document import Scene, h5md_files
+from minimd.structure.console import Terminated
 from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
 
 CLOCK = 1.0  # s, the coarsest time stamps of a file system
@@ -15,7 +15,7 @@ CLOCK = 1.0  # s, the coarsest time stamps of a file system
 
 @contextmanager
 def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = "") -> Iterator[None]:
-    """If a run fails, store the scene in its crash file, so that it can be replayed, and add to the message which files are kept.
+    """If a run fails, add to the message which files are kept, and how to go on.
 
     files : of the run; a preparation has none.  end : the step at which the run was to end, for the command that goes on after Ctrl-C.
     where : words about what was interrupted, if needed.
@@ -23,23 +23,18 @@ def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = ""
     begun = time() - CLOCK
     try:
         yield
-    except (KeyboardInterrupt, NonFiniteError, ConstraintError, OSError) as error:
-        if isinstance(error, NonFiniteError | ConstraintError) and error.file is not None:
-            store(scene, error.file)
+    except (KeyboardInterrupt, Terminated, NonFiniteError, ConstraintError, OSError) as error:
         written = [file for file in files if file.is_file() and file.stat().st_size and file.stat().st_mtime > begun]
-        interrupted = isinstance(error, KeyboardInterrupt)
+        interrupted = isinstance(error, (KeyboardInterrupt, Terminated))
         if not written and not interrupted:
             raise
         ending = f"; what was written before is kept in {', '.join(map(str, written))}" if written else f"{where}; nothing was written"
+        if isinstance(error, Terminated):
+            error.words += ending + _how_to_go_on(written, end)
+            raise
         failure = type(error)(sentence(error) + ending + (_how_to_go_on(written, end) if interrupted else ""))
         failure.__dict__.update(error.__dict__)  # such as the crash report
         raise failure from None
-
-
-def store(scene: Scene, file: Path) -> None:
-    """Store a scene in an H5MD file, if that can be written; a full disk is reported by the next frame."""
-    with suppress(OSError, ValueError):
-        annotate(file, title=scene.sections.title or None, scene=scene.text)
 
 
 def _how_to_go_on(written: Sequence[Path], end: int) -> str:

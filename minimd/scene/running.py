@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from minimd.files.crash_file import crash_file_place
-from minimd.files.h5md_reader import read_file
-from minimd.files.h5md_writer import H5MDWriter
+from minimd.files.h5md_reader import read_file, verify_frames
 from minimd.files.trajectory import FORMATS, checked_output
 from minimd.potentials import PairPotential
 from minimd.scene.document import Scene, h5md_files, parse_scene
-from minimd.scene.ending import kept, store
+from minimd.scene.ending import kept
 from minimd.scene.sections import PLOT_SUFFIXES
 from minimd.simulation.simulation import Simulation
 from minimd.structure.constraints import FixedAtoms
@@ -53,16 +52,8 @@ def run_scene(
         tell(line)
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell, crash_file_place(True, files))
-
-    def keep_scene(run: Simulation) -> None:
-        """At the first frame, so that even a killed run can be resumed."""
-        for file in h5md_files(files) if run.step == 0 else ():
-            store(scene, file)
-
     with kept(scene, files, n_steps):
-        simulation.run(
-            n_steps, every=output.every, trajectory=files, store_forces=output.forces, overwrite=overwrite, observers=[keep_scene], progress=progress
-        )
+        simulation.run(n_steps, every=output.every, trajectory=files, store_forces=output.forces, overwrite=overwrite, progress=progress)
     tell(str(simulation.report()))
     drawn = []
     if picture is not None and picture.exists() and not overwrite:
@@ -82,8 +73,7 @@ def resume_run(
 ) -> Simulation:
     """Go on with the run in an H5MD file, from its restart, and append to it; other trajectories of the run are not continued.
 
-    The file of a run from a script has no scene. Its restart is read_file(file).system, see minimd.files.h5md_writer: a new Simulation
-    starts from there, and with step and time set to those of the contents H5MDWriter.append_to continues the file.
+    The file of a run from a script has no scene; see Simulation.resume.
 
     Parameters
     ----------
@@ -96,10 +86,12 @@ def resume_run(
     NonFiniteError, KeyboardInterrupt : as Simulation.run.
     """
     path, contents = Path(file), read_file(file)
+    verify_frames(file)
     stored = parse_scene(contents.scene, path) if contents.scene else None
     scene = scene or stored
     if scene is None:
-        raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; name the scene file with --scene")
+        go_on = f"sim = minimd.Simulation.resume({str(file)!r}, potentials); sim.run(n_steps, trajectory={str(file)!r}, append=True)"
+        raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; go on in the script: {go_on}")
     end = scene.sections.dynamics.steps if steps is None else contents.step + steps
     if steps is None and end <= contents.step:
         raise ValueError(
@@ -108,15 +100,20 @@ def resume_run(
         )
     if stored is not None and (other := differences(stored, scene)):
         tell(f"NOTE           {', '.join(other)} differ from those of the run so far: its energies before and after are not comparable")
+    if contents.repaired:
+        tell(f"repaired       {contents.repaired}")
     simulation = scene.simulation(contents.system)
-    simulation.step, simulation.time, simulation.reservoir_energy = contents.step, contents.time, contents.reservoir_energy
+    simulation.engine.go_on_from(contents.restart)
+    if (simulation.method.name, simulation.method.parameters) != (contents.method, contents.parameters):
+        simulation.step, simulation.time = contents.step, contents.time
+        simulation.engine.moved()
     for line in description(scene, simulation, end - contents.step):
         tell(line)
     tell(f"resumed        at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames")
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories of the scene stay as they are")
     with kept(scene, [path], end):
-        _run_and_append(path, simulation, end - contents.step, scene.sections.output.every, progress)
+        simulation.run(until_step=end, every=scene.sections.output.every, trajectory=path, append=True, progress=progress)
     tell(str(simulation.report()))
     tell(f"written        {file}")
     return simulation
@@ -126,17 +123,6 @@ def differences(one: Scene, other: Scene) -> list[str]:
     """Keys that have different values in two scenes, of those that determine forces and steps."""
     keys = [f"dynamics.{key}" for key in ("method", "timestep") if getattr(one.sections.dynamics, key) != getattr(other.sections.dynamics, key)]
     return keys + ["potential"] * (one.sections.potential != other.sections.potential)
-
-
-def _run_and_append(file: Path, simulation: Simulation, steps: int, every: int, progress: bool | None) -> None:
-    """Run, and append the frames to the file."""
-    writer, completed = H5MDWriter.append_to(file, simulation.engine), False
-    try:
-        observers = [lambda run: writer.write(run.frame())]
-        simulation.run(steps, every=every, observers=observers, progress=progress, crash_report=crash_file_place(True, file) or False)
-        completed = True
-    finally:
-        writer.close(completed)
 
 
 def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:

@@ -1,12 +1,12 @@
 """Simulation: runs an engine, and calls observers between its steps."""
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar
-
-import numpy as np
+from time import monotonic
+from typing import Generic, Literal, Self, TypeVar
 
 from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
@@ -24,13 +24,14 @@ from minimd.forces.forces import Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
-from minimd.structure.console import progress_of, stop_on_interrupt
+from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import checked_count
-from minimd.structure.observables import Array, momentum
+from minimd.structure.observables import Array
 from minimd.structure.system import AnySystem, System
 from minimd.structure.velocities import maxwell_boltzmann, rescaled
 
+SECONDS_BETWEEN_CHECKPOINTS = 5.0  # whatever every is: no more is lost when the process is killed
 Observer = Callable[["Simulation"], None]
 T = TypeVar("T")
 
@@ -107,31 +108,63 @@ class Simulation:
         self.record: Record | None = None
         self.reversibility: Reversibility | None = None
         self._is_running = False
-        self._equilibrated = 0  # steps of equilibrations so far: none of them has the noise of another
 
     def __repr__(self) -> str:
         return f"Simulation({self.system!r}, {self.method!r}, step {self.step})"
 
+    @classmethod
+    def resume(cls, file: str | Path, potentials: Potential | Sequence[Potential] | None = None, *, threads: int | None = None) -> Self:
+        """The simulation in the restart of an H5MD file: its next steps have the bits that those of the run had, or would have had.
+
+            sim = md.Simulation.resume("run.h5md", potentials)
+            sim.run(until_step=100_000, trajectory="run.h5md", append=True)
+
+        Parameters
+        ----------
+        potentials : those of the run; if not given, those of the scene that is stored in the file.  threads : see Options.
+
+        Raises
+        ------
+        FileNotFoundError, OSError, ValueError : for a file that is none or is damaged, or without a scene if no potentials are given.
+        """
+        from minimd.files.h5md_reader import read_file, verify_frames  # h5py takes its time to load
+
+        contents = read_file(file)
+        verify_frames(file)
+        if potentials is None:
+            potentials = _potentials_of_scene(contents.scene, contents.potentials, Path(file))
+        resumed = cls(contents.system, potentials, contents.integrator(), threads=threads, precision=contents.precision, skin=contents.skin)
+        resumed.extra_observables = ("shadow_energy",) if "shadow_energy" in contents.record else ()
+        resumed.engine.notes.update(title=contents.title, scene=contents.scene)
+        resumed.engine.go_on_from(contents.restart)
+        if contents.repaired:
+            warnings.warn(contents.repaired, stacklevel=2)
+        return resumed
+
     def run(
         self,
-        n_steps: int,
+        n_steps: int | None = None,
         *,
+        until_step: int | None = None,
         every: int = 100,
         trajectory: str | Path | Sequence[str | Path] = (),
         store_forces: bool = False,
         overwrite: bool = False,
+        append: bool = False,
         observers: Sequence[Observer] = (),
         progress: bool | None = None,
         crash_report: str | Path | bool = True,
     ) -> Record:
-        """Make n_steps steps and observe the first state and then the state every `every` steps.
+        """Make n_steps steps, or those up to until_step; observe the first state, and then those whose step is a multiple of every.
+
+        A run of N steps and one of M steps have the bits of one of N + M steps, if nothing is changed in between.
 
         Parameters
         ----------
         every : steps between observations, for record, trajectory and observers alike.
         trajectory : a file or several, of the format that the suffix names: see minimd.files.trajectory.
         store_forces : write forces into formats that can hold them.
-        overwrite : replace files that exist.
+        overwrite : replace files that exist.  append : continue the trajectory, an H5MD file in whose restart this simulation stands.
         observers : functions called with this simulation at each observation.
         progress : show a progress bar; if not given, on a terminal only.
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere
@@ -141,25 +174,27 @@ class Simulation:
         ------
         NonFiniteError, ConstraintError : if the run blows up. The message names step, atoms and pair, the likely cause, and the file of
             the crash report; sim.system holds the last good state.
-        KeyboardInterrupt : after Ctrl-C, with the state of the last whole step, all files valid.
+        KeyboardInterrupt : after Ctrl-C, with the state of the last whole step, all files valid.  SystemExit : likewise after SIGTERM or SIGHUP.
         FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
         """
         engine, guard = self.engine, self.guard
-        n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
+        every, end = checked_count("every", every), _end(engine.step, n_steps, until_step)
         check_extras(engine, engine.extra_observables)
-        place, start, end = crash_file_place(crash_report, trajectory), engine.step, engine.step + n_steps
+        place, start = crash_file_place(crash_report, trajectory), engine.step
+        files = {"store_forces": store_forces, "overwrite": overwrite, "append": append}
         with self._running(engine.noise_shift), crash_file_left(place, guard, overwrite):  # the file is left after all others are closed
             guard.check_start()
             with (
-                stop_on_interrupt(engine.surroundings),
-                open_trajectories(trajectory, engine, store_forces=store_forces, overwrite=overwrite) as writers,
-                progress_of(n_steps, "running", progress) as tell,
+                stop_on_signals(engine.surroundings),
+                open_trajectories(trajectory, engine, **files) as writers,
+                progress_of(end - start, "running", progress) as tell,
             ):
                 self.record = record = Record(self.system.units, len(self.system))
                 guard.begin_run()
-                self._observe(writers, observers)
+                self._observe([] if append and start % every else writers, observers)
+                checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
                 while engine.step < end:
-                    next_look = engine.step + every - (engine.step - start) % every
+                    next_look = engine.step + every - engine.step % every
                     n_now = min(BLOCK, next_look - engine.step, end - engine.step)
                     guard.advance(n_now, with_energy=engine.step + n_now in (next_look, end))
                     tell(engine.step - start)
@@ -167,28 +202,26 @@ class Simulation:
                         self._observe(writers, observers)
                     elif engine.step == end or guard.is_hot():
                         guard.observe()
+                    if monotonic() > checkpoint_due:
+                        for writer in writers:
+                            writer.checkpoint()
+                        checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
+                engine.leave()
         return record
 
     def _observe(self, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
-        frame = self.guard.observe()
+        engine, frame = self.engine, self.guard.observe()
         if self.record is not None:
             self.record.append(frame)
         for writer in writers:
             writer.write(frame)
         if observers:
-            before = self._fingerprint()
+            engine.leave()
             for observer in observers:
                 observer(self)
-                self.engine.moved()
-            if self._fingerprint() != before:
+            if not engine.is_as_left:
                 self.guard.forget()
-            self.engine.begin()
-
-    def _fingerprint(self) -> tuple[Any, ...]:
-        """Numbers that change when an observer moves atoms, changes velocities or the cell."""
-        masses = self.system.masses
-        sums = momentum(self.positions, masses), momentum(self.velocities, masses)
-        return self.engine.kinetic_energy, *np.concatenate(sums).tolist(), id(self.system.cell)
+                engine.begin()
 
     def make_steps(self, n_steps: int) -> None:
         """Make steps without observations.  Raises ValueError for a negative count, and as run."""
@@ -208,14 +241,14 @@ class Simulation:
         """
         engine, guard = self.engine, self.guard
         n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
-        self._equilibrated += n_steps
+        engine.equilibrated += n_steps
         place = crash_file_place(crash_report or False, ())
         with (
-            self._running(noise_shift=-self._equilibrated - self.step),
+            self._running(noise_shift=-engine.equilibrated - self.step),
             guard.uncounted(),
             crash_file_left(place, guard, overwrite=False),
             progress_of(n_steps, "equilibrating", progress) as tell,
-            stop_on_interrupt(engine.surroundings),
+            stop_on_signals(engine.surroundings),
         ):
             guard.check_start()
             thermal = engine.n_dof * self.system.units.k_B * temperature
@@ -263,7 +296,7 @@ class Simulation:
         with self.guard.uncounted():
             self.guard.check_start()
             try:
-                with stop_on_interrupt(self.engine.surroundings):
+                with stop_on_signals(self.engine.surroundings):
                     self.reversibility = probe(self.guard, n_steps)
             finally:
                 self.engine.restore(before)
@@ -305,8 +338,9 @@ class Simulation:
 
     def frame(self) -> Frame:
         """The state as it is now, with its observables; the forces are evaluated."""
-        self.engine.moved()
-        self.engine.fit_images()
+        if not self.engine.is_as_left:
+            self.engine.moved()
+            self.engine.fit_images()
         return observe(self.engine)
 
     def set_temperature(self, temperature: float, seed: int | None = None) -> None:
@@ -320,6 +354,7 @@ class Simulation:
         system.velocities[:] = maxwell_boltzmann(system.masses, temperature, system.units.k_B, seed)
         self.engine.fit_images()
         constraint_set.project(system.velocities, system.positions)
+        self.engine.turned()
         if temperature > 0.0:
             self.rescale_temperature(temperature)
 
@@ -331,6 +366,7 @@ class Simulation:
         ValueError : if the temperature is negative or not finite, or nothing moves.
         """
         self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B, self.n_dof)
+        self.engine.turned()
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""
@@ -339,3 +375,21 @@ class Simulation:
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot."""
         self.engine.restore(snapshot)
+
+
+def _end(step: int, n_steps: int | None, until_step: int | None) -> int:
+    """The step at which a run ends.  Raises ValueError unless exactly one of the two says so."""
+    if (n_steps is None) == (until_step is None):
+        raise ValueError(f"a run needs either n_steps or until_step; n_steps = {n_steps!r}, until_step = {until_step!r}")
+    if n_steps is not None:
+        return step + checked_count("n_steps", n_steps, 0)
+    return checked_count("until_step", until_step, step)
+
+
+def _potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Potential]:
+    """Those of the scene in a file.  Raises ValueError if it holds none."""
+    if not scene:
+        raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; pass those of the script: {'; '.join(words)}")
+    from minimd.scene import parse_scene
+
+    return parse_scene(scene, file).potentials()

@@ -9,6 +9,8 @@ from types import FrameType
 from typing import Any, Protocol
 
 TENTHS = 10
+SIGNALS = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]  # Windows has no SIGHUP
+OURS = (signal.SIG_DFL, signal.default_int_handler)  # handlers that nobody has set
 
 
 @contextmanager
@@ -41,23 +43,52 @@ class Stoppable(Protocol):
 
 
 @contextmanager
-def stop_on_interrupt(run: Stoppable) -> Iterator[None]:
-    """While active, Ctrl-C sets run.stop_requested instead of raising; outside the main thread nothing is changed."""
+def stop_on_signals(run: Stoppable) -> Iterator[None]:
+    """While active, Ctrl-C, SIGTERM and SIGHUP set run.stop_requested; at the end, SIGTERM and SIGHUP raise SystemExit with 128 + their number.
+
+    Handlers that the host has set, and signals that it ignores, are left alone; so is everything outside the main thread. A second signal acts
+    as if there were no run, and so does one that comes when the last step has been made.
+    """
     run.stop_requested = False
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = signal.getsignal(signal.SIGINT)
+    received: list[int] = []
+    before: dict[int, Any] = {}
 
-    def request_stop(_number: int, _frame: FrameType | None) -> None:
+    def request_stop(number: int, _frame: FrameType | None) -> None:
         run.stop_requested = True
-        signal.signal(signal.SIGINT, previous)
+        received.append(number)
+        _restore(before)
 
-    signal.signal(signal.SIGINT, request_stop)
+    if threading.current_thread() is threading.main_thread():
+        before.update({number: handler for number in SIGNALS if (handler := signal.getsignal(number)) in OURS})
+        for number in before:
+            signal.signal(number, request_stop)
     try:
         yield
+    except KeyboardInterrupt as stopped:
+        _restore(before)
+        if received and received[0] != signal.SIGINT:
+            raise Terminated(received[0], str(stopped)) from None
+        raise
     finally:
-        signal.signal(signal.SIGINT, previous)
+        _restore(before)
+    if received:
+        signal.raise_signal(received[0])
+
+
+class Terminated(SystemExit):
+    """A run was ended by SIGTERM or SIGHUP, after a whole step. The exit code is 128 + the number of the signal, as shells have it."""
+
+    def __init__(self, number: int, words: str) -> None:
+        super().__init__(128 + number)
+        self.words = f"{words} by {signal.Signals(number).name}"
+
+    def __str__(self) -> str:
+        return self.words
+
+
+def _restore(handlers: dict[int, Any]) -> None:
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
 
 
 def outside_minimd() -> int:

@@ -70,7 +70,8 @@ class Splitting(Method):
     If the first and the last substep are of one kind, the two are merged between steps: within a block of steps velocity
     Verlet makes one kick and one drift per step, as leapfrog does. Forces are computed when a kick needs them and
     positions have moved since. With constraints every drift is projected. Velocities are projected at the end of a block only,
-    because a constrained drift does not depend on the component that a projection removes.
+    because a constrained drift does not depend on the component that a projection removes. A block can go on from the state
+    before the end of the one before, see Surroundings: two blocks then have the bits of one.
 
     Parameters, Raises : as Method.
 
@@ -139,59 +140,63 @@ class Splitting(Method):
         """
         around = Surroundings() if surroundings is None else surroundings
         start, cycle, end = self._grouped(may_merge_drifts=around.constraints is None)
-        durations = self._durations(cycle) if around.constraints is None else None
-        step = 0
-        while True:
-            substeps = start if step == 0 else cycle if step < n_steps else end
-            for k, substep in enumerate(substeps, start=1):
-                duration = substep.coefficient * self.timestep
-                if isinstance(substep, Kick):
-                    if not state.forces_are_current:
-                        compute_forces(state, with_energy and step == n_steps and k == len(substeps))
-                        state.forces_are_current = True
-                    kick(state.velocities, state.forces, state.inverse_masses, duration)
-                elif isinstance(substep, Thermalize):
-                    self.thermalize(state, duration, around)
-                else:
-                    if around.constraints is None:
-                        drift(state.positions, state.velocities, duration)
-                    else:
-                        around.constraints.drift(state.positions, state.velocities, duration)
-                    state.forces_are_current = False
-            if around.bath is not None and step > 0:
-                around.bath.step, around.bath.contact = around.bath.step + 1, 0
-            if step == n_steps:
-                break
-            if march is not None and durations is not None and not state.forces_are_current:
+        ahead = next((k for k, substep in enumerate(cycle) if isinstance(substep, Kick)), 0)  # a march begins with a kick
+        durations = None if march is None or around.constraints is not None else self._durations(cycle[ahead:] + cycle[:ahead])
+        step, goes_on = 0, around.take_up(state)
+        while step < n_steps:
+            is_first, is_last = step == 0 and not goes_on, step == n_steps - 1
+            substeps = start if is_first else cycle
+            if march is not None and durations is not None and not (is_first or is_last):
+                self._make(cycle[:ahead], state, compute_forces, around)
                 step += march(state, durations, n_steps - 1 - step)
+                substeps, is_last = cycle[ahead:], step == n_steps - 1
+            self._make(substeps, state, compute_forces, around, with_energy and is_last and not end)
             step += 1
+            if around.bath is not None:
+                around.bath.step, around.bath.contact = around.bath.step + 1, 0
             if around.stop_requested:
                 n_steps = step
+        around.leave_open(state, moves=any(isinstance(substep, Drift) for substep in end), ends=bool(end))
+        self._make(end, state, compute_forces, around, with_energy)
         around.project(state)
         return step
+
+    def _make(self, substeps: Substeps, state: State, compute_forces: ComputeForces, around: Surroundings, with_energy: bool = False) -> None:
+        """Make substeps.  with_energy : evaluate the energy with the forces, if the last substep is a kick that needs them."""
+        for k, substep in enumerate(substeps, start=1):
+            duration = substep.coefficient * self.timestep
+            if isinstance(substep, Kick):
+                if not state.forces_are_current:
+                    compute_forces(state, with_energy and k == len(substeps))
+                    state.forces_are_current = True
+                kick(state.velocities, state.forces, state.inverse_masses, duration)
+            elif isinstance(substep, Thermalize):
+                self.thermalize(state, duration, around)
+            else:
+                if around.constraints is None:
+                    drift(state.positions, state.velocities, duration)
+                else:
+                    around.constraints.drift(state.positions, state.velocities, duration)
+                state.forces_are_current = False
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """Contact with the bath over a duration: what a substep Thermalize does. Methods without a bath have no such substep."""
         raise NotImplementedError(f"{self.name} has no thermostat")
 
     def _grouped(self, may_merge_drifts: bool) -> tuple[Substeps, Substeps, Substeps]:
-        """A block of n steps as start, n − 1 times cycle, end: a cycle begins with a kick where it can."""
-        opening, body, between, closing = self._merged(may_merge_drifts)
-        kicks = [k for k, substep in enumerate(body) if isinstance(substep, Kick)]
-        first = 0 if self.is_thermostat else min(kicks, default=len(body))  # noise belongs to a step: its substeps stay together
-        return opening + body[:first], body[first:] + between + body[:first], body[first:] + closing
+        """The first step of a block, each of the others, and what follows the last one: half a kick or half a drift, if first and last are alike.
+
+        Two contacts with a bath, and two constrained drifts, are not merged.
+        """
+        first, last = self.substeps[0], self.substeps[-1]
+        may_merge = isinstance(first, Kick) or (may_merge_drifts and isinstance(first, Drift))
+        if len(self.substeps) == 1 or type(first) is not type(last) or not may_merge:
+            return self.opening + self.substeps, self.substeps, self.closing
+        body, both = self.substeps[1:-1], type(first)(first.coefficient + last.coefficient)
+        return (*self.opening, first, *body), (both, *body), (last, *self.closing)
 
     def _durations(self, cycle: Substeps) -> Array | None:
         """Times of the kicks and drifts of a cycle, (P, 2) [time]; None unless they alternate."""
         if [type(substep) for substep in cycle] != [Kick, Drift] * (len(cycle) // 2):
             return None
         return self.timestep * np.array([substep.coefficient for substep in cycle]).reshape(-1, 2)
-
-    def _merged(self, may_merge_drifts: bool) -> tuple[Substeps, ...]:
-        """The row as substeps before, in, between and after the steps. Two contacts with a bath, and two constrained drifts, are not one."""
-        first, last = self.substeps[0], self.substeps[-1]
-        may_merge = isinstance(first, Kick) or (may_merge_drifts and isinstance(first, Drift))
-        if len(self.substeps) == 1 or type(first) is not type(last) or not may_merge:
-            return self.opening, self.substeps, (), self.closing
-        merged = type(first)(first.coefficient + last.coefficient)
-        return (*self.opening, first), self.substeps[1:-1], (merged,), (last, *self.closing)

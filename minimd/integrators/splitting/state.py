@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from minimd.constraints.solver import ConstraintSolver
 from minimd.integrators.method import Array
 
-__all__ = ["Bath", "State", "Surroundings"]
+__all__ = ["Bath", "OpenEnd", "State", "Surroundings"]
 
 
 @dataclass
@@ -51,17 +52,48 @@ class Bath:
     energy: float = 0.0
 
 
+class OpenEnd(NamedTuple):
+    """A state before the end of a block of steps: before the last half kick or drift, and before velocities were projected.
+
+    velocities : (N, 3), a copy.  positions : likewise, or None if they are those of the state.
+    """
+
+    velocities: Array
+    positions: Array | None
+
+
 @dataclass
 class Surroundings:
     """What acts on a state beside the forces.
 
     constraints : solver of the lengths that drifts keep, or None.  bath : of a thermostat, or None.
     stop_requested : set it to True to end a run of steps after the present one.
+    keeps_open_end : whether a block goes on from the open end of the one before; who changes the state in between sets open_end to None.
     """
 
     constraints: ConstraintSolver | None = None
     bath: Bath | None = None
     stop_requested: bool = False
+    keeps_open_end: bool = False
+    open_end: OpenEnd | None = None
+
+    def leave_open(self, state: State, ends: bool, moves: bool) -> None:
+        """Keep the open end of a block.  ends : whether substeps follow that end it.  moves : whether a drift is among them."""
+        is_changed = ends or self.constraints is not None
+        if self.keeps_open_end:
+            velocities = state.velocities.copy() if is_changed else state.velocities
+            self.open_end = OpenEnd(velocities, state.positions.copy() if moves else None)
+
+    def take_up(self, state: State) -> bool:
+        """Go back to the open end of the block before; False if there is none."""
+        if self.open_end is None:
+            return False
+        velocities, positions = self.open_end
+        state.velocities[:] = velocities
+        if positions is not None:
+            state.positions[:], state.forces_are_current = positions, False
+        self.open_end = None
+        return True
 
     def project(self, state: State) -> None:
         """Velocities projected so that they change no length that is kept, in place."""

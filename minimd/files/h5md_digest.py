@@ -1,0 +1,98 @@
+"""Checksums in a minimd file, which tell whether its numbers are those that were written.
+
+minimd/blocks             (B, 2) a row for each block of frames: how many frames there were after it, and the CRC-32 of the block;
+                          the attribute series names the datasets that grow with the frames
+minimd/restart, ...       see h5md_restart
+minimd, attribute digest  the CRC-32 of everything that does not change: attributes and arrays of minimd, particles and connectivity
+"""
+
+import zlib
+from collections.abc import Iterator
+
+import h5py
+import numpy as np
+
+from minimd.files.h5md_restart import DIGEST, EARLIER, RESTART, SPARE
+
+BLOCKS = "minimd/blocks"
+FIXED = ("minimd", "particles", "connectivity")  # groups of what does not change, apart from series and restarts
+
+
+def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
+    """Append a row: so many frames are in the file, the last of them with these entries, by the paths of their series."""
+    if BLOCKS not in h5:
+        h5.create_dataset(BLOCKS, (0, 2), np.int64, maxshape=(None, 2), chunks=(512, 2)).attrs["series"] = sorted(entries)
+    blocks = h5[BLOCKS]
+    row = int(np.searchsorted(blocks[:, 0], n_frames)) if len(blocks) else 0  # a block that is written again takes its place
+    blocks.resize(row + 1, axis=0)
+    blocks[row] = n_frames, digest_of_block(entries)
+
+
+def digest_of_block(entries: dict[str, np.ndarray]) -> int:
+    """CRC-32 of the entries of some frames, by the paths of their series."""
+    digest = 0
+    for path in sorted(entries):
+        digest = zlib.crc32(np.ascontiguousarray(entries[path]).data, zlib.crc32(path.encode(), digest))
+    return digest
+
+
+def damaged_frames(h5: h5py.File) -> str:
+    """Which frames are not those that were written, in words; empty if all are."""
+    series, first = {one: h5[one] for one in h5[BLOCKS].attrs["series"]}, 0
+    lengths = {len(one) for one in series.values()}
+    for last, digest in h5[BLOCKS][:].tolist():
+        if not first < last <= min(lengths) or digest_of_block({path: one[first:last] for path, one in series.items()}) != digest:
+            return f"frames {first} to {last - 1}"
+        first = last
+    return "" if lengths == {first} else f"frames from {first} on"
+
+
+def drop_frames(h5: h5py.File, n_frames: int) -> None:
+    """Keep so many frames."""
+    blocks = h5[BLOCKS]
+    series = {one: h5[one] for one in blocks.attrs["series"]}
+    for one in series.values():
+        one.resize(n_frames, axis=0)
+    blocks.resize(int(np.searchsorted(blocks[:, 0], n_frames, side="right")), axis=0)
+    first = int(blocks[-1, 0]) if len(blocks) else 0
+    if first < n_frames:
+        add_block(h5, n_frames, {path: one[first:] for path, one in series.items()})
+
+
+def n_whole_frames(h5: h5py.File) -> int:
+    """How many frames are in the file."""
+    return int(h5[BLOCKS][-1, 0]) if BLOCKS in h5 and len(h5[BLOCKS]) else 0
+
+
+def sign(h5: h5py.File) -> None:
+    """Store the digest of what does not change."""
+    h5["minimd"].attrs[DIGEST] = np.uint32(_digest_of_description(h5))
+
+
+def is_signed(h5: h5py.File) -> bool:
+    """Whether the description is the one that was signed."""
+    return h5["minimd"].attrs.get(DIGEST) == _digest_of_description(h5)
+
+
+def _digest_of_description(h5: h5py.File) -> int:
+    digest = 0
+    for words in _description(h5):
+        digest = zlib.crc32(words, digest)
+    return digest
+
+
+def _description(h5: h5py.File) -> Iterator[bytes]:
+    """Names, attributes and contents, in order."""
+    items: dict[str, h5py.HLObject] = {}
+    for group in FIXED:
+        items[group] = h5[group]
+        h5[group].visititems(lambda name, item, group=group: items.setdefault(f"{group}/{name}", item))
+    for name, item in sorted(items.items()):
+        if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
+            continue
+        yield name.encode()
+        for key in sorted(item.attrs):
+            if key not in (DIGEST, "particles_group"):
+                yield repr((key, np.asarray(item.attrs[key]).tolist())).encode()
+        if isinstance(item, h5py.Dataset) and item.maxshape[:1] != (None,):
+            yield repr((item.shape, item.dtype.kind)).encode() + (repr(item[()].tolist()).encode() if item.dtype.kind == "O" else item[()].tobytes())

@@ -1,0 +1,115 @@
+"""The restart in a minimd file: all that the next steps depend on, to the last bit, with a checksum; and the restart before that.
+
+minimd/restart, minimd/earlier_restart    the datasets and attributes that flattened names, n_frames in the file, and the digest of all of them
+
+The older of the two is overwritten, then they change their names: if one is damaged, the run goes on from the other.
+"""
+
+import zlib
+from typing import Any
+
+import h5py
+import numpy as np
+
+from minimd.engine.engine import Checkpoint, Snapshot
+from minimd.integrators.splitting.state import OpenEnd
+from minimd.neighbors.verlet_list import Built
+
+RESTART, EARLIER, SPARE = "minimd/restart", "minimd/earlier_restart", "minimd/spare"
+DIGEST = "digest"
+
+
+def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """A checkpoint as named arrays and numbers. What it does not have is left out."""
+    state, images = checkpoint.state, checkpoint.images
+    arrays: dict[str, np.ndarray | None] = {"positions": state.positions, "velocities": state.velocities}
+    if state.open_end is not None:
+        arrays |= {"open_positions": state.open_end.positions, "open_velocities": state.open_end.velocities}
+    arrays["images"] = None if images is None else images[0]
+    arrays |= {f"list_{k}": one.positions for k, one in enumerate(checkpoint.lists)}
+    numbers: dict[str, Any] = {
+        "step": state.step,
+        "time": state.time,
+        "reservoir_energy": state.reservoir_energy,
+        "displacement": checkpoint.displacement,
+    }
+    clock = state.clock or (state.step, state.time)
+    numbers |= {"clock_step": clock[0], "clock_time": clock[1], "equilibrated": checkpoint.equilibrated}
+    numbers |= {"skins": np.array([one.skin for one in checkpoint.lists]), "tolerance": 0.0 if images is None else images[1]}
+    return {name: array for name, array in arrays.items() if array is not None}, numbers
+
+
+def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Checkpoint:
+    """The checkpoint that was flattened."""
+    end = OpenEnd(arrays["open_velocities"], arrays.get("open_positions")) if "open_velocities" in arrays else None
+    step, time, energy = int(numbers["step"]), float(numbers["time"]), float(numbers["reservoir_energy"])
+    lists = tuple(Built(float(skin), arrays.get(f"list_{k}")) for k, skin in enumerate(numbers["skins"]))
+    clock = int(numbers["clock_step"]), float(numbers["clock_time"])
+    return Checkpoint(
+        state=Snapshot(step, time, arrays["positions"], arrays["velocities"], energy, end, clock),
+        displacement=float(numbers["displacement"]),
+        lists=lists,
+        images=(arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None,
+        equilibrated=int(numbers["equilibrated"]),
+    )
+
+
+def write_restart(h5: h5py.File, checkpoint: Checkpoint, n_frames: int) -> None:
+    """Make this the restart, and the one that was it the earlier one."""
+    older = EARLIER if EARLIER in h5 else SPARE
+    arrays, numbers = flattened(checkpoint)
+    write_group(h5.require_group(older), arrays, numbers | {"n_frames": n_frames})
+    if older != SPARE:
+        h5.move(older, SPARE)
+    if RESTART in h5:
+        h5.move(RESTART, EARLIER)
+    h5.move(SPARE, RESTART)
+
+
+def read_restart(h5: h5py.File) -> tuple[Checkpoint, int, bool]:
+    """The restart, how many frames the file had then, and whether it is the earlier one, because the other is damaged.
+
+    Raises ValueError if no restart is whole.
+    """
+    for name in (RESTART, EARLIER):
+        try:
+            arrays, numbers = read_group(h5[name])
+            return unflattened(arrays, numbers), int(numbers["n_frames"]), name == EARLIER
+        except (KeyError, ValueError, OSError, RuntimeError, TypeError):
+            continue
+    raise ValueError("its restart is damaged")
+
+
+def write_group(group: h5py.Group, arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> None:
+    """Write arrays and numbers into a group, over those that it holds, and their digest."""
+    for name in [name for name in group if name not in arrays]:
+        del group[name]
+    for name, array in arrays.items():
+        if name in group and group[name].shape != array.shape:
+            del group[name]
+        group.require_dataset(name, array.shape, array.dtype)[...] = array
+    for name, number in numbers.items():
+        value = np.asarray(number, dtype=np.int64 if isinstance(number, int) else np.float64)
+        if name in group.attrs and group.attrs[name].shape == value.shape:
+            group.attrs.modify(name, value)
+        else:
+            group.attrs[name] = value
+    group.attrs[DIGEST] = np.uint32(digest_of(arrays, numbers))
+
+
+def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """What write_group wrote.  Raises ValueError if it is not that."""
+    arrays, numbers = {name: group[name][()] for name in group}, dict(group.attrs)
+    if digest_of(arrays, numbers) != numbers.pop(DIGEST, None):
+        raise ValueError(f"{group.name} is damaged")
+    return arrays, numbers
+
+
+def digest_of(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> int:
+    """CRC-32 of names and bytes."""
+    digest = 0
+    for name in sorted(arrays):
+        digest = zlib.crc32(np.ascontiguousarray(arrays[name]).data, zlib.crc32(name.encode(), digest))
+    for name in sorted(set(numbers) - {DIGEST}):
+        digest = zlib.crc32(np.asarray(numbers[name], dtype=np.float64).tobytes(), zlib.crc32(name.encode(), digest))
+    return digest

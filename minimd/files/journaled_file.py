@@ -1,0 +1,211 @@
+"""A file that changes in commits: each of them is on the disk whole or not at all, whenever the process is killed or the power fails.
+
+HDF5 updates its tables in place, one after the other; a process that dies in between leaves a file that cannot be opened. Here HDF5 writes
+into memory, and a commit brings that to the disk:
+
+    1  what lies behind the present end of the file, which nobody reads yet, is written
+    2  what replaces bytes of the file is written to a journal beside it, with a checksum
+    3  these bytes are replaced
+    4  the journal is removed
+
+A file with a whole journal is repaired by doing 3 and 4 again; a journal that is not whole is worth nothing, and the file is as it was.
+J. Gray, A. Reuter, Transaction Processing (1993), chapter 9.
+"""
+
+import errno
+import os
+import struct
+import zlib
+from contextlib import suppress
+from pathlib import Path
+
+from minimd.files.claim import Claim, locked
+
+MAGIC = b"minimd journal 1\n"
+HEAD = struct.Struct("<qqI")  # size of the file afterwards, number of pieces, CRC-32 of both and of all that follows
+PIECE = struct.Struct("<qq")  # where it goes, number of bytes
+
+Pieces = list[tuple[int, bytes]]  # place in the file and what comes there
+
+
+class JournaledFile:
+    """What h5py needs of a file object, on a file that is claimed.  size : of the file as it will be after the next commit [B]."""
+
+    def __init__(self, claim: Claim) -> None:
+        self._claim, self._journal = claim, journal_of(claim.path)
+        existing = claim.descriptor if claim.place == claim.path else claim.replaced
+        if existing >= 0:
+            _finish(self._journal, existing)
+        self._committed = self.size = os.fstat(claim.descriptor).st_size
+        self._tail = bytearray()  # what lies behind the committed end
+        self._pieces: Pieces = []  # what replaces committed bytes, in order
+        self._at = 0
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Move to a place; returns it."""
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.size}[whence]
+        return self._at
+
+    def tell(self) -> int:
+        """The present place."""
+        return self._at
+
+    def read(self, n_bytes: int) -> bytes:
+        """Up to so many bytes from the present place on."""
+        found = bytearray(n_bytes)
+        return bytes(found[: self.readinto(memoryview(found))])
+
+    def readinto(self, buffer: memoryview) -> int:
+        """Fill a buffer from the present place on; returns how many bytes there were."""
+        view = memoryview(buffer).cast("B")
+        start, end = self._at, max(self._at, min(self._at + len(view), self.size))
+        found = bytearray(end - start)
+        if start < self._committed:
+            old = os.pread(self._claim.descriptor, min(end, self._committed) - start, start)
+            found[: len(old)] = old
+        if end > self._committed:
+            first = max(start, self._committed)
+            new = self._tail[first - self._committed : end - self._committed]
+            found[first - start : first - start + len(new)] = new
+        for place, piece in self._pieces:
+            low, high = max(place, start), min(place + len(piece), end)
+            if low < high:
+                found[low - start : high - start] = piece[low - place : high - place]
+        view[: len(found)] = found
+        self._at = end
+        return len(found)
+
+    def write(self, data: bytes) -> int:
+        """Take bytes for the present place, in memory."""
+        data = bytes(data)
+        cut = max(0, min(len(data), self._committed - self._at))
+        if cut:
+            self._pieces.append((self._at, data[:cut]))
+        if cut < len(data):
+            first = self._at + cut - self._committed
+            self._tail.extend(bytes(max(0, first - len(self._tail))))
+            self._tail[first : first + len(data) - cut] = data[cut:]
+        self._at += len(data)
+        self.size = max(self.size, self._at)
+        return len(data)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Make this the end of the file."""
+        self.size = self._at if size is None else size
+        del self._tail[max(0, self.size - self._committed) :]
+        return self.size
+
+    def flush(self) -> None:
+        """Nothing: what HDF5 has flushed waits for commit."""
+
+    def commit(self) -> None:
+        """Bring to the disk what was written since the last commit, all of it or nothing.
+
+        Raises OSError if there is no room, or the file was removed, replaced or cut under the run; it is then as it was.
+        """
+        descriptor = self._claim.descriptor
+        self._check()
+        is_changed = bool(self._pieces) or self.size < self._committed
+        try:
+            _write_all(descriptor, bytes(self._tail), self._committed)
+            os.fsync(descriptor)
+            if is_changed:
+                _write_journal(self._journal, self.size, self._pieces)
+        except OSError:
+            with suppress(OSError):
+                self._journal.unlink(missing_ok=True)
+            with suppress(OSError):
+                os.ftruncate(descriptor, self._committed)
+            raise
+        if is_changed:
+            _apply(descriptor, self.size, self._pieces)
+            self._journal.unlink()
+        if self._claim.place != self._claim.path:
+            self._journal.unlink(missing_ok=True)  # of a file that was there before
+            self._claim.appear()
+        self._committed, self._tail, self._pieces = self.size, bytearray(), []
+
+    def close(self) -> None:
+        """Give the file free, as it was at the last commit. A new file without a commit leaves nothing."""
+        self._claim.release()
+
+    def _check(self) -> None:
+        self._claim.check()
+        n_bytes = os.fstat(self._claim.descriptor).st_size
+        if n_bytes < self._committed:
+            raise OSError(errno.EIO, f"it was cut to {n_bytes} of {self._committed} bytes while the run was writing it")
+
+
+def journal_of(path: Path) -> Path:
+    """The name of the journal of a file."""
+    return path.with_name(f"{path.name}.journal")
+
+
+def repair(path: str | Path) -> bool:
+    """Finish the last commit of a file, if it was interrupted; True if the file was changed.
+
+    Raises OSError if a run is writing the file, or this process may not.
+    """
+    place = Path(os.path.realpath(path))
+    if not journal_of(place).exists() or not place.exists():
+        return False
+    descriptor = locked(place)
+    try:
+        return _finish(journal_of(place), descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _finish(journal: Path, descriptor: int) -> bool:
+    """Do what a journal says, if it is whole, and remove it; True if it was."""
+    try:
+        found = _read_journal(journal)
+    except FileNotFoundError:
+        return False
+    if found is not None:
+        _apply(descriptor, *found)
+    journal.unlink()
+    return found is not None
+
+
+def _write_journal(path: Path, size: int, pieces: Pieces) -> None:
+    body = b"".join([PIECE.pack(place, len(data)) + data for place, data in pieces])
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
+    try:
+        _write_all(descriptor, MAGIC + HEAD.pack(size, len(pieces), _checksum(size, len(pieces), body)) + body, 0)
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _read_journal(path: Path) -> tuple[int, Pieces] | None:
+    """Size and pieces; None if it is not whole."""
+    text, start = path.read_bytes(), len(MAGIC) + HEAD.size
+    if len(text) < start or not text.startswith(MAGIC):
+        return None
+    size, n_pieces, checksum = HEAD.unpack_from(text, len(MAGIC))
+    if _checksum(size, n_pieces, text[start:]) != checksum:
+        return None
+    pieces = []
+    for _ in range(n_pieces):
+        place, n_bytes = PIECE.unpack_from(text, start)
+        start += PIECE.size + n_bytes
+        pieces.append((place, text[start - n_bytes : start]))
+    return size, pieces
+
+
+def _checksum(size: int, n_pieces: int, body: bytes) -> int:
+    return zlib.crc32(body, zlib.crc32(PIECE.pack(size, n_pieces)))
+
+
+def _apply(descriptor: int, size: int, pieces: Pieces) -> None:
+    for place, data in pieces:
+        _write_all(descriptor, data, place)
+    os.ftruncate(descriptor, size)
+    os.fsync(descriptor)
+
+
+def _write_all(descriptor: int, data: bytes, place: int) -> None:
+    view, done = memoryview(data), 0
+    while done < len(view):
+        done += os.pwrite(descriptor, view[done:], place + done)

@@ -12,7 +12,7 @@ from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, Stochast
 from minimd.minimization.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
-from minimd.replay import replay
+from minimd.replay import potentials_of_scene, replay
 from minimd.simulation.simulation import Simulation
 from minimd.structure import lattice, units
 from minimd.structure.cell import Cell
@@ -21,6 +21,7 @@ from minimd.structure.errors import ConstraintError, ConvergenceError, NonFinite
 from minimd.structure.system import System
 
 __version__ = version("minimd")
+Simulation.potentials_of_scene = staticmethod(potentials_of_scene)
 __all__ = [
     "BondPotential",
     "Cell",

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from minimd.diagnosis.crash_report import CrashReport
-from minimd.files.crash_file import SUFFIX, CrashFile, read_crash_report
+from minimd.files.crash_file import SUFFIX, read_crash_report
 from minimd.forces.forces import Potential
 from minimd.neighbors.queries import closest_pair
 from minimd.simulation.simulation import Simulation
@@ -98,7 +98,7 @@ def replay(
     """
     past = read_crash_report(file)
     frames, drawing = _output(trajectory, Path(file), ".replay.h5md", overwrite), _output(picture, Path(file), ".replay.png", overwrite)
-    acting = _potentials(past, file) if potentials is None else potentials
+    acting = potentials_of_scene(past.scene, past.potentials, Path(file)) if potentials is None else potentials
     simulation = Simulation(past.system, acting, past.method, precision=past.precision, skin=past.skin)
     simulation.restore(past.start)
     simulation.engine.noise_shift = past.noise_shift
@@ -119,16 +119,13 @@ def _output(wanted: str | Path | bool, file: Path, suffix: str, overwrite: bool)
     return path
 
 
-def _potentials(past: CrashFile, file: str | Path) -> list[Potential]:
-    """Those of the scene in the file."""
-    if not past.scene:
-        raise ValueError(
-            f"file {str(file)!r} holds no scene from which to rebuild its potentials; call minimd.replay(file, potentials) with those of the "
-            f"script: {'; '.join(past.potentials)}"
-        )
+def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Potential]:
+    """Those of the text of a scene.  words : what acted on the atoms, for the message.  Raises ValueError if there is no scene."""
+    if not scene:
+        raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; pass those of the script: {'; '.join(words)}")
     from minimd.scene import parse_scene
 
-    return parse_scene(past.scene, Path(file)).potentials()
+    return parse_scene(scene, file).potentials()
 
 
 def _run(simulation: Simulation, findings: CrashReport, trajectory: Path | None, rows: list[ReplayedStep]) -> tuple[int | None, str]:

@@ -6,7 +6,6 @@ import MDAnalysis
 import numpy as np
 
 import minimd as md
-from minimd.files.h5md_reader import read_file
 
 CELLS = {
     "cubic": (3.6, None),
@@ -40,12 +39,8 @@ def simulation(cell="cubic", units=md.units.LJ):
 
 
 def resumed(path, cell="cubic"):
-    """A simulation that stands at the restart of a file."""
-    contents, made = read_file(path), simulation(cell)
-    made.positions[:], made.velocities[:] = contents.system.positions, contents.system.velocities
-    made.step, made.time = contents.step, contents.time
-    made.forces_are_current = False
-    return made
+    """The simulation in the restart of a file."""
+    return md.Simulation.resume(path, simulation(cell).potentials)
 
 
 def opened(path, n_atoms=27):

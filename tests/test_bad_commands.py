@@ -118,7 +118,7 @@ def test_ctrl_c_without_words_says_interrupted_and_what_is_kept(folder, capsys, 
 
 
 def test_full_disk_is_told_with_what_is_kept(folder, capsys, monkeypatch):
-    fill_the_disk(monkeypatch, after=3)
+    fill_the_disk(monkeypatch, after=5)
     assert cli.main(["run", "good.toml"]) == 2
     message = only_error(capsys)
     assert "No space left on device" in message

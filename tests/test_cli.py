@@ -201,10 +201,10 @@ def test_interrupted_run_says_how_to_go_on(folder, capsys, monkeypatch):
 
     monkeypatch.setattr(H5MDWriter, "write", stopping)
     assert cli.main(["run", "melt.toml"]) == 130
-    assert "resume with: minimd resume melt.h5md --steps 20" in capsys.readouterr().err
+    assert "resume with: minimd resume melt.h5md --steps 19" in capsys.readouterr().err
     monkeypatch.undo()
     os.chdir(folder)
-    assert cli.main(["resume", "melt.h5md", "--steps", "20", "--quiet"]) == 0
+    assert cli.main(["resume", "melt.h5md", "--steps", "19", "--quiet"]) == 0
     assert read_file("melt.h5md").step == 40
 
 
@@ -224,10 +224,13 @@ def test_interrupted_equilibration_says_that_nothing_was_written(folder, capsys,
 
 
 def test_resume_without_a_stored_scene_asks_for_one(folder, capsys):
-    scene = load_scene("melt.toml")
-    scene.simulation().run(10, every=5, trajectory="bare.h5md")
+    from_scene = load_scene("melt.toml").simulation()
+    simulation = md.Simulation(from_scene.system, from_scene.potentials, from_scene.method)
+    simulation.run(10, every=5, trajectory="bare.h5md")
     assert cli.main(["resume", "bare.h5md", "--steps", "5"]) == 2
-    assert "'bare.h5md' holds no scene" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "'bare.h5md' holds no scene" in told
+    assert "minimd.Simulation.resume('bare.h5md', potentials)" in told
     assert cli.main(["resume", "bare.h5md", "--steps", "10", "--scene", "melt.toml", "--quiet"]) == 0
     assert read_file("bare.h5md").step == 20
 

@@ -1,9 +1,7 @@
 """A run that blows up says why, leaves a file, and can be seen failing again."""
 
-import json
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from references import liquid, melt_scene
@@ -129,7 +127,7 @@ def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path):
     assert 20 <= simulation.step - error.crash_report.first_step <= 120
     kept = read_file(tmp_path / "a.h5md")
     assert kept.record.step.tolist() == list(range(0, kept.step + 1, 20))
-    assert kept.step == simulation.step // 20 * 20
+    assert kept.step == simulation.step
 
 
 def test_no_file_where_none_was_asked_for(tmp_path, monkeypatch):
@@ -190,8 +188,8 @@ def test_findings_come_back_from_the_file(tmp_path):
     past = read_crash_report(error.file)
     assert past.findings == error.crash_report
     assert str(past.findings) == str(error.crash_report)
-    with h5py.File(error.file) as h5:
-        assert json.loads(h5["minimd/crash_report/simulation"].asstr()[()])["method"] == "velocity-verlet"
+    assert past.method.name == "velocity-verlet"
+    assert past.method.parameters == {"timestep": 0.08}
     assert past.system.constraints[0].pairs.shape == (108, 2)
     with pytest.raises(ValueError, match=r"holds no scene .*LennardJones"):
         md.replay(error.file)

@@ -9,6 +9,7 @@ import pytest
 import minimd as md
 from minimd.analysis.check import liquid, recompute
 from minimd.files import mdanalysis_writer
+from minimd.files.claim import Claim
 from minimd.files.h5md_writer import H5MDWriter
 from minimd.mdanalysis import diffusion_coefficient, mean_square_displacement, radial_distribution, universe, universes
 
@@ -41,11 +42,11 @@ def simulation(of=None):
 def written(path, made, frames):
     """A file of the given positions, one frame for each step."""
     sim = md.Simulation(made, md.LennardJones(1e-12, 1e-6, 1e-3), md.VelocityVerlet(0.5))
-    writer = H5MDWriter(path, sim.engine, False)
+    writer = H5MDWriter(Claim(path), sim.engine, False)
     for step, positions in enumerate(frames):
         writer.write(sim.frame()._replace(step=step, time=0.5 * step, positions=positions))
     sim.step = len(frames) - 1
-    writer.close(completed=True)
+    writer.close()
     return path
 
 
@@ -210,10 +211,10 @@ def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(tmp_path)
     steps, velocity = [0, 1, 2, 4, 8], np.array([[0.1, 0.2, 0.2]])
     made = md.System(np.eye(3), cell=9.0)
     sim = md.Simulation(made, md.LennardJones(1e-12, 1e-6, 1e-3), md.VelocityVerlet(0.5))
-    writer = H5MDWriter(tmp_path / "a.h5md", sim.engine, False)
+    writer = H5MDWriter(Claim(tmp_path / "a.h5md"), sim.engine, False)
     for step in steps:
         writer.write(sim.frame()._replace(step=step, time=0.5 * step, positions=np.eye(3) + 0.5 * step * velocity))
-    writer.close(completed=True)
+    writer.close()
     lags, squares = mean_square_displacement(tmp_path / "a.h5md")
     np.testing.assert_allclose(lags, 0.5 * np.array([0, 1, 2, 3, 4, 6, 7, 8]))
     np.testing.assert_allclose(squares, 0.09 * lags**2, rtol=1e-6)

@@ -46,10 +46,17 @@ def test_a_failure_is_judged_by_the_energy_of_its_own_positions(monkeypatch):
 @pytest.mark.parametrize("count", [True, 2.0, -1, "3", None])
 def test_what_is_no_count_is_refused(count):
     sim = liquid_run()
-    for make in (sim.run, sim.make_steps, lambda n: sim.equilibrate(n, 1.0), lambda n: sim.minimize(max_steps=n)):
-        with pytest.raises(ValueError, match=r"(n_steps|max_steps) must be a whole number, at least"):
+    makers = (sim.run, lambda n: sim.run(until_step=n), sim.make_steps, lambda n: sim.equilibrate(n, 1.0), lambda n: sim.minimize(max_steps=n))
+    for make in makers[2:] if count is None else makers:
+        with pytest.raises(ValueError, match=r"(n_steps|max_steps|until_step) must be a whole number, at least"):
             make(count)
     assert sim.step == 0
+
+
+@pytest.mark.parametrize("ends", [{}, {"n_steps": 5, "until_step": 5}])
+def test_a_run_has_one_end(ends):
+    with pytest.raises(ValueError, match="needs either n_steps or until_step"):
+        liquid_run().run(**ends)
 
 
 def test_no_steps_are_none():

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
+from minimd.files.h5md_reader import damage
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.images import images_of_length, lengths_of
@@ -72,13 +73,14 @@ def check_file(path: str | Path) -> FileCheck:
 
     Stored observables are float64. Velocities come in float32, for which the tolerances allow.  Raises as minimd.mdanalysis.universe.
     """
+    sums = Comparison("checksums", float(bool(which := damage(path))), EXACT, f"{which or 'no frames'} are not those that were written")
     with universe_of(path) as made:
         contents, moved, system = made.contents, recompute(made), made.contents.system
         record, is_free = Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}), contents.conserves_momentum
         report = conservation_report(record, linear=is_free, angular=is_free and not system.cell.is_periodic)
         frames = f"{contents.n_frames} frames, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, {system.units.name} units"
         heading = f"file           {Path(path)}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"
-        return FileCheck(heading, comparisons(moved), report, liquid(made))
+        return FileCheck(heading, [*comparisons(moved), sums], report, liquid(made))
 
 
 class Recomputed(NamedTuple):

@@ -76,6 +76,7 @@ class RunGuard:
         if not goes_on:
             engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
         engine.evaluate()
+        engine.leave()
         if fault := fault_at_start(engine):
             raise self._failure(fault, engine.step)
 
@@ -181,6 +182,7 @@ class RunGuard:
     def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
         """The error for a run that failed in a step, with its crash report; the engine is in the last good state.  at : (N, 3), of the failure."""
         engine, reason = self.engine, self._reason
+        engine.is_whole = True  # a good state, worth keeping, though the roundings of a run from it may be others
         snapshots = self._snapshots or [engine.snapshot()]
         self.failed_from = start = next((one for one in reversed(snapshots) if engine.step - one.step >= LEAST_REPLAY), snapshots[0])
         kind, fault = (ConstraintError, str(reason)) if isinstance(reason, ConstraintError) else (NonFiniteError, fault)

@@ -99,11 +99,16 @@ def read_file(path: str | Path) -> H5MDContents:
             )
 
 
-def verify_frames(path: str | Path) -> None:
-    """Raise OSError unless all frames of a minimd file are those that were written; and as opened."""
+def damage(path: str | Path) -> str:
+    """Which frames of a minimd file are not those that were written, in words; empty if all are.  Raises as read_file."""
     with opened(path) as h5, _damage_told(path):
-        if which := damaged_frames(h5):
-            raise ValueError(f"{which} are not those that were written")
+        return damaged_frames(h5)
+
+
+def verify_frames(path: str | Path) -> None:
+    """Raise OSError unless all frames of a minimd file are those that were written; and as read_file."""
+    if which := damage(path):
+        raise OSError(f"file {str(path)!r} is damaged: {which} are not those that were written; copy it again, or run again")
 
 
 @contextmanager

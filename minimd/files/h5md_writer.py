@@ -26,7 +26,7 @@ from minimd.files.h5md_restart import write_restart
 from minimd.files.journaled_file import JournaledFile
 
 SECONDS_BETWEEN_FLUSHES = 1.0
-SHARE_OF_TIME = 0.02  # that flushes may take, while there is memory for frames
+MOST_OFTEN = 50.0  # times as long as a flush takes, while there is memory for frames
 BUFFER_BYTES = 32 * 1024**2  # of frames kept in memory between two flushes
 
 
@@ -100,7 +100,7 @@ class H5MDWriter:
             self._n_frames += len(self._pending)
             self._pending = []
         now = monotonic()
-        self._next_flush = now + max(SECONDS_BETWEEN_FLUSHES, (now - started) / SHARE_OF_TIME)
+        self._next_flush = now + SECONDS_BETWEEN_FLUSHES * max(1.0, MOST_OFTEN * (now - started))
 
     def close(self) -> None:
         """Write what is left, make the present state of the engine the restart, and close the file; do nothing if it is closed or has failed.

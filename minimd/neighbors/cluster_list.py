@@ -115,7 +115,7 @@ class ClusterList(VerletList):
         if not self._is_mixed:
             return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces, self._far, np.zeros((0, 3)))
         shift, origin = self._memory.array("grid shift", np.int32, len(ghosts.owner), 3), np.empty(3)
-        unit = self._calls(lay_grid, ghosts, self.skin, origin, shift)
+        unit = self._calls(lay_grid, ghosts, self.cutoff + self.skin, self.skin, origin, shift)
         if unit > COARSEST * self.cutoff:
             width, limit = unit * GRID, COARSEST * self.cutoff
             raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take precision='double'")
@@ -151,15 +151,15 @@ def _build_domain(domain, layout, rows, entries, needed, work):
 
 
 @kernel
-def lay_grid(ghosts, skin, origin, shift):
+def lay_grid(ghosts, reach, skin, origin, shift):
     """The grid of mixed precision: its origin (3,) and the shift of each ghost (M, 3) in units are written, the unit is returned."""
     unit, stride = 0.0, ghosts.boxes.size // SIDES
     for c in range(3):
         low, high = np.inf, -np.inf
         for m in range(shift.shape[0]):
             low, high = min(low, ghosts.boxes[c * stride + m]), max(high, ghosts.boxes[(c + 3) * stride + m])
-        origin[c] = 0.5 * (low + high)
-        unit = max(unit, (high - low + 2.0 * skin) / GRID)
+        origin[c] = 0.5 * (low + high) * reach
+        unit = max(unit, ((high - low) * reach + 2.0 * skin) / GRID)
     for m in range(shift.shape[0]):
         for c in range(3):
             shift[m, c] = np.int32(np.rint(ghosts.shift[m, c] / unit))

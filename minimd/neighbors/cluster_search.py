@@ -26,7 +26,7 @@ from minimd.structure.cell import minimum_image
 
 LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
 GHOST_BITS = (1 << LANES_FROM) - 1
-ROUNDED_UP = 1.0 + 1e-6  # of a squared distance between boxes, in float32
+ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the rounding of float32
 
 
 class Rows(namedtuple("Rows", "start stop entries")):
@@ -85,10 +85,10 @@ def find_rows(domain, layout, rows, room, work):
 @scalar
 def _candidates(k, n_ahead, layout, work):
     """Ghosts ahead of cluster k whose boxes are within reach; returns how many. The first ghost of each run moves up with k."""
-    ghosts, along, reach, ahead, candidates = layout.ghosts, layout.columns.along, layout.columns.distance, work.ahead, work.candidates
+    ghosts, along, limit2, ahead, candidates = layout.ghosts, layout.columns.along, np.float32(ROUNDED_UP), work.ahead, work.candidates
     boxes, bottom, top, i = ghosts.boxes, ghosts.bottom, ghosts.top, ghosts.home[k]
     low, high = bottom[i] - along, top[i] + along
-    own, stride, limit2 = _box(boxes, i), boxes.size // SIDES, np.float32(ROUNDED_UP * reach * reach)
+    own, stride = _box(boxes, i), boxes.size // SIDES
     n = 0
     for run in range(n_ahead):
         j, last = ahead[run, 0], ahead[run, 1]
@@ -118,7 +118,7 @@ def _box(boxes, i):
 
 @scalar
 def _gap(boxes, j, stride, low, high):
-    """Distances along one axis from an interval, low to high, to those of BOXES boxes; 0 where they overlap."""
+    """Distances along one axis, in units of the reach, from an interval, low to high, to those of BOXES boxes; 0 where they overlap."""
     return max(0.0, max(load(boxes, j, BOXES) - high, low - load(boxes, j + 3 * stride, BOXES)))
 
 

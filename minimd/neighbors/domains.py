@@ -47,7 +47,7 @@ class GhostClusters(namedtuple("GhostClusters", "owner key shift bottom top boxe
     owner : (M,) int, the cluster.  key : (M,) int, 27 · cluster + code of the image (a, b, c), which is 9 (a + 1) + 3 (b + 1) + c + 1.
     shift : (M, 3) lattice vector of that image [length].
     bottom, top : (M,) fractional coordinates along the third lattice vector.
-    boxes : flat float32, for each of the SIDES a row of at least M + BOXES numbers [length].
+    boxes : flat float32, for each of the SIDES a row of at least M + BOXES numbers, in units of Columns.distance: any length has room.
     lanes : (M,) uint8, bit k is set if lane k is not padding.
     home : (C,) int, the home of each cluster.
     is_used : (M,) bool, true for ghosts that stand in a row, and for homes.
@@ -127,7 +127,7 @@ def _seen(run_x, run_y, image_z, clusters, columns):
 def fill_ghosts(domain, layout):
     """Write the ghosts of one domain. is_used is true for the domain's own clusters only; find_rows sets it for the others."""
     columns, clusters, domains, ghosts, coordinates = layout
-    stride = ghosts.boxes.size // SIDES
+    stride, unit = ghosts.boxes.size // SIDES, columns.distance
     lattice, lanes, n_lanes = columns.lattice, clusters.lanes, count(clusters.lanes)
     run = domains.run[domain]
     for run_x in range(domains.column[domain], domains.column[domain + 1] + columns.reach[0]):
@@ -147,7 +147,7 @@ def fill_ghosts(domain, layout):
                     for d in range(3):
                         shift = a * lattice[0, d] + b * lattice[1, d] + image_z * lattice[2, d]
                         ghosts.shift[ghost, d] = shift
-                        low, high = clusters.boxes[k, d] + shift, clusters.boxes[k, d + 3] + shift
+                        low, high = (clusters.boxes[k, d] + shift) / unit, (clusters.boxes[k, d + 3] + shift) / unit
                         ghosts.boxes[d * stride + ghost] = low - OUTWARD * abs(low)
                         ghosts.boxes[(d + 3) * stride + ghost] = high + OUTWARD * abs(high)
                         place = (k * DIMENSIONS + d) * n_lanes

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
 from time import monotonic
-from typing import Generic, Literal, Self, TypeVar
+from typing import ClassVar, Generic, Literal, Self, TypeVar
 
 from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
@@ -75,6 +75,7 @@ class Simulation:
     TypeError, ValueError : for arguments of another kind, and as Forces does.
     """
 
+    potentials_of_scene: ClassVar[Callable[[str, Sequence[str], Path], list[Potential]]]  # scenes are a floor above; minimd/__init__ sets it
     system = EngineAttribute[System]("The state; its arrays can be changed, not replaced by those of another system.")
     method = EngineAttribute[Splitting]("The integrator with its time step; another one takes over from the next run on. See Engine.method.")
     step = EngineAttribute[int]("Steps made so far; set it when a run is resumed.")
@@ -132,7 +133,7 @@ class Simulation:
         contents = read_file(file)
         verify_frames(file)
         if potentials is None:
-            potentials = _potentials_of_scene(contents.scene, contents.potentials, Path(file))
+            potentials = cls.potentials_of_scene(contents.scene, contents.potentials, Path(file))
         resumed = cls(contents.system, potentials, contents.integrator(), threads=threads, precision=contents.precision, skin=contents.skin)
         resumed.extra_observables = ("shadow_energy",) if "shadow_energy" in contents.record else ()
         resumed.engine.notes.update(title=contents.title, scene=contents.scene)
@@ -384,12 +385,3 @@ def _end(step: int, n_steps: int | None, until_step: int | None) -> int:
     if n_steps is not None:
         return step + checked_count("n_steps", n_steps, 0)
     return checked_count("until_step", until_step, step)
-
-
-def _potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Potential]:
-    """Those of the scene in a file.  Raises ValueError if it holds none."""
-    if not scene:
-        raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; pass those of the script: {'; '.join(words)}")
-    from minimd.scene import parse_scene
-
-    return parse_scene(scene, file).potentials()

@@ -140,44 +140,38 @@ class Splitting(Method):
         """
         around = Surroundings() if surroundings is None else surroundings
         start, cycle, end = self._grouped(may_merge_drifts=around.constraints is None)
-        ahead = next((k for k, substep in enumerate(cycle) if isinstance(substep, Kick)), 0)  # a march begins with a kick
-        durations = None if march is None or around.constraints is not None else self._durations(cycle[ahead:] + cycle[:ahead])
+        first_kick = next((k for k, substep in enumerate(cycle) if isinstance(substep, Kick)), 0)
+        durations = None if march is None or around.constraints is not None else self._durations(cycle[first_kick:] + cycle[:first_kick])
         step, goes_on = 0, around.take_up(state)
-        while step < n_steps:
-            is_first, is_last = step == 0 and not goes_on, step == n_steps - 1
-            substeps = start if is_first else cycle
-            if march is not None and durations is not None and not (is_first or is_last):
-                self._make(cycle[:ahead], state, compute_forces, around)
-                step += march(state, durations, n_steps - 1 - step)
-                substeps, is_last = cycle[ahead:], step == n_steps - 1
-            self._make(substeps, state, compute_forces, around, with_energy and is_last and not end)
-            step += 1
-            if around.bath is not None:
-                around.bath.step, around.bath.contact = around.bath.step + 1, 0
-            if around.stop_requested:
-                n_steps = step
-        around.leave_open(state, moves=any(isinstance(substep, Drift) for substep in end), ends=bool(end))
-        self._make(end, state, compute_forces, around, with_energy)
-        around.project(state)
-        return step
-
-    def _make(self, substeps: Substeps, state: State, compute_forces: ComputeForces, around: Surroundings, with_energy: bool = False) -> None:
-        """Make substeps.  with_energy : evaluate the energy with the forces, if the last substep is a kick that needs them."""
-        for k, substep in enumerate(substeps, start=1):
-            duration = substep.coefficient * self.timestep
-            if isinstance(substep, Kick):
-                if not state.forces_are_current:
-                    compute_forces(state, with_energy and k == len(substeps))
-                    state.forces_are_current = True
-                kick(state.velocities, state.forces, state.inverse_masses, duration)
-            elif isinstance(substep, Thermalize):
-                self.thermalize(state, duration, around)
-            else:
-                if around.constraints is None:
-                    drift(state.positions, state.velocities, duration)
+        while step <= n_steps:
+            substeps = end if step == n_steps else start if step == 0 and not goes_on else cycle
+            if step == n_steps:
+                around.leave_open(state, ends=bool(end), moves=any(isinstance(substep, Drift) for substep in end))
+            for k, substep in enumerate(substeps):
+                if march is not None and durations is not None and substeps is cycle and k == first_kick and not state.forces_are_current:
+                    step += march(state, durations, n_steps - 1 - step)
+                duration = substep.coefficient * self.timestep
+                if isinstance(substep, Kick):
+                    if not state.forces_are_current:
+                        is_last = k == len(substeps) - 1 and step == (n_steps if end else n_steps - 1)
+                        compute_forces(state, with_energy and is_last)
+                        state.forces_are_current = True
+                    kick(state.velocities, state.forces, state.inverse_masses, duration)
+                elif isinstance(substep, Thermalize):
+                    self.thermalize(state, duration, around)
                 else:
-                    around.constraints.drift(state.positions, state.velocities, duration)
-                state.forces_are_current = False
+                    if around.constraints is None:
+                        drift(state.positions, state.velocities, duration)
+                    else:
+                        around.constraints.drift(state.positions, state.velocities, duration)
+                    state.forces_are_current = False
+            if around.bath is not None and step < n_steps:
+                around.bath.step, around.bath.contact = around.bath.step + 1, 0
+            step += 1
+            if around.stop_requested:
+                n_steps = min(n_steps, step)
+        around.project(state)
+        return n_steps
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """Contact with the bath over a duration: what a substep Thermalize does. Methods without a bath have no such substep."""

@@ -1,0 +1,39 @@
+"""A process that is killed at its k-th write to the disk."""
+
+import os
+import signal
+
+CALLS = ("pwrite", "fsync", "ftruncate", "replace", "link", "unlink", "open")  # of os, by which minimd changes files
+
+
+def killed_at(k, work):
+    """Do work in a child process that dies, as by kill -9, before its k-th change of a file; how many it made if it lives to the end, else None."""
+    child = os.fork()
+    if child == 0:
+        n_changes = _die_at(k)
+        try:
+            work()
+        finally:
+            os._exit(n_changes[0] if n_changes[0] < 256 else 255)
+    _, status = os.waitpid(child, 0)
+    if os.WIFSIGNALED(status):
+        assert os.WTERMSIG(status) == signal.SIGKILL
+        return None
+    return os.WEXITSTATUS(status)
+
+
+def _die_at(k):
+    n_changes = [0]
+
+    def counted(call):
+        def changed(*arguments, **options):
+            n_changes[0] += 1
+            if n_changes[0] == k:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return call(*arguments, **options)
+
+        return changed
+
+    for name in CALLS:
+        setattr(os, name, counted(getattr(os, name)))
+    return n_changes

@@ -1,0 +1,170 @@
+"""A run that is killed at any of its writes goes on to the same last bit, and so does one that is stopped anywhere."""
+
+import os
+import random
+import shutil
+import subprocess
+import sys
+import time
+
+import MDAnalysis
+import numpy as np
+import pytest
+from cluster_scenes import atoms_per_domain
+from kills import killed_at
+from references import liquid
+
+import minimd as md
+from minimd.files.h5md_reader import read_file, verify_frames
+from minimd.integrators.methods import SPLITTINGS
+from minimd.structure.lattice import crystal
+
+LAW = md.LennardJones(1.0, 1.0, 1.8, "switched")
+
+
+def plain(method=None, **options):
+    return simulation(liquid(3), LAW, method, **options)
+
+
+def rigid(method=None, **options):
+    """Dumbbells, some of their atoms fixed."""
+    system = liquid(3)
+    pairs = np.arange(len(system)).reshape(-1, 2)[5:]
+    bonded = md.System(system.positions, cell=system.cell, bonds=pairs)
+    return simulation(
+        bonded, md.LennardJones(1.0, 1.0, 1.8, "switched", bonded_scale=(0.0, 1.0, 1.0)), method, [md.DistanceConstraints(pairs)], **options
+    )
+
+
+def springs(method=None, **options):
+    """Two lists, because bonded pairs are scaled in one law and not in the other; fixed atoms; open along z."""
+    system = liquid(3)
+    pairs = np.arange(len(system)).reshape(-1, 2)
+    slab = md.System(system.positions, cell=system.cell.vectors, pbc=(True, True, False), bonds=pairs)
+    laws = [LAW, md.LennardJones(0.1, 1.0, 1.7, "shifted", bonded_scale=(0.0, 1.0, 1.0)), md.HarmonicBond(20.0, 1.1)]
+    return simulation(slab, laws, method, [md.FixedAtoms([0, 7])], **options)
+
+
+def few(method=None, **options):
+    """Too few for clusters, without a cell."""
+    positions, _ = crystal("fcc", (2, 2, 2), 1.6)
+    return simulation(md.System(positions), md.LennardJones(1.0, 1.0, 2.5), method, **options)
+
+
+SCENES = {"plain": plain, "rigid": rigid, "springs": springs, "few": few}
+
+
+def simulation(system, laws, method=None, constraints=None, **options):
+    made = md.Simulation(system, laws, method or md.VelocityVerlet(0.003), constraints, **{"threads": 1, **options})
+    made.set_temperature(1.2, 3)
+    return made
+
+
+def method_of(name):
+    of = SPLITTINGS[name]
+    return of(0.003, 1.2, 0.7, seed=4) if of.is_thermostat else of(0.003)
+
+
+def assert_same_file(path, other):
+    """All that minimd reads from them, to the last bit."""
+    for one in (path, other):
+        verify_frames(one)
+    ours, theirs = read_file(path), read_file(other)
+    for name in theirs.record.__dict__["_series"]:
+        np.testing.assert_array_equal(getattr(ours.record, name), getattr(theirs.record, name), strict=True)
+    for name in ("positions", "velocities"):
+        np.testing.assert_array_equal(getattr(ours.system, name), getattr(theirs.system, name), strict=True)
+    assert (ours.step, ours.time, ours.reservoir_energy) == (theirs.step, theirs.time, theirs.reservoir_energy)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize("scene", SCENES)
+def test_n_steps_and_m_steps_are_n_plus_m(scene, precision, threads, tmp_path):
+    """In one process and through a file, stopped anywhere, for some methods drawn at random."""
+    draw = random.Random(f"{scene} {precision} {threads}")
+    for k in range(4):
+        name, n, m, every = draw.choice(sorted(SPLITTINGS)), draw.randrange(130), draw.randrange(1, 130), draw.choice([1, 7, 10, 50, 1000])
+        with atoms_per_domain(50):
+            whole, parts = (SCENES[scene](method_of(name), precision=precision, threads=threads) for _ in range(2))
+            whole.run(n + m, every=every, trajectory=tmp_path / f"{k}.h5md")
+            path = tmp_path / f"{k} in parts.h5md"
+            parts.run(n, every=every, trajectory=path)
+            if k % 2:
+                parts = md.Simulation.resume(path, parts.potentials, threads=draw.choice([1, 2, 3]))
+            parts.run(until_step=n + m, every=every, trajectory=path, append=True)
+        np.testing.assert_array_equal(parts.positions, whole.positions)
+        np.testing.assert_array_equal(parts.velocities, whole.velocities)
+        assert_same_file(path, tmp_path / f"{k}.h5md")
+
+
+@pytest.mark.parametrize("scene", ["plain", "rigid"])
+def test_a_run_killed_at_any_write_goes_on_to_the_same_bits(scene, tmp_path, monkeypatch):
+    """Start, flushes with new chunks, a checkpoint between two frames, and the close; then the resumed run is killed likewise."""
+    monkeypatch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
+    monkeypatch.setattr("minimd.files.h5md_schema.CHUNK_BYTES", 6000)  # two frames
+    monkeypatch.setattr("minimd.simulation.simulation.SECONDS_BETWEEN_CHECKPOINTS", 0.0)
+    monkeypatch.setattr("minimd.simulation.simulation.BLOCK", 4)
+    method = md.LangevinBAOAB(0.003, 1.2, 0.7, seed=4) if scene == "rigid" else md.VelocityVerlet(0.003)
+    whole, path, n_steps = tmp_path / "whole.h5md", tmp_path / "a.h5md", 13
+    reference = SCENES[scene](method)
+    reference.run(n_steps, every=5, trajectory=whole)
+
+    def begin():
+        SCENES[scene](method).run(n_steps, every=5, trajectory=path)
+
+    def go_on():
+        md.Simulation.resume(path, reference.potentials, threads=1).run(until_step=n_steps, every=5, trajectory=path, append=True)
+
+    n_changes = killed_at(0, begin)
+    assert n_changes > 40
+    path.unlink()
+    n_lost = 0
+    for k in range(1, n_changes + 1):
+        assert killed_at(k, begin) is None
+        if path.exists():
+            shutil.copy(path, tmp_path / "seen.h5md")
+            if not (tmp_path / "a.h5md.journal").exists():
+                assert len(MDAnalysis.Universe.empty(108).load_new(str(path)).trajectory) >= 1  # also without a repair
+            if read_file(path).step < n_steps:
+                killed_at(1 + k % 17, go_on)
+                go_on()
+        else:
+            n_lost += 1
+            begin()
+        assert_same_file(path, whole)
+        path.unlink()
+    assert n_lost < 12  # kills before the first frame was there
+    assert sorted(os.listdir(tmp_path)) == ["seen.h5md", "whole.h5md"]
+
+
+SCRIPT = """
+import sys
+import minimd as md
+from test_kills import SCENES, method_of
+scene, method, path, end = *sys.argv[1:4], int(sys.argv[4])
+import pathlib
+if pathlib.Path(path).exists():
+    sim = md.Simulation.resume(path, SCENES[scene](method_of(method)).potentials)
+else:
+    sim = SCENES[scene](method_of(method))
+print("ready", flush=True)
+sim.run(until_step=max(end, sim.step), every=5, trajectory=path, append=pathlib.Path(path).exists())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_random_kills_while_it_runs_and_resumes(seed, tmp_path):
+    """Each run is killed five times, at any moment."""
+    draw, path, whole = random.Random(seed), tmp_path / "a.h5md", tmp_path / "whole.h5md"
+    scene, method = draw.choice(sorted(SCENES)), draw.choice(sorted(SPLITTINGS))
+    SCENES[scene](method_of(method)).run(20_000, every=5, trajectory=whole)
+    command = [sys.executable, "-c", SCRIPT, scene, method, str(path), "20000"]
+    for _ in range(5):
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+            process.stdout.readline()
+            time.sleep(draw.random() * 1.5)
+            process.kill()
+    subprocess.run(command, check=True)
+    assert_same_file(path, whole)

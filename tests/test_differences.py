@@ -1,10 +1,14 @@
-"""Derivatives by differences: their digits on functions of every kind."""
+"""Derivatives by differences: their digits on functions of every kind, and what a solution says of them."""
 
 import math
 
 import numpy as np
 import pytest
+from dae_problems import HORIZONTAL, pendulum
+from test_holonomic import DOUBLE_START, double_pendulum, exact_gradients
 
+import minimd as md
+from minimd.integrators import Mechanical, RadauIIA3, run_steps
 from minimd.integrators.ode.differences import accurate_differences, error_of_differences, time_derivative
 
 SMOOTH = {  # a function, a place, its derivative there
@@ -66,3 +70,17 @@ def test_time_derivatives_in_any_unit(order, digits, unit):
     exact = np.array([3.0, 4.0])[order - 1 :][:1] / unit**order
     found = time_derivative(lambda t: np.array([np.exp(2.0 * t / unit) + t / unit]), order, unit)
     assert found == pytest.approx(exact, rel=digits)
+
+
+@pytest.mark.parametrize(
+    ("given", "by_differences", "method", "start"),
+    [
+        (exact_gradients(), double_pendulum(), md.VelocityVerlet, DOUBLE_START),
+        (pendulum(), Mechanical(1.0, lambda q: np.array([0.0, -1.0]), lambda q: (q @ q - 1) / 2), RadauIIA3, HORIZONTAL),
+    ],
+)
+def test_a_solution_tells_how_its_derivatives_were_found(given, by_differences, method, start):
+    assert run_steps(given, method(0.01), start, 2).message == "the end was reached"
+    said, told = run_steps(by_differences, method(0.01), start, 2).message.split(" of ")
+    assert said == "the end was reached; G = ∂g/∂q by differences, with a relative error"
+    assert 1e-16 < float(told.removesuffix(" at the start")) < 1e-12

@@ -8,13 +8,15 @@ cheaper, and symplectic.
 E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, eq. 1.46.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.dae.consistent_start import unit_of_time
 from minimd.integrators.dae.hessenberg import Hessenberg3
 from minimd.integrators.method import Array
-from minimd.integrators.ode.differences import accurate_differences, forward_differences, time_derivative
+from minimd.integrators.ode.differences import accurate_differences, forward_differences, remark_on_differences, time_derivative
 from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
 
@@ -31,7 +33,7 @@ class Mechanical(Hessenberg3):
     g : (m,) constraints, function of t, q.  gradient : (m, n) G = ∂g/∂q, a function of the same; by differences of order 6 if not given.
 
     The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ. An error of G is one of this force: for
-    all digits of λ and v′ give the gradient.
+    all digits of λ and v′ give the gradient. The message of a solution says how large the error is.
     """
 
     names, functions, regular = ("q", "v", "λ"), ("q′", "force", "g"), "G M⁻¹ Gᵀ"
@@ -43,6 +45,13 @@ class Mechanical(Hessenberg3):
         self._force = taking(force, ("t", "q", "v"), "force")
         self._gradient = gradient if gradient is None else taking(gradient, ("t", "q"), "gradient")
         self._mass = taking(mass, ("q",), "mass") if callable(mass) else lambda q: np.array(mass, dtype=float).reshape(-1)
+
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
+        """See Hessenberg."""
+        y = super().begin(start, t0)
+        q = self.parts(y)[0]
+        self.remark = remark_on_differences("G = ∂g/∂q", lambda x: self.g(t0, x), q) if self._gradient is None else ""
+        return y
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """q′ − v, M v′ − f + Gᵀ λ and g."""

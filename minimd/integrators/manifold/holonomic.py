@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from minimd.integrators.dae.consistent_start import unit_of_time
 from minimd.integrators.method import Array, Step
-from minimd.integrators.ode.differences import accurate_differences, time_derivative
+from minimd.integrators.ode.differences import accurate_differences, remark_on_differences, time_derivative
 from minimd.integrators.ode.functions import Function
 from minimd.integrators.ode.newton import Iteration, Newton, Solver
 from minimd.integrators.ode.partitioned import SecondOrder, SequenceStep, push
@@ -39,7 +39,8 @@ class Holonomic(SecondOrder):
     ----------
     f : acceleration without the constraints, a function of q, or of t and q [length/time²].
     g : (m,) constraints, a function of q.
-    jacobian : (m, n) G = ∂g/∂q, a function of q. By differences of order 6 if not given: G v = 0 then holds to their error.
+    jacobian : (m, n) G = ∂g/∂q, a function of q. By differences of order 6 if not given: G v = 0 then holds to their error,
+        which the message of a solution tells.
     masses : (n,) mass of each coordinate, or one number [mass].
 
     A start that violates g = 0 or G v = 0 is projected, with a warning that says how far it was off.
@@ -81,6 +82,7 @@ class Holonomic(SecondOrder):
         if moved > KEPT * np.abs(q).max() or turned > KEPT * max(np.abs(v).max(), np.finfo(float).tiny):
             moves = f"q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}"
             warnings.warn(f"the start was projected onto the constraints: {moves}", stacklevel=outside_minimd())
+        self.remark = remark_on_differences("G = ∂g/∂q", self.violation, q1) if self._jacobian is None else ""
         return np.concatenate([q1, v1])
 
     def sequence_step(self, substeps: Substeps) -> Step:

@@ -25,7 +25,7 @@ class FirstOrder:
     solver : Newton() or FixedPoint().
     """
 
-    shape = None
+    shape, remark = None, ""
 
     def __init__(self, f: Function, jacobian: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
         self._f = of_time_and_state(f, "f")

@@ -6,13 +6,20 @@ z ∥ b₀ × c₀ (with b₀, c₀ taken from a), x ∥ a₁ × z and y = z × 
 ψ around y, φ around x and θ around z:
 
     sin φ = z_a1/r_a                                      sin ψ = (z_b1 − z_c1)/(2 r_c cos φ)
-    a₂ = (0, r_a cos φ)      b₂ = (−r_c cos ψ, −r_b cos φ − r_c sin ψ sin φ)      c₂ = (r_c cos ψ, −r_b cos φ + r_c sin ψ sin φ)
+    b₂ = (−r_c cos ψ, −r_b cos φ − r_c sin ψ sin φ)       c₂ = (r_c cos ψ, −r_b cos φ + r_c sin ψ sin φ)
     α = x_b2 (x_b0 − x_c0) + y_b0 y_b2 + y_c0 y_c2        β = x_b2 (y_c0 − y_b0) + x_b0 y_b2 + x_c0 y_c2
     γ = x_b0 y_b1 − x_b1 y_b0 + x_c0 y_c1 − x_c1 y_c0     sin θ = (α γ − β √(α² + β² − γ²))/(α² + β²)
-    r₃ = (x₂ cos θ − y₂ sin θ,  x₂ sin θ + y₂ cos θ,  z₁)  of a, b and c
+    r₃ = (x₂ cos θ − y₂ sin θ,  x₂ sin θ + y₂ cos θ,  z₁)  of b and c
 
 θ solves α sin θ + β cos θ = γ: the forces of the constraints act along the old bonds, so that m (r₃ − r₁) has no moment about the old a.
 S. Miyamoto, P. A. Kollman, J. Comput. Chem. 13, 952 (1992), eq. A8-A17.
+
+So m (r₃ − r₁) is a sum of impulses along the old bonds, equal and opposite on the two atoms of each. They are what is applied: the
+rounding of r₃, divided by a short Δt, then changes neither momentum nor angular momentum. With δ = r₃ − r₁, e₀ = c₀ − b₀, plane vectors
+u × w = x_u y_w − y_u x_w, and λ in units of the mass of b:
+
+    λ_ab = δ_b × e₀/(b₀ × c₀)      λ_ac = δ_c × e₀/(b₀ × c₀)      λ_bc = (δ_b × b₀ − δ_c × c₀)/(2 b₀ × c₀)
+    δ_b = λ_ab b₀ − λ_bc e₀        δ_c = λ_ac c₀ + λ_bc e₀        m_a δ_a = −m_b (λ_ab b₀ + λ_ac c₀)
 """
 
 from collections import namedtuple
@@ -23,8 +30,8 @@ from minimd.constraints.vectors import NOTHING, combined, cross, dot, moved, sep
 
 
 @inlined
-def settled(b0, c0, drifted, r_a, r_b, r_c):
-    """a₃, b₃, c₃, and whether they exist.
+def impulses(b0, c0, drifted, r_a, r_b, r_c):
+    """λ_ab, λ_ac, λ_bc of a triangle [dimensionless], and whether they exist.
 
     b0, c0 : separations a to b and a to c before the drift.  drifted : a₁, b₁, c₁.  r_a, r_b, r_c : see above. All [length].
     """
@@ -37,9 +44,9 @@ def settled(b0, c0, drifted, r_a, r_b, r_c):
     sin_psi = (dot(b1, z) - dot(c1, z)) / (2.0 * r_c * sqrt(max(cos_phi2, 0.0))) if cos_phi2 > 0.0 else 2.0
     cos_psi2 = 1.0 - sin_psi * sin_psi
     if not cos_psi2 > 0.0:
-        return a1, b1, c1, False
+        return 0.0, 0.0, 0.0, False
     cos_phi, cos_psi = sqrt(cos_phi2), sqrt(cos_psi2)
-    ya, xb = r_a * cos_phi, -r_c * cos_psi
+    xb = -r_c * cos_psi
     yb, yc = -r_b * cos_phi - r_c * sin_psi * sin_phi, -r_b * cos_phi + r_c * sin_psi * sin_phi
     xb0, yb0, xc0, yc0 = dot(b0, x), dot(b0, y), dot(c0, x), dot(c0, y)
     xb1, yb1, xc1, yc1 = dot(b1, x), dot(b1, y), dot(c1, x), dot(c1, y)
@@ -49,14 +56,14 @@ def settled(b0, c0, drifted, r_a, r_b, r_c):
     square = alpha * alpha + beta * beta
     rest = square - gamma * gamma
     if not rest >= 0.0:
-        return a1, b1, c1, False
+        return 0.0, 0.0, 0.0, False
     sine = (alpha * gamma - beta * sqrt(rest)) / square
     cosine = sqrt(max(1.0 - sine * sine, 0.0))
-    za, zb, zc = dot(a1, z), dot(b1, z), dot(c1, z)
-    a3 = combined(-ya * sine, x, ya * cosine, y)
-    b3 = combined(xb * cosine - yb * sine, x, xb * sine + yb * cosine, y)
-    c3 = combined(-xb * cosine - yc * sine, x, -xb * sine + yc * cosine, y)
-    return combined(1.0, a3, za, z), combined(1.0, b3, zb, z), combined(1.0, c3, zc, z), True
+    dxb, dyb = xb * cosine - yb * sine - xb1, xb * sine + yb * cosine - yb1
+    dxc, dyc = -xb * cosine - yc * sine - xc1, -xb * sine + yc * cosine - yc1
+    xe, ye, area = xc0 - xb0, yc0 - yb0, xb0 * yc0 - yb0 * xc0
+    ab, ac = (dxb * ye - dyb * xe) / area, (dxc * ye - dyc * xe) / area
+    return ab, ac, 0.5 * (dxb * yb0 - dyb * xb0 - dxc * yc0 + dyc * xc0) / area, True
 
 
 @inlined
@@ -77,14 +84,16 @@ def drift_triangles(first, last, atoms, triangles, duration):
         p, q = moved(b0, velocities, a, b, duration), moved(c0, velocities, a, c, duration)
         a1 = combined(-fraction, p, -fraction, q)
         b1, c1 = combined(1.0, a1, 1.0, p), combined(1.0, a1, 1.0, q)
-        a3, b3, c3, exists = settled(b0, c0, (a1, b1, c1), r_a, height - r_a, half)
+        ab, ac, bc, exists = impulses(b0, c0, (a1, b1, c1), r_a, height - r_a, half)
         if not exists:
             return NOTHING - t
-        for d in range(3):
-            for i, old, new in ((a, a1, a3), (b, b1, b3), (c, c1, c3)):
-                v = velocities[i, d] + (new[d] - old[d]) / duration
-                velocities[i, d] = v
-                positions[i, d] += duration * v
+        push, recoil = 1.0 / duration, -inverse_masses[a] / inverse_masses[b] / duration
+        for x in range(3):
+            along = bc * (c0[x] - b0[x])
+            for i, change in ((a, recoil * (ab * b0[x] + ac * c0[x])), (b, push * (ab * b0[x] - along)), (c, push * (ac * c0[x] + along))):
+                v = velocities[i, x] + change
+                velocities[i, x] = v
+                positions[i, x] += duration * v
     return 1
 
 

@@ -17,10 +17,12 @@ class Problem(Protocol):
     """y′ = f(t, y) or F(t, y, y′) = 0, given a start. States are one-dimensional arrays.
 
     solver : Newton() or FixedPoint(), for implicit steps.  shape : of q and of v, None for problems without them.
+    remark : what limits the accuracy of solutions, if anything but the method and rounding does; known once there is a start.
     """
 
     solver: Any
     shape: Any
+    remark: str = ""
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start at time t0 as a state; shapes are checked and remembered."""

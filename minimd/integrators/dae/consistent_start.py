@@ -12,14 +12,8 @@ import numpy as np
 
 from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array
-from minimd.integrators.ode.functions import CENTRAL, central_differences
+from minimd.integrators.ode.differences import CENTRAL, central_differences
 
-SPACINGS = 0.1 / 3.0 ** np.arange(12)  # of points of the formulas below, in units of the time in which the path changes by its size
-WEIGHTS = {  # of the values at −3 … 3 spacings, for the first and second derivative: formulas of order 6 and 4
-    1: (np.array([-1, 9, -45, 0, 45, -9, 1]) / 60.0, np.array([0, 1, -8, 0, 8, -1, 0]) / 12.0),
-    2: (np.array([2, -27, 270, -490, 270, -27, 2]) / 180.0, np.array([0, -1, 16, -30, 16, -1, 0]) / 12.0),
-}
-NOISE = 10.0 * EPS  # rounding of a function, relative to its change over the widest spacing
 DEPENDENT = 1e-8  # ratio of singular values below which constraints count as dependent on each other
 MAX_ITERATIONS = 50
 RESTING = 1e-13  # lower rates are rounding, and the path is at rest [1/time]
@@ -27,25 +21,6 @@ WIDE = 1e-3  # relative step for differences of functions that are numerical der
 SMALL = 1e-6  # relative corrections below which they are taken for rounding once they no longer shrink
 KEPT = 1e-11  # relative moves below which a start is left as it is: the accuracy of the derivatives
 REFUSED = 1e-8  # and above which it is refused as inconsistent; moves between the two are made without a warning
-
-
-def time_derivative(path: Callable[[float], Array], order: int, unit: float) -> Array:
-    """The first or second derivative of a path at 0, to some 1e-12 or 1e-10, from the spacing with the least estimated error.
-
-    The estimate is the difference of the formulas of order 6 and 4, plus rounding.
-
-    unit : time in which the path changes by its size [time].
-    """
-    here = path(0.0)
-    best, least, largest = np.zeros_like(here), np.inf, 0.0
-    for spacing in SPACINGS * unit:
-        values = np.array([path(k * spacing) - here for k in range(-3, 4)])
-        sixth, fourth = (weights @ values / spacing**order for weights in WEIGHTS[order])
-        largest = max(largest, np.abs(values).max(initial=0.0))
-        error = np.abs(sixth - fourth).max(initial=0.0) + NOISE * largest / spacing**order
-        if error < least:
-            best, least = sixth, error
-    return best
 
 
 def unit_of_time(y: Array, *derivatives: Array) -> float:

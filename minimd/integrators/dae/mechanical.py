@@ -8,12 +8,16 @@ cheaper, and symplectic.
 E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, eq. 1.46.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
+from minimd.integrators.dae.consistent_start import unit_of_time
 from minimd.integrators.dae.hessenberg import Hessenberg3
 from minimd.integrators.method import Array
-from minimd.integrators.ode.functions import Function, central_differences, forward_differences, taking
+from minimd.integrators.ode.differences import accurate_differences, forward_differences, remark_on_differences, time_derivative
+from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
 
 __all__ = ["Mechanical"]
@@ -26,9 +30,10 @@ class Mechanical(Hessenberg3):
     ----------
     mass : number, (n,) diagonal, (n, n) matrix, or a function of q that answers with one of them [mass].
     force : function of t, q, v, or of some of them under these names [force].
-    g : (m,) constraints, function of t, q.  gradient : (m, n) G = ∂g/∂q, a function of the same, by central differences if not given.
+    g : (m,) constraints, function of t, q.  gradient : (m, n) G = ∂g/∂q, a function of the same; by differences of order 6 if not given.
 
-    The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ.
+    The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ. An error of G is one of this force: for
+    all digits of λ and v′ give the gradient. The message of a solution says how large the error is.
     """
 
     names, functions, regular = ("q", "v", "λ"), ("q′", "force", "g"), "G M⁻¹ Gᵀ"
@@ -40,6 +45,13 @@ class Mechanical(Hessenberg3):
         self._force = taking(force, ("t", "q", "v"), "force")
         self._gradient = gradient if gradient is None else taking(gradient, ("t", "q"), "gradient")
         self._mass = taking(mass, ("q",), "mass") if callable(mass) else lambda q: np.array(mass, dtype=float).reshape(-1)
+
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
+        """See Hessenberg."""
+        y = super().begin(start, t0)
+        q = self.parts(y)[0]
+        self.remark = remark_on_differences("G = ∂g/∂q", lambda x: self.g(t0, x), q) if self._gradient is None else ""
+        return y
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """q′ − v, M v′ − f + Gᵀ λ and g."""
@@ -75,6 +87,15 @@ class Mechanical(Hessenberg3):
         matrix[of_v, of_v] = self.mass(y[of_q])
         return matrix
 
+    def constraint(self, k: int, t: float, *parts: Array) -> Array:
+        """g, dg/dt or d²g/dt² = G q″ + ∂²g(t + ε, q + ε v)/∂ε²."""
+        if k < 2:
+            return super().constraint(k, t, *parts)
+        q, v, _ = parts
+        q_second = self._highest_derivative(t, *parts)
+        turning = time_derivative(lambda e: self.g(t + e, q + e * v), 2, unit_of_time(q, v, q_second))
+        return self.gradient(t, q) @ q_second + turning
+
     def mass(self, q: Array) -> Array:
         """M(q), (n, n)."""
         mass, n = self._mass(q), q.size
@@ -84,7 +105,7 @@ class Mechanical(Hessenberg3):
 
     def gradient(self, t: float, q: Array) -> Array:
         """G(t, q), (m, n)."""
-        return central_differences(lambda x: self.g(t, x), q) if self._gradient is None else self._gradient(t, q).reshape(-1, q.size)
+        return accurate_differences(lambda x: self.g(t, x), q) if self._gradient is None else self._gradient(t, q).reshape(-1, q.size)
 
     def _answers(self, t: float, *parts: Array) -> tuple[Array, ...]:
         q, v, _ = parts

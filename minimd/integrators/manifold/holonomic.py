@@ -15,8 +15,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from minimd.integrators.dae.consistent_start import unit_of_time
 from minimd.integrators.method import Array, Step
-from minimd.integrators.ode.functions import Function, central_differences
+from minimd.integrators.ode.differences import accurate_differences, remark_on_differences, time_derivative
+from minimd.integrators.ode.functions import Function
 from minimd.integrators.ode.newton import Iteration, Newton, Solver
 from minimd.integrators.ode.partitioned import SecondOrder, SequenceStep, push
 from minimd.integrators.splitting.order_conditions import nystrom_order
@@ -36,7 +38,9 @@ class Holonomic(SecondOrder):
     Parameters
     ----------
     f : acceleration without the constraints, a function of q, or of t and q [length/time²].
-    g : (m,) constraints, a function of q.  jacobian : (m, n) G = ∂g/∂q, by central differences if not given.
+    g : (m,) constraints, a function of q.
+    jacobian : (m, n) G = ∂g/∂q, a function of q. By differences of order 6 if not given: G v = 0 then holds to their error,
+        which the message of a solution tells.
     masses : (n,) mass of each coordinate, or one number [mass].
 
     A start that violates g = 0 or G v = 0 is projected, with a warning that says how far it was off.
@@ -59,13 +63,13 @@ class Holonomic(SecondOrder):
     def gradient(self, q: Array) -> Array:
         """G(q), (m, n)."""
         if self._jacobian is None:
-            return central_differences(self.violation, q)
+            return accurate_differences(self.violation, q)
         return np.array(self._jacobian(q.reshape(self.shape)), dtype=float).reshape(-1, q.size)
 
-    def inverse_mass_gradient(self, q: Array) -> Array:
-        """M⁻¹ Gᵀ, (n, m)."""
+    def directions(self, gradient: Array) -> Array:
+        """M⁻¹ Gᵀ, (n, m), of a gradient G."""
         masses = np.broadcast_to(self._masses, self.shape).reshape(-1)
-        return self.gradient(q).T / masses[:, None]
+        return gradient.T / masses[:, None]
 
     def begin(self, start: tuple[ArrayLike, ArrayLike], t0: float = 0.0) -> Array:
         """(q, v) as one state, projected onto the manifold."""
@@ -78,6 +82,7 @@ class Holonomic(SecondOrder):
         if moved > KEPT * np.abs(q).max() or turned > KEPT * max(np.abs(v).max(), np.finfo(float).tiny):
             moves = f"q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}"
             warnings.warn(f"the start was projected onto the constraints: {moves}", stacklevel=outside_minimd())
+        self.remark = remark_on_differences("G = ∂g/∂q", self.violation, q1) if self._jacobian is None else ""
         return np.concatenate([q1, v1])
 
     def sequence_step(self, substeps: Substeps) -> Step:
@@ -91,10 +96,9 @@ class Holonomic(SecondOrder):
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
         q, v = np.asarray(q, dtype=float).reshape(-1), np.asarray(v, dtype=float).reshape(-1)
-        gradient, h = self.gradient(q), 1e-5 * (float(np.abs(q).max()) or 1.0) / max(float(np.abs(v).max()), 1e-300)
-        turning = (self.gradient(q + h * v) - self.gradient(q - h * v)) @ v / (2.0 * h) if v.any() else 0.0
+        gradient, turning = self.gradient(q), time_derivative(lambda e: self.gradient(q + e * v) @ v, 1, unit_of_time(q, v))
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
-        return np.asarray(np.linalg.solve(gradient @ self.inverse_mass_gradient(q), gradient @ force + turning))
+        return np.asarray(np.linalg.solve(gradient @ self.directions(gradient), gradient @ force + turning))
 
     def _check_independent(self, q: Array) -> None:
         masses = np.broadcast_to(self._masses, self.shape).reshape(-1)
@@ -146,7 +150,7 @@ def is_made_of_verlet(substeps: Substeps) -> bool:
 
 def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | None = None) -> Array:
     """The point q + M⁻¹ G(q0)ᵀ λ with g = 0.  Raises ConvergenceError if there is none near q."""
-    directions = problem.inverse_mass_gradient(q0)
+    directions = problem.directions(problem.gradient(q0))
     residual, jacobian = lambda x: problem.violation(q + directions @ x), lambda x: problem.gradient(q + directions @ x) @ directions
     solve, scale = (iteration or problem.solver.iteration()).solve, np.abs(q).max() / np.abs(directions).max()
     return q + directions @ solve(residual, np.zeros(directions.shape[1]), jacobian, scale=scale)
@@ -154,7 +158,8 @@ def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | No
 
 def tangent(problem: Holonomic, q: Array, v: Array) -> Array:
     """The velocity v + M⁻¹ G(q)ᵀ μ with G v = 0; projected twice, to remove the rounding of the first projection."""
-    gradient, directions = problem.gradient(q), problem.inverse_mass_gradient(q)
+    gradient = problem.gradient(q)
+    directions = problem.directions(gradient)
     matrix = gradient @ directions
     try:
         for _ in range(2):

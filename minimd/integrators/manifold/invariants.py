@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, Problem
-from minimd.integrators.ode.functions import Field, Function, argument_names, central_differences
+from minimd.integrators.ode.differences import accurate_differences
+from minimd.integrators.ode.functions import Field, Function, argument_names
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.problems import FirstOrder
 from minimd.structure.errors import ConvergenceError
@@ -34,7 +35,7 @@ class Invariants:
     ----------
     g : function of y, or of q and v (or of one of them), in the shape of the start; a number or an array of m numbers.
     jacobian : G = ∂g/∂y as a function of the same, m × (size of y) numbers in any shape; q and v are concatenated to y.
-        By central differences if not given.
+        By differences of order 6 if not given.
     value : (m,) numbers to be kept; g of the start if not given.
 
     Raises
@@ -79,7 +80,7 @@ class Manifold:
     def jacobian(self, y: Array) -> Array:
         """(m, n) G(y)."""
         if self._invariants.jacobian is None:
-            return central_differences(self.defect, y)
+            return accurate_differences(self.defect, y)
         return self._invariants.jacobian(y, self._shape).reshape(self.value.size, y.size)
 
     def frame(self, y: Array) -> tuple[Array, Array]:
@@ -160,7 +161,7 @@ def stabilized(problem: Problem, invariants: Invariants, gamma: float) -> Correc
 
     For one invariant, such as the energy, it reads y′ = f − γ (H − H₀) ∇H / |∇H|². Distances are those of y: choose units in which its
     components have similar sizes. A problem with q and v becomes Partitioned, and its steps implicit. Far from the manifold give the
-    Jacobian of the invariants in closed form: y′ contains the noise of differences, 1e-10, with which implicit steps may not be solved.
+    Jacobian of the invariants in closed form: y′ contains the noise of differences, 1e-13, with which implicit steps may not be solved.
 
     Parameters
     ----------

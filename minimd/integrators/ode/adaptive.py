@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array, Method, Problem
-from minimd.integrators.ode.drivers import LEFTOVER, Solution, check_ahead, check_problem
+from minimd.integrators.ode.drivers import LEFTOVER, Solution, check_ahead, check_problem, end_message
 from minimd.integrators.ode.problems import DifferentialAlgebraic
 from minimd.structure.errors import ConvergenceError, checked_count
 
@@ -157,5 +157,5 @@ class _Path:
         return two, error, f"its error is {error:.1e} times what is allowed"
 
     def solution(self) -> Solution:
-        nfev = self.coarse.nfev + self.fine.nfev
-        return Solution(np.array(self.times), np.array(self.states), nfev, self.problem.shape, n_rejected=self.n_rejected)
+        nfev, message = self.coarse.nfev + self.fine.nfev, end_message(self.problem)
+        return Solution(np.array(self.times), np.array(self.states), nfev, self.problem.shape, message=message, n_rejected=self.n_rejected)

@@ -13,6 +13,7 @@ from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_co
 
 __all__ = ["Solution", "run_steps", "run_until"]
 
+REACHED = "the end was reached"
 LEFTOVER = 1e-12  # of a step: a shorter rest is rounding of the times, and belongs to the step before
 
 
@@ -22,7 +23,7 @@ class Solution:
 
     t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities, of problems that have them.
     nfev : evaluations of the right-hand side (of f, for problems with q and v).  n_rejected : steps tried in vain.
-    success, message : whether the end was reached, and if not, why.
+    success, message : whether the end was reached, and if not, why; if so, what limits the accuracy beside the method and rounding.
     """
 
     t: Array
@@ -30,7 +31,7 @@ class Solution:
     nfev: int
     shape: tuple[int, ...] | None = None
     success: bool = True
-    message: str = "the end was reached"
+    message: str = REACHED
     n_rejected: int = 0
 
     @property
@@ -113,7 +114,7 @@ def _fixed(problem: Problem, method: Method, start: Any, t0: float, steps: Itera
     t, n, times, states = t0, 0, [t0], [y]
 
     def path() -> Solution:
-        return Solution(np.array(times), np.array(states), step.nfev, problem.shape)
+        return Solution(np.array(times), np.array(states), step.nfev, problem.shape, message=end_message(problem))
 
     try:
         for n, h in enumerate(steps, start=1):
@@ -139,6 +140,11 @@ def _finite(solution: Solution, h: float) -> Solution:
     error = NonFiniteError(f"the state is not finite at t = {solution.t[first]:g}; the last finite one is at t = {solution.t[first - 1]:g}; "
                            f"reduce the timestep ({h:g}), or look for a singularity of the problem")  # fmt: skip
     raise with_path(error, Solution(solution.t[:first], solution.y[:first], solution.nfev, solution.shape))
+
+
+def end_message(problem: Problem) -> str:
+    """What is said of a run that reached its end."""
+    return f"{REACHED}; {problem.remark}" if problem.remark else REACHED
 
 
 def check_problem(problem: Problem) -> None:

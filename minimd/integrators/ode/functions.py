@@ -1,4 +1,4 @@
-"""Functions of the user: which arguments they take, their answers as arrays, and their derivatives by finite differences.
+"""Functions of the user: which arguments they take, and their answers as arrays.
 
 A function is written with the arguments it needs, under the names that the problem gives them. It cannot depend on an argument that
 it does not take, and from this a method knows which steps are explicit. A function that takes all arguments may depend on all of them:
@@ -12,13 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array
 
 Function = Callable[..., Any]
-CENTRAL = EPS ** (1.0 / 3.0)  # step of central differences relative to a variable: truncation and rounding are then alike, some 1e-11
-FORWARD = EPS**0.5  # the same of forward differences: some 1e-8
-LEAST = 1e-3  # smallest size of a variable for its step, relative to the largest one
 
 
 def argument_names(function: Function, label: str, wanted: str = "a function") -> list[str] | None:
@@ -119,29 +115,3 @@ def taking(function: Function, names: tuple[str, ...], label: str) -> Function:
         raise TypeError(f"{label} must take some of {', '.join(names)}, in this order and under these names; it takes ({', '.join(takes)})")
     chosen = [names.index(name) for name in takes]
     return lambda *values: np.array(function(*(values[k] for k in chosen)), dtype=float).reshape(-1)
-
-
-def central_differences(function: Callable[[Array], Array], x: Array, step: float = CENTRAL, size: float = 0.0) -> Array:
-    """∂function/∂x, one column per variable.
-
-    step : relative to each variable; wide for noisy functions.  size : of the largest variable, where x may be smaller by chance.
-    """
-    steps = step * np.maximum(np.abs(x), LEAST * (max(np.abs(x).max(), size) or 1.0))
-    columns = []
-    for k in range(x.size):
-        ahead, behind = x.copy(), x.copy()
-        ahead[k] += steps[k]
-        behind[k] -= steps[k]
-        columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
-    return np.stack(columns, axis=-1)
-
-
-def forward_differences(function: Callable[[Array], Array], x: Array, at_x: Array) -> Array:
-    """∂function/∂x, one column per variable: half the evaluations of central differences, and half the digits.  at_x : function(x)."""
-    jacobian = np.empty((at_x.size, x.size))
-    steps = FORWARD * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0))
-    for k in range(x.size):
-        moved = x.copy()
-        moved[k] += steps[k]
-        jacobian[:, k] = (function(moved) - at_x) / (moved[k] - x[k])
-    return jacobian

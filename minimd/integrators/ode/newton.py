@@ -17,7 +17,7 @@ import scipy  # its parts are loaded when they are used
 
 from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array
-from minimd.integrators.ode.functions import forward_differences
+from minimd.integrators.ode.differences import forward_differences
 from minimd.structure.errors import ConvergenceError, checked_count
 
 __all__ = ["FixedPoint", "Newton"]

@@ -48,6 +48,8 @@ class Partitioned:
     TypeError : for anything but functions, or functions whose arguments are called otherwise.
     """
 
+    remark = ""
+
     def __init__(self, g: Function, f: Function, g_q: Function | None = None, f_v: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
         self.g, self.f = Field(g, "v", "g"), Field(f, "q", "f")
         self.g_q = g_q if g_q is None else Field(g_q, "tqv", "g_q")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, Method
-from minimd.integrators.ode.drivers import LEFTOVER, Solution, check_ahead, check_method, check_problem, with_path
+from minimd.integrators.ode.drivers import LEFTOVER, Solution, check_ahead, check_method, check_problem, end_message, with_path
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
 
@@ -138,7 +138,7 @@ class _Path:
     def solution(self) -> ReversibleSolution:
         t, y, rho = zip(*self.kept, strict=True)
         nfev = self.step.nfev + getattr(self.rate, "nfev", 0)
-        return ReversibleSolution(np.array(t), np.array(y), nfev, self.problem.shape, density=np.array(rho))
+        return ReversibleSolution(np.array(t), np.array(y), nfev, self.problem.shape, message=end_message(self.problem), density=np.array(rho))
 
 
 class _Fall:

@@ -10,7 +10,7 @@ In variables of index 2 and 3 rounding is amplified by 1/h and 1/h² (E. Hairer,
 import numpy as np
 
 from minimd.integrators.method import Array, Problem
-from minimd.integrators.ode.functions import forward_differences
+from minimd.integrators.ode.differences import forward_differences
 from minimd.integrators.ode.problems import DifferentialAlgebraic, FirstOrder
 
 AMPLIFIED = 3e1  # factor of rounding per level, for steps of some hundredth of the time in which the solution varies

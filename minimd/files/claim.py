@@ -99,7 +99,7 @@ def locked(path: Path, create: bool = False) -> int:
             raise BlockingIOError
     except (BlockingIOError, FileNotFoundError):
         os.close(descriptor)
-        raise OSError(errno.EBUSY, "another run is writing it") from None
+        raise OSError(errno.EBUSY, "another run is writing it, or another program has it open") from None
     except OSError as error:
         if error.errno not in UNLOCKABLE:
             os.close(descriptor)

@@ -1,5 +1,6 @@
 """Trajectory files: which writer a suffix means, and that all are closed whatever happens."""
 
+import errno
 import os
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -102,11 +103,6 @@ def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] 
         raise FileNotFoundError(f"output folder {str(file.absolute().parent)!r} does not exist; make it first")
     if file.exists() and not file.is_file():
         raise ValueError(f"output {str(file)!r} must be a regular file, and it is none; choose another name")
-    is_new = not file.exists()
-    try:
-        file.open("ab").close()
-        if is_new:
-            file.unlink()
-    except OSError as error:
-        raise PermissionError(f"output {str(file)!r} cannot be written: {error.strerror}") from None
+    if not os.access(file if file.exists() else file.absolute().parent, os.W_OK):
+        raise PermissionError(f"output {str(file)!r} cannot be written: {os.strerror(errno.EACCES)}")
     return file

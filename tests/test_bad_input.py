@@ -13,6 +13,7 @@ from minimd.files.h5md_reader import read_file
 THREE = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0], [0.0, 1.2, 0.0]])
 NAN = float("nan")
 LJ = md.LennardJones(1.0, 1.0, 2.5)
+MASKED = np.ma.masked_equal(THREE, 1.2)
 TWO_SPECIES = md.LennardJones({"Ar": (1.0, 1.0), "Kr": (1.0, 1.0)}, cutoff=2.5)
 
 
@@ -21,6 +22,20 @@ def simulate(positions=THREE, potentials=LJ, timestep=0.005, n_steps=10, cell=No
     simulation = md.Simulation(md.System(positions, cell=cell), potentials, md.VelocityVerlet(timestep))
     simulation.set_temperature(1.0, seed=1)
     return simulation.run(n_steps, progress=False, **keywords)
+
+
+def coulomb(r2, q2):
+    return q2 / r2**0.5, q2 / r2**1.5
+
+
+def with_pairs(pairs):
+    return md.LennardJones({"Ar": (1.0, 1.0), "Kr": (2.0, 1.1)}, cutoff=2.5, pairs=pairs)
+
+
+def moved_by(distance):
+    simulation = md.Simulation(md.System(THREE, cell=9.0), LJ, md.VelocityVerlet(0.005))
+    simulation.positions[:] += distance
+    simulation.run(1, progress=False)
 
 
 def temperature_set_to(value):
@@ -69,7 +84,25 @@ WRONG_CALLS = {
     "bond of an atom with itself": (lambda: md.System(THREE, bonds=[[1, 1]]), ValueError, ["different atoms", "bonds[0] = [1, 1]"]),
     "doubled bond": (lambda: md.System(THREE, bonds=[[0, 1], [1, 0]]), ValueError, ["each pair once", "[0, 1] comes 2 times"]),
     "ragged bonds": (lambda: md.System(THREE, bonds=[[0, 1], [2]]), ValueError, ["bonds must be an (n, 2) array"]),
-    "bond of fractions": (lambda: md.System(THREE, bonds=[[0, 1.5]]), ValueError, ["bonds must be an (n, 2) array", "float64"]),
+    "bond of fractions": (lambda: md.System(THREE, bonds=[[0, 1.5]]), ValueError, ["bonds must be an (n, 2) array", "fractions"]),
+    "text in place of overwrite": (lambda: simulate(overwrite="no"), ValueError, ["overwrite must be True or False", "'no'"]),
+    "text in place of progress": (
+        lambda: md.minimize(md.System(THREE), LJ, progress="no"),
+        ValueError,
+        ["progress must be True or False", "'no'"],
+    ),
+    "observers that are no functions": (lambda: simulate(observers=[3]), TypeError, ["observers must be a list of functions", "[3]"]),
+    "number in place of a file": (lambda: simulate(trajectory=3), TypeError, ["trajectory must be the path of a file", "3"]),
+    "bool in place of threads": (
+        lambda: md.Simulation(md.System(THREE), LJ, md.VelocityVerlet(0.005), threads=True),
+        ValueError,
+        ["threads must be a whole number", "True"],
+    ),
+    "temperature beyond all units": (
+        lambda: temperature_set_to(1e300),
+        ValueError,
+        ["temperature must be", "between 1e-75 and 1e+75", "other units"],
+    ),
     "negative cutoff": (lambda: md.LennardJones(1.0, 1.0, -2.5), ValueError, ["cutoff must be positive", "cutoff = -2.5"]),
     "NaN cutoff": (lambda: md.LennardJones(1.0, 1.0, NAN), ValueError, ["cutoff must be positive and finite", "nan"]),
     "no cutoff in a periodic cell": (

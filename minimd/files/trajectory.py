@@ -9,6 +9,7 @@ from typing import Protocol
 
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
+from minimd.structure.checks import shown
 
 
 class Writer(Protocol):
@@ -35,8 +36,7 @@ def open_trajectories(paths: str | Path | Sequence[str | Path], engine: Engine, 
     Raises ValueError for a suffix that no writer knows.  FileExistsError for a file that exists, unless overwrite. FileNotFoundError,
     PermissionError for a folder that does not exist or cannot be written.
     """
-    several = [paths] if isinstance(paths, (str, Path)) else list(paths)
-    files = [checked_output(path, overwrite) for path in several]
+    files = [checked_output(path, overwrite) for path in named_files("trajectory", paths)]
     with ExitStack() as closing, ExitStack() as undoing:
         writers: list[Writer] = []
         for file in files:
@@ -47,6 +47,14 @@ def open_trajectories(paths: str | Path | Sequence[str | Path], engine: Engine, 
             closing.push(partial(_close, writers[-1]))
         undoing.pop_all()
         yield writers
+
+
+def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    """The paths of one file or of several.  Raises TypeError for what is no path; name is that of the argument."""
+    several = [paths] if isinstance(paths, str | Path) else paths
+    if not isinstance(several, list | tuple) or not all(isinstance(path, str | Path) and Path(path).name for path in several):
+        raise TypeError(f"{name} must be the path of a file, or a list of paths; {name} = {shown(paths)}")
+    return [Path(path) for path in several]
 
 
 def _close(writer: Writer, failure: type[BaseException] | None, *_: object) -> None:

@@ -24,9 +24,9 @@ from minimd.forces.forces import Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
+from minimd.structure.checks import checked_count, checked_flag, checked_number, shown
 from minimd.structure.console import progress_of, stop_on_interrupt
 from minimd.structure.constraints import Constraint
-from minimd.structure.errors import checked_count
 from minimd.structure.observables import Array, momentum
 from minimd.structure.system import AnySystem, System
 from minimd.structure.velocities import maxwell_boltzmann, rescaled
@@ -146,6 +146,9 @@ class Simulation:
         """
         engine, guard = self.engine, self.guard
         n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
+        store_forces, overwrite = checked_flag("store_forces", store_forces), checked_flag("overwrite", overwrite)
+        if not isinstance(observers, list | tuple) or not all(map(callable, observers)):
+            raise TypeError(f"observers must be a list of functions of a simulation; observers = {shown(observers)}")
         check_extras(engine, engine.extra_observables)
         place, start, end = crash_file_place(crash_report, trajectory), engine.step, engine.step + n_steps
         with self._running(engine.noise_shift), crash_file_left(place, guard, overwrite):  # the file is left after all others are closed
@@ -208,6 +211,7 @@ class Simulation:
         """
         engine, guard = self.engine, self.guard
         n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
+        temperature = checked_number("temperature", temperature, "finite and not negative")
         self._equilibrated += n_steps
         place = crash_file_place(crash_report or False, ())
         with (

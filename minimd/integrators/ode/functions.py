@@ -14,6 +14,7 @@ import numpy as np
 
 from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array
+from minimd.structure.checks import shown
 
 Function = Callable[..., Any]
 CENTRAL = EPS ** (1.0 / 3.0)  # step of central differences relative to a variable: truncation and rounding are then alike, some 1e-11
@@ -27,7 +28,7 @@ def argument_names(function: Function, label: str, wanted: str = "a function") -
     Raises TypeError for anything but a function; label is its name in the message, wanted what it should be.
     """
     if not callable(function):
-        raise TypeError(f"{label} must be {wanted}; got {function!r}")
+        raise TypeError(f"{label} must be {wanted}; got {shown(function)}")
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # written in C, such as numpy.sin
@@ -42,7 +43,7 @@ def checked_values(answer: Any, shape: tuple[int, ...] | None, name: str) -> Arr
     """
     values = np.array(answer)
     if values.dtype.kind not in "fiub":
-        raise TypeError(f"{name} must answer with real numbers; got {answer!r}")
+        raise TypeError(f"{name} must answer with real numbers; got {shown(answer)}")
     if shape is not None and values.shape != shape and not values.size == prod(shape) == 1:
         raise ValueError(f"{name} must answer with an array of shape {shape}; got shape {values.shape}")
     return values.reshape(-1).astype(float, copy=False)

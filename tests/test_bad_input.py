@@ -85,6 +85,49 @@ WRONG_CALLS = {
     "doubled bond": (lambda: md.System(THREE, bonds=[[0, 1], [1, 0]]), ValueError, ["each pair once", "[0, 1] comes 2 times"]),
     "ragged bonds": (lambda: md.System(THREE, bonds=[[0, 1], [2]]), ValueError, ["bonds must be an (n, 2) array"]),
     "bond of fractions": (lambda: md.System(THREE, bonds=[[0, 1.5]]), ValueError, ["bonds must be an (n, 2) array", "fractions"]),
+    "masked positions": (lambda: md.System(MASKED), ValueError, ["positions must be", "some are masked"]),
+    "masked rows in a list": (lambda: md.System(list(MASKED)), ValueError, ["positions must be", "some are masked"]),
+    "masked number in a list": (lambda: md.System([[np.ma.masked, 0, 0]]), ValueError, ["positions must be", "some are masked"]),
+    "masked velocities": (lambda: md.System(THREE, velocities=MASKED), ValueError, ["velocities must be", "some are masked"]),
+    "masked masses": (lambda: md.System(THREE, masses=np.ma.masked_equal([1, 2, 3], 2)), ValueError, ["masses must be", "some are masked"]),
+    "masked cell": (lambda: md.System(THREE, cell=np.ma.masked_equal([9, 8, 9], 8)), ValueError, ["cell must be", "some are masked"]),
+    "masked bonds": (lambda: md.System(THREE, bonds=np.ma.masked_equal([[0, 1]], 1)), ValueError, ["bonds must be", "some are masked"]),
+    "masked species": (lambda: md.System(THREE, species=np.ma.masked_equal([1, 2, 1], 2)), ValueError, ["species must be", "some are masked"]),
+    "masked fixed atoms": (lambda: md.FixedAtoms(np.ma.masked_equal([0, 1], 1)), ValueError, ["fixed atoms must be", "some are masked"]),
+    "masked lengths": (
+        lambda: md.DistanceConstraints([[0, 1], [1, 2]], np.ma.masked_equal([1.0, 2.0], 2.0)),
+        ValueError,
+        ["lengths must be", "some are masked"],
+    ),
+    "complex positions": (lambda: md.System(THREE + 0j), ValueError, ["positions must be", "some are complex"]),
+    "complex cell": (lambda: md.Cell.of([9 + 1j, 9, 9]), ValueError, ["cell must be", "some are complex"]),
+    "dates in place of positions": (lambda: md.System(THREE.astype(int).astype("M8[s]")), ValueError, ["positions must be", "is no number"]),
+    "numbers as texts": (lambda: md.System(THREE.astype(str)), ValueError, ["positions must be", "'0.0' is no number"]),
+    "bool in place of a mass": (lambda: md.System(THREE, masses=True), ValueError, ["masses must be", "some are bools"]),
+    "bool among masses": (lambda: md.System(THREE, masses=[True, 2.0, 3.0]), ValueError, ["masses must be", "some are bools"]),
+    "mass beyond all units": (lambda: md.System(THREE, masses=1e-300), ValueError, ["masses must be between 1e-75 and 1e+75", "1e-300"]),
+    "text in place of pbc": (lambda: md.System(THREE, cell=9, pbc="False"), ValueError, ["pbc must be one bool or three", "'False'"]),
+    "NaN in place of pbc": (lambda: md.System(THREE, cell=9, pbc=NAN), ValueError, ["pbc must be one bool or three", "fractions"]),
+    "pbc of two": (lambda: md.System(THREE, cell=9, pbc=[True, False]), ValueError, ["pbc must be one bool or three", "[True, False]"]),
+    "pbc of numbers": (lambda: md.System(THREE, cell=9, pbc=2), ValueError, ["pbc must be one bool or three", "pbc = 2"]),
+    "cell of lengths too different": (lambda: md.Cell.of([1e-5, 1e12, 1.0]), ValueError, ["lattice vectors", "longer than others"]),
+    "positions far from a cell": (
+        lambda: simulate(THREE + 1e14, cell=9.0),
+        ValueError,
+        ["positions must be below 4.1e+10 here", "1.0e+14", "rounding moves atoms by 0.02", "the height of the cell, 9"],
+    ),
+    "positions moved far from a cell": (lambda: moved_by(1e14), ValueError, ["positions must be below 4.1e+10", "the height of the cell, 9"]),
+    "positions far for a rigid length": (
+        lambda: md.Simulation(md.System(THREE + 1e14), [], md.VelocityVerlet(0.005), md.DistanceConstraints([[0, 1]])),
+        ValueError,
+        ["positions must be below", "the shortest rigid length"],
+    ),
+    "loose tolerance": (lambda: md.DistanceConstraints([[0, 1]], tolerance=1.0), ValueError, ["tolerance must lie between 0 and 1", "1.0"]),
+    "as many atoms as fit in eight bytes": (
+        lambda: md.System(np.broadcast_to(1.0, (10**12, 3))),
+        ValueError,
+        ["positions must be", "they are 3000000000000, at most 402653184 are taken"],
+    ),
     "text in place of overwrite": (lambda: simulate(overwrite="no"), ValueError, ["overwrite must be True or False", "'no'"]),
     "text in place of progress": (
         lambda: md.minimize(md.System(THREE), LJ, progress="no"),
@@ -181,6 +224,20 @@ def test_wrong_call_is_answered_with_one_sentence(wrong):
     last = traceback.extract_tb(caught.value.__traceback__)[-1]
     assert "minimd" in Path(last.filename).parts, "the error comes from the inside of another library"
     assert last.line.startswith("raise"), "the error was not foreseen"
+
+
+def test_arrays_of_any_kind_of_real_numbers_are_taken():
+    for kind in (np.float16, np.float32, np.float64, np.longdouble, np.int8, np.uint64, object):
+        taken = md.System((10 * THREE).astype(kind), masses=np.array([1, 2, 3]).astype(kind), cell=np.array([30, 40, 50]).astype(kind), pbc=[1, 1, 0])
+        assert taken.positions.tolist() == (10 * THREE).tolist()
+        assert (taken.masses.tolist(), taken.cell.vectors.diagonal().tolist(), taken.cell.pbc.tolist()) == (
+            [1, 2, 3],
+            [30, 40, 50],
+            [True, True, False],
+        )
+    assert md.FixedAtoms(np.array([2, 0], dtype=np.uint64)).atoms.tolist() == [0, 2]
+    md.Simulation(md.System(THREE), LJ, md.VelocityVerlet(0.005), md.FixedAtoms(np.array([0], dtype=np.uint64)))
+    assert md.System(np.ma.array(THREE)).positions.tolist() == THREE.tolist()  # nothing is masked
 
 
 def test_existing_output_is_refused_and_kept(tmp_path):

@@ -60,9 +60,10 @@ class RunGuard:
             self.seconds, self.n_steps, interactions.counts = counted
 
     def check_start(self) -> None:
-        """Take the state as it is now, and raise NonFiniteError if the first step would throw atoms across the scene."""
+        """Take the state as it is now. Raise NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution."""
         engine = self.engine
         self._snapshots, self._first_step, self._reason, self._before, self._first = [], engine.step, None, None, None
+        engine.interactions.check_resolution()
         engine.begin()
         if self._checked_timestep != engine.method.timestep:
             self._checked_timestep = engine.method.timestep

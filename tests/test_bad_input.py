@@ -122,12 +122,27 @@ WRONG_CALLS = {
         ValueError,
         ["positions must be below", "the shortest rigid length"],
     ),
+    "rigid length over many cells": (
+        lambda: md.Simulation(md.System(THREE, cell=3.4), [], md.VelocityVerlet(0.005), md.DistanceConstraints([[0, 1]], 200.0)),
+        ValueError,
+        ["lengths must reach over at most 65536 images", "that of constraint 0, 200, over 1.8e+06", "3.4 high"],
+    ),
+    "rigid length of astronomy": (
+        lambda: md.Simulation(md.System(THREE, cell=3.4), [], md.VelocityVerlet(0.005), md.DistanceConstraints([[0, 1]], 1e10)),
+        ValueError,
+        ["lengths must reach over at most 65536 images", "1e+10"],
+    ),
     "loose tolerance": (lambda: md.DistanceConstraints([[0, 1]], tolerance=1.0), ValueError, ["tolerance must lie between 0 and 1", "1.0"]),
+    "too many unit cells": (lambda: md.lattice.crystal("fcc", [10**12] * 3, 1.5), ValueError, ["repeat must be", "1000000000000"]),
+    "too many atoms": (lambda: md.lattice.crystal("fcc", [3000] * 3, 1.5), ValueError, ["at most 134217728 atoms", "makes 1.1e+11"]),
+    "half a unit cell": (lambda: md.lattice.crystal("fcc", [2, 2, 2.5], 1.5), ValueError, ["repeat must be three numbers", "fractions"]),
     "as many atoms as fit in eight bytes": (
         lambda: md.System(np.broadcast_to(1.0, (10**12, 3))),
         ValueError,
         ["positions must be", "they are 3000000000000, at most 402653184 are taken"],
     ),
+    "neighbors over many images": (lambda: md.neighbor_list("ij", md.System(THREE, cell=9.0), 1e6), ValueError, ["pair lists hold up to"]),
+    "no quantities of neighbors": (lambda: md.neighbor_list("", md.System(THREE), 1.0), ValueError, ["quantities must be letters", "''"]),
     "text in place of overwrite": (lambda: simulate(overwrite="no"), ValueError, ["overwrite must be True or False", "'no'"]),
     "text in place of progress": (
         lambda: md.minimize(md.System(THREE), LJ, progress="no"),

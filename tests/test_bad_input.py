@@ -99,6 +99,7 @@ WRONG_CALLS = {
         ValueError,
         ["lengths must be", "some are masked"],
     ),
+    "masked stiffness": (lambda: md.HarmonicBond(np.ma.masked_equal([3.0], 3.0), 1.0), ValueError, ["bond parameters must be", "some are masked"]),
     "complex positions": (lambda: md.System(THREE + 0j), ValueError, ["positions must be", "some are complex"]),
     "complex cell": (lambda: md.Cell.of([9 + 1j, 9, 9]), ValueError, ["cell must be", "some are complex"]),
     "dates in place of positions": (lambda: md.System(THREE.astype(int).astype("M8[s]")), ValueError, ["positions must be", "is no number"]),
@@ -117,6 +118,12 @@ WRONG_CALLS = {
         ["positions must be below 4.1e+10 here", "1.0e+14", "rounding moves atoms by 0.02", "the height of the cell, 9"],
     ),
     "positions moved far from a cell": (lambda: moved_by(1e14), ValueError, ["positions must be below 4.1e+10", "the height of the cell, 9"]),
+    "positions far for a cutoff": (lambda: md.evaluate(md.System(THREE + 1e14), LJ), ValueError, ["positions must be below", "of a potential, 2.5"]),
+    "positions far for a law without cutoff": (
+        lambda: md.evaluate(md.System(THREE + 1e14), md.LennardJones(1.0, 1.0)),
+        ValueError,
+        ["positions must be below 4.5e+09", "the shortest length of a potential, 1"],
+    ),
     "positions far for a rigid length": (
         lambda: md.Simulation(md.System(THREE + 1e14), [], md.VelocityVerlet(0.005), md.DistanceConstraints([[0, 1]])),
         ValueError,
@@ -143,6 +150,11 @@ WRONG_CALLS = {
     ),
     "neighbors over many images": (lambda: md.neighbor_list("ij", md.System(THREE, cell=9.0), 1e6), ValueError, ["pair lists hold up to"]),
     "no quantities of neighbors": (lambda: md.neighbor_list("", md.System(THREE), 1.0), ValueError, ["quantities must be letters", "''"]),
+    "text in place of a flag": (
+        lambda: md.LennardJones(1.0, 1.0, 2.5, "truncated", tail_correction="no"),
+        ValueError,
+        ["tail_correction must be True or False", "'no'"],
+    ),
     "text in place of overwrite": (lambda: simulate(overwrite="no"), ValueError, ["overwrite must be True or False", "'no'"]),
     "text in place of progress": (
         lambda: md.minimize(md.System(THREE), LJ, progress="no"),
@@ -160,6 +172,51 @@ WRONG_CALLS = {
         lambda: temperature_set_to(1e300),
         ValueError,
         ["temperature must be", "between 1e-75 and 1e+75", "other units"],
+    ),
+    "tiny sigma": (lambda: md.LennardJones(1.0, 1e-300, 2.5), ValueError, ["sigma must be positive", "between 1e-75 and 1e+75", "1e-300"]),
+    "parameters as texts": (lambda: md.PairPotential(coulomb, ("1.0",), 2.5), ValueError, ["parameters must be", "'1.0' is no number"]),
+    "energy at no distance": (lambda: LJ.pair_energy([1.0, 0.0]), ValueError, ["r must be positive distances", "[1.0, 0.0]"]),
+    "shift at infinity": (
+        lambda: md.PairPotential(lambda r2, k: (k * r2, -2.0 * k), (1.0,)).pair_energy(1.0),
+        ValueError,
+        ["the law must be finite where it is shifted, at the cutoff", "give a cutoff, or 'truncated'"],
+    ),
+    "pairs of a misspelt species": (
+        lambda: md.evaluate(md.System(THREE, species=["Ar", "Kr", "Ar"]), with_pairs({("Ar", "Kx"): (3.0, 1.0)})),
+        ValueError,
+        ["pairs of LennardJones must be of known species, 'Ar', 'Kr'", "they name 'Kx'; did you mean 'Kr'?"],
+    ),
+    "pairs of numbers for species of texts": (
+        lambda: md.evaluate(md.System(THREE, species=["Ar", "Kr", "Ar"]), with_pairs({(1, 2): (3.0, 1.0)})),
+        ValueError,
+        ["pairs of LennardJones must be of known species", "they name 1"],
+    ),
+    "pairs beside one set of parameters": (
+        lambda: md.PairPotential(coulomb, (1.0,), 2.5, pairs={("Ar", "Kr"): (2.0,)}),
+        ValueError,
+        ["pairs of PairPotential need a mapping from species"],
+    ),
+    "pairs with too few parameters": (
+        lambda: md.PairPotential(coulomb, {"Ar": (1.0,)}, 2.5, pairs={("Ar", "Ar"): ()}),
+        ValueError,
+        ["all species and pairs must have as many parameters"],
+    ),
+    "pair that is a text": (lambda: with_pairs({"ArKr": (1.0, 1.0)}), ValueError, ["pairs must be a mapping from pairs of species", "ArKr"]),
+    "mixing that depends on the order": (
+        lambda: md.evaluate(
+            md.System(THREE, species=["Ar", "Kr", "Ar"]),
+            md.LennardJones({"Ar": (1.0, 1.0), "Kr": (2.0, 1.0)}, cutoff=2.5, mixing=lambda a, b: a),
+        ),
+        ValueError,
+        ["mixing must give", "the same for 'Ar', 'Kr' as in reverse", "(1.0, 1.0) and (2.0, 1.0)"],
+    ),
+    "mixing without a result": (
+        lambda: md.evaluate(
+            md.System(THREE, species=["Ar", "Kr", "Ar"]),
+            md.LennardJones({"Ar": (1.0, 1.0), "Kr": (2.0, 1.0)}, cutoff=2.5, mixing=lambda a, b: None),
+        ),
+        ValueError,
+        ["Lennard-Jones parameters are (epsilon, sigma)", "('Ar', 'Kr') are None"],
     ),
     "negative cutoff": (lambda: md.LennardJones(1.0, 1.0, -2.5), ValueError, ["cutoff must be positive", "cutoff = -2.5"]),
     "NaN cutoff": (lambda: md.LennardJones(1.0, 1.0, NAN), ValueError, ["cutoff must be positive and finite", "nan"]),
@@ -182,7 +239,7 @@ WRONG_CALLS = {
     "unknown mixing rule": (lambda: md.LennardJones(1.0, 1.0, 2.5, mixing="mean"), ValueError, ["mixing must be one of", "'geometric'", "'mean'"]),
     "switch behind the cutoff": (lambda: md.LennardJones(1.0, 1.0, 2.5, "switched", switch_start=3.0), ValueError, ["switch_start", "2.5", "3.0"]),
     "negative epsilon": (lambda: md.LennardJones(-1.0, 1.0, 2.5), ValueError, ["epsilon must be finite and not negative", "-1.0"]),
-    "zero sigma": (lambda: md.LennardJones(1.0, 0.0, 2.5), ValueError, ["sigma must be finite and positive", "0.0"]),
+    "zero sigma": (lambda: md.LennardJones(1.0, 0.0, 2.5), ValueError, ["sigma must be positive and finite", "0.0"]),
     "epsilon without sigma": (lambda: md.LennardJones(1.0), ValueError, ["either epsilon and sigma"]),
     "two factors of three": (lambda: md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 1)), ValueError, ["bonded_scale must be three", "(0, 1)"]),
     "unknown species": (
@@ -241,6 +298,15 @@ def test_wrong_call_is_answered_with_one_sentence(wrong):
     assert last.line.startswith("raise"), "the error was not foreseen"
 
 
+def test_a_library_of_pairs_may_know_more_species_than_the_system():
+    library = {"Ar": (1.0, 1.0), "Kr": (2.0, 1.1), "Xe": (3.0, 1.2)}
+    system = md.System(THREE, species=["Ar", "Kr", "Ar"])
+    small = md.evaluate(system, md.LennardJones({name: library[name] for name in ("Ar", "Kr")}, cutoff=2.5)).potential_energy
+    assert md.evaluate(system, md.LennardJones(library, cutoff=2.5, pairs={("Kr", "Xe"): (9.0, 1.0)})).potential_energy == small
+    complete = {(a, b): (1.0, 1.0) for a in library for b in library}
+    assert md.evaluate(system, md.LennardJones({}, cutoff=2.5, pairs=complete)).potential_energy == md.evaluate(system, LJ).potential_energy
+
+
 def test_arrays_of_any_kind_of_real_numbers_are_taken():
     for kind in (np.float16, np.float32, np.float64, np.longdouble, np.int8, np.uint64, object):
         taken = md.System((10 * THREE).astype(kind), masses=np.array([1, 2, 3]).astype(kind), cell=np.array([30, 40, 50]).astype(kind), pbc=[1, 1, 0])
@@ -253,6 +319,12 @@ def test_arrays_of_any_kind_of_real_numbers_are_taken():
     assert md.FixedAtoms(np.array([2, 0], dtype=np.uint64)).atoms.tolist() == [0, 2]
     md.Simulation(md.System(THREE), LJ, md.VelocityVerlet(0.005), md.FixedAtoms(np.array([0], dtype=np.uint64)))
     assert md.System(np.ma.array(THREE)).positions.tolist() == THREE.tolist()  # nothing is masked
+
+
+def test_numbers_in_single_precision_are_those_they_stand_for(recwarn):
+    single = md.LennardJones(np.float32(1.0), np.float32(1.0), np.float32(2.5))
+    assert md.evaluate(md.System(THREE), single).potential_energy == md.evaluate(md.System(THREE), LJ).potential_energy
+    assert not recwarn.list
 
 
 def test_existing_output_is_refused_and_kept(tmp_path):

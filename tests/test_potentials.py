@@ -148,7 +148,10 @@ def test_lennard_jones_has_its_minimum_and_zero_where_it_says():
 
 
 def test_mixing_rules():
-    for mixing, expected in (("lorentz-berthelot", (2.0, 1.5)), ("geometric", (2.0, 2.0**0.5)), (lambda a, b: (a[0], b[1]), (1.0, 2.0))):
+    def of_extremes(first, second):
+        return min(first[0], second[0]), max(first[1], second[1])
+
+    for mixing, expected in (("lorentz-berthelot", (2.0, 1.5)), ("geometric", (2.0, 2.0**0.5)), (of_extremes, (1.0, 2.0))):
         mixed = md.LennardJones({"A": (1.0, 1.0), "B": (4.0, 2.0)}, cutoff=5.0, truncation="truncated", mixing=mixing)
         epsilon, sigma = expected
         assert float(mixed.pair_energy(1.8, "A", "B")) == pytest.approx(4 * epsilon * ((sigma / 1.8) ** 12 - (sigma / 1.8) ** 6), rel=1e-14)

@@ -148,6 +148,11 @@ WRONG_CALLS = {
         ValueError,
         ["positions must be", "they are 3000000000000, at most 402653184 are taken"],
     ),
+    "as many species as fit in eight bytes": (
+        lambda: md.System(THREE, species=np.broadcast_to("Ar", 10**12)),
+        ValueError,
+        ["species must be 3 labels", "(1000000000000,)"],
+    ),
     "neighbors over many images": (lambda: md.neighbor_list("ij", md.System(THREE, cell=9.0), 1e6), ValueError, ["pair lists hold up to"]),
     "no quantities of neighbors": (lambda: md.neighbor_list("", md.System(THREE), 1.0), ValueError, ["quantities must be letters", "''"]),
     "text in place of a flag": (

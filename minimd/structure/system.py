@@ -160,6 +160,8 @@ def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, N
         return ("X",), np.zeros(n_atoms, dtype=np.int64)
     if np.ma.is_masked(species):
         raise ValueError("species must be labels; some are masked: fill them")
+    if isinstance(species, np.ndarray) and species.shape != (n_atoms,):
+        raise ValueError(f"species must be {n_atoms} labels, one for each atom; their shape is {species.shape}")
     try:
         labels = np.asarray(species, dtype=object)
     except ValueError as error:

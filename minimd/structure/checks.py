@@ -31,7 +31,8 @@ def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) ->
     Raises ValueError unless it is an int or an integer of NumPy, not a bool, at least least and below limit; name is its name in the message.
     """
     if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) < limit:
-        raise ValueError(f"{name} must be a whole number, at least {least} and below {limit:.3g}; {name} = {shown(value)}")
+        most = f" and below {limit:.3g}" if isinstance(value, Integral) and int(value) >= limit else ""
+        raise ValueError(f"{name} must be a whole number, at least {least}{most}; {name} = {shown(value)}")
     return int(value)
 
 

@@ -147,8 +147,27 @@ def test_lennard_jones_has_its_minimum_and_zero_where_it_says():
     assert abs(at_zero.potential_energy) < 1e-17
 
 
+def test_a_spring_of_length_zero_pulls_with_k_times_the_distance_down_to_none():
+    """u = ½ k r² is smooth where two atoms lie on one spot: no force there, and a curvature that advises a time step."""
+    springs, apart = [md.HarmonicBond(3.0, 0.0), md.HarmonicBond([3.0], [0.0])], np.array([0.3, 0.0, -0.4])
+    for spring in springs:
+        for distance in (0.0, 1e-200, 1e-9, 1.0):
+            system = md.System([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0] + distance * apart], bonds=[[0, 1]])
+            found, between = md.evaluate(system, spring), system.positions[1] - system.positions[0]
+            assert found.forces.tolist() == [(3.0 * between).tolist(), (-3.0 * between).tolist()]
+            assert found.potential_energy == pytest.approx(1.5 * between @ between, rel=1e-15)  # rounding
+    at_rest = md.System([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]], bonds=[[0, 1]])
+    assert md.advise_timestep(at_rest, springs[0]).frequency == pytest.approx(6.0**0.5, rel=1e-6)  # k/μ, truncation of the difference
+    assert md.Simulation(at_rest, springs[0], md.VelocityVerlet(0.01)).run(10, progress=False).total_energy.tolist() == [0.0]
+    with pytest.raises(md.NonFiniteError, match="atoms 0 and 1, 0 apart"):
+        md.evaluate(at_rest, md.HarmonicBond(3.0, 1.0))
+
+
 def test_mixing_rules():
-    for mixing, expected in (("lorentz-berthelot", (2.0, 1.5)), ("geometric", (2.0, 2.0**0.5)), (lambda a, b: (a[0], b[1]), (1.0, 2.0))):
+    def of_extremes(first, second):
+        return min(first[0], second[0]), max(first[1], second[1])
+
+    for mixing, expected in (("lorentz-berthelot", (2.0, 1.5)), ("geometric", (2.0, 2.0**0.5)), (of_extremes, (1.0, 2.0))):
         mixed = md.LennardJones({"A": (1.0, 1.0), "B": (4.0, 2.0)}, cutoff=5.0, truncation="truncated", mixing=mixing)
         epsilon, sigma = expected
         assert float(mixed.pair_energy(1.8, "A", "B")) == pytest.approx(4 * epsilon * ((sigma / 1.8) ** 12 - (sigma / 1.8) ** 6), rel=1e-14)

@@ -233,7 +233,7 @@ def test_no_fixed_atoms_are_none(none):
         (np.ones(5, dtype=bool), "one bool for each of 216 atoms; got 5 bools"),
         (np.zeros(217, dtype=bool), "one bool for each of 216 atoms; got 217 bools"),
         ([216], "must be among 0 to 215; they name atom 216"),
-        ([0.5], r"must be a list of indices, counted from 0, or one bool for each atom; got \[0.5\]"),
+        ([0.5], r"must be a list of indices, counted from 0, or one bool for each atom: some are fractions"),
         ([-1], "must be a list of indices"),
         ([[0, 1]], "must be a list of indices"),
     ],

@@ -27,6 +27,9 @@ from minimd.scene import load_scene
         ('"lennard-jones"', '"lenard-jones"', ["potential[0].type must be one of", "'harmonic-bond'", '"lenard-jones"']),
         ('type = "lennard-jones"\n', "", ["potential[0].type is missing"]),
         ('"fcc"', '"hcp"', ["structure.lattice must be one of", "'diamond'", '"hcp"']),
+        ("[4, 4, 4]", "[4, 4, 1000000000000]", ["structure: repeat must be", "1000000000000"]),
+        ("[4, 4, 4]", "[4, 40000, 40000]", ["structure: repeat must make at most", "makes 2.6e+10"]),
+        ("timestep = 0.004", f"timestep = 1{400 * '0'}", ["dynamics.timestep must be a"]),
         ("[4, 4, 4]", "[4, 4]", ["structure.repeat must have at least 3 entries", "[4, 4]"]),
         ("[4, 4, 4]", "[4, 4, 0]", ["structure.repeat[2] must be greater than 0", "= 0"]),
         ("density = 0.8442\n", "", ["structure must have either density or lattice_constant"]),
@@ -50,6 +53,18 @@ def test_wrong_entry_is_answered_with_one_sentence(old, new, words):
         everything_of(REDUCED.replace(old, new, 1))
     assert "\n" not in str(caught.value)
     assert [word for word in words if word not in str(caught.value)] == [], caught.value
+
+
+def test_pairs_of_a_misspelt_species_are_refused():
+    species = "[potential.species.A]\nepsilon = 1.0\nsigma = 1.0\n[potential.species.B]\nepsilon = 1.0\nsigma = 1.0\n"
+    pairs = '[[potential.pairs]]\nspecies = ["A", "Bb"]\nepsilon = 2.0\nsigma = 1.0\n'
+    text = REDUCED.replace("epsilon = 1.0\nsigma = 1.0\n", "").replace("cutoff = 2.5\n", f"cutoff = 2.5\n{species}{pairs}")
+    text = text.replace("density = 0.8442\n", f"density = 0.8442\nspecies = {128 * ['A', 'B']}\n")
+    with pytest.raises(
+        ValueError, match=r"scene\.toml: pairs of LennardJones must be of known species, 'A', 'B'; they name 'Bb'; did you mean 'B'\?"
+    ):
+        everything_of(text)
+    everything_of(text.replace("Bb", "B"))
 
 
 def test_all_problems_are_told_at_once():

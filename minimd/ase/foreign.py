@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from minimd.potentials.term import FORCES, PER_ATOM
 from minimd.structure.ase_atoms import atoms_from_system, volume_of
+from minimd.structure.checks import shown
 from minimd.structure.console import outside_minimd
 from minimd.structure.system import System
 
@@ -27,7 +28,7 @@ class ForcesFromCalculator:
 
     def __init__(self, calculator: BaseCalculator) -> None:
         if not (hasattr(calculator, "get_forces") and hasattr(calculator, "get_potential_energy")):
-            raise TypeError(f"calculator must be a calculator of ASE, such as ase.calculators.emt.EMT(); got {calculator!r}")
+            raise TypeError(f"calculator must be a calculator of ASE, such as ase.calculators.emt.EMT(); got {shown(calculator)}")
         self.calculator = calculator
 
     def bind(self, system: System) -> "CalculatorTerm":

@@ -1,16 +1,19 @@
 """Snapshots of functions: a copy that later changes do not reach, and a digest by which the cache of compiled code recognizes it.
 
 What a compiled function does is decided by its bytecode, its constants and defaults, the globals and closure cells it reads, the
-compiled functions it calls, and its compile options. All of this enters the digest; names of files and numbers of lines do not.
+compiled functions it calls, and its compile options. All of this enters the digest; names of files and numbers of lines do not. Where
+the effect of something on the compiled code is not certain, it is copied all the same, but there is no digest.
 """
 
 import builtins
+import copy
 import dis
 import hashlib
 import sys
 from collections.abc import Iterator
 from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any
+from uuid import uuid4
 
 import numba
 import numpy as np
@@ -24,10 +27,6 @@ CODE_FIELDS = ("co_code", "co_exceptiontable", "co_names", "co_varnames", "co_fr
 COUNTS = ("co_argcount", "co_posonlyargcount", "co_kwonlyargcount")
 
 
-class UnclearError(Exception):
-    """A function reads something whose effect on the compiled code is not certain."""
-
-
 class Snapshot:
     """A function as it is now.
 
@@ -38,23 +37,20 @@ class Snapshot:
     Attributes
     ----------
     function : the copy, of the same kind, with the same compile options.
-    python : the copy as a plain function; the functions that it calls are plain too.
-    digest : 32 hexadecimal digits; the same for functions that compile to the same code.
-
-    Raises
-    ------
-    UnclearError : for a function that reads something else than numbers, strings, tuples and small arrays of numbers, functions
-        compiled without fixed signatures, and what math, cmath, numpy, numba and minimd name; for one that imports modules.
+    python : the copy as a plain function; the functions that it calls are plain too, but for those with fixed signatures.
+    digest : 32 hexadecimal digits; the same for functions that compile to the same code. Empty for a function that reads something else
+        than numbers, strings, tuples and small arrays of numbers, functions compiled without fixed signatures, and what math, cmath,
+        numpy, numba and minimd name; for one that imports modules.
     """
 
     def __init__(self, function: Any) -> None:
-        self._hash = hashlib.sha256()
+        self._hash, self._is_clear = hashlib.sha256(), True
         self._copies: dict[int, tuple[Any, Any]] = {}  # by the id of a compiled function
         self._note(sys.version, numba.__version__, np.__version__)
         self.function: Any
         self.python: FunctionType
         self.function, self.python = self._plain(function) if isinstance(function, FunctionType) else self._compiled(function)
-        self.digest = self._hash.hexdigest()[:32]
+        self.digest = self._hash.hexdigest()[:32] if self._is_clear else ""
 
     def _note(self, *words: Any) -> None:
         self._hash.update(repr(words).encode())
@@ -82,15 +78,15 @@ class Snapshot:
             copies = [self._value(one) for one in value]
             return tuple(first for first, _ in copies), tuple(second for _, second in copies)
         else:
-            raise UnclearError(f"{value!r} has no digest")
+            self._is_clear, value = False, _copied(value)
         return value, value
 
     def _array(self, array: Any) -> tuple[Any, Any]:
         if not (array.flags.c_contiguous or array.flags.f_contiguous):
-            raise UnclearError("Numba reads an array with gaps from its place in memory")
+            self._is_clear = False  # Numba reads an array with gaps from its place in memory
         self._note("array", array.dtype.str, array.shape, array.flags.c_contiguous, array.tobytes())
-        copy = array.copy(order="K")
-        return copy, copy
+        array = array.copy(order="K")
+        return array, array
 
     def _compiled(self, function: Any) -> tuple[Any, Any]:
         """Copies of a function that Numba compiles; only noted again if it was met before, as in a recursion."""
@@ -98,17 +94,18 @@ class Snapshot:
             self._note("again", list(self._copies).index(id(function)))
             return self._copies[id(function)]
         if type(function) is not CPUDispatcher or function.locals or _has_fixed_signatures(function):
-            raise UnclearError(f"{function!r} is not a function compiled by njit without signatures")
+            self._is_clear = False
+            return function, function
         self._note("options")
         for name, option in sorted(function.targetoptions.items()):
             self._note(name)
             self._data(tuple(sorted(option)) if isinstance(option, set) else option)
         plain: Any = function.py_func
         first, second = self._shells(plain)
-        copy = CPUDispatcher(first, None, dict(function.targetoptions))
-        self._copies[id(function)] = copy, second
+        compiled = CPUDispatcher(first, None, dict(function.targetoptions))
+        self._copies[id(function)] = compiled, second
         self._fill(plain, first, second)
-        return copy, second
+        return compiled, second
 
     def _plain(self, function: FunctionType) -> tuple[FunctionType, FunctionType]:
         first, second = self._shells(function)
@@ -134,15 +131,18 @@ class Snapshot:
 
     def _fill(self, function: FunctionType, first: FunctionType, second: FunctionType) -> None:
         """Give the shells copies of the globals and closure cells that the function reads."""
-        for name in _globals_read(function.__code__):
+        for name in self._globals_read(function.__code__):
             self._note("global", name)
             if name in function.__globals__:
                 first.__globals__[name], second.__globals__[name] = self._value(function.__globals__[name])
             elif not hasattr(builtins, name):
-                raise UnclearError(f"{name} is not defined")
+                self._is_clear = False  # it is not defined
         for cell, *copies in zip(*(f.__closure__ or () for f in (function, first, second)), strict=True):
             self._note("cell")
-            copies[0].cell_contents, copies[1].cell_contents = self._value(_content(cell))
+            try:
+                copies[0].cell_contents, copies[1].cell_contents = self._value(cell.cell_contents)
+            except ValueError:  # it is empty
+                self._is_clear = False
 
     def _code(self, code: CodeType) -> None:
         for name in (*CODE_FIELDS, *COUNTS):
@@ -154,13 +154,23 @@ class Snapshot:
             else:
                 self._data(constant)
 
+    def _globals_read(self, code: CodeType) -> list[str]:
+        """Names of the globals that a code reads, functions defined in it included."""
+        instructions = [one for part in _with_inner(code) for one in dis.get_instructions(part)]
+        self._is_clear &= all(one.opname != "IMPORT_NAME" for one in instructions)
+        return sorted({one.argval for one in instructions if one.opname in ("LOAD_GLOBAL", "LOAD_NAME")})
 
-def _globals_read(code: CodeType) -> list[str]:
-    """Names of the globals that a code reads, functions defined in it included. Raises UnclearError if it imports a module."""
-    instructions = [one for part in _with_inner(code) for one in dis.get_instructions(part)]
-    if any(one.opname == "IMPORT_NAME" for one in instructions):
-        raise UnclearError("the function imports a module")
-    return sorted({one.argval for one in instructions if one.opname in ("LOAD_GLOBAL", "LOAD_NAME")})
+
+def _copied(value: Any) -> Any:
+    """A copy that later changes do not reach, as far as there can be one: of a module with its names, not with what they hold."""
+    if isinstance(value, ModuleType):
+        module = ModuleType(f"{value.__name__}, copy {uuid4().hex}")  # Numba tells modules apart by their names
+        module.__dict__.update(vars(value), __name__=module.__name__, __spec__=None)
+        return module
+    try:
+        return copy.deepcopy(value)
+    except Exception:  # whatever an object of the user's raises: it stays itself
+        return value
 
 
 def _with_inner(code: CodeType) -> Iterator[CodeType]:
@@ -168,13 +178,6 @@ def _with_inner(code: CodeType) -> Iterator[CodeType]:
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
             yield from _with_inner(constant)
-
-
-def _content(cell: CellType) -> Any:
-    try:
-        return cell.cell_contents
-    except ValueError:
-        raise UnclearError("a closure cell is empty") from None
 
 
 def _is_trusted(module: Any) -> bool:

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.constraints.solver import ConstraintSolver
+from minimd.structure.checks import shown
 from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.images import images_of_length, nearest_images
 from minimd.structure.observables import degrees_of_freedom
-from minimd.structure.system import System
+from minimd.structure.system import System, check_resolution
 
 TOLD = 1e-8  # relative violations above which the projection of a start is reported by a warning; files of single precision have more
 
@@ -27,14 +28,14 @@ class ConstraintSet:
     """
 
     def __init__(self, system: System, constraints: Constraint | Sequence[Constraint], threads: int = 1) -> None:
-        given = list(constraints) if isinstance(constraints, Sequence) else [constraints]
+        given = list(constraints) if isinstance(constraints, list | tuple) else [constraints]
         self.inverse_masses = 1.0 / system.masses
         for constraint in given:
             if isinstance(constraint, FixedAtoms):
                 constraint.check_size(len(system))
                 self.inverse_masses[constraint.atoms] = 0.0
             elif not isinstance(constraint, DistanceConstraints):
-                raise TypeError(f"constraints must be DistanceConstraints or FixedAtoms; got {constraint!r}")
+                raise TypeError(f"constraints must be DistanceConstraints or FixedAtoms; got {shown(constraint)}")
         distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
         if len(distances) > 1:
             raise ValueError("all pairs must be given in one DistanceConstraints: those that share atoms are solved together")
@@ -52,7 +53,9 @@ class ConstraintSet:
         if pairs.max() >= len(system):
             raise ValueError(f"constraints must name atoms 0 to {len(system) - 1}; they name atom {pairs.max()}")
         images = nearest_images(*place, pairs) if lengths is None else images_of_length(*place, pairs, lengths)
-        return ConstraintSolver(distances, system.positions, self.inverse_masses, images, self._threads)
+        solver = ConstraintSolver(distances, system.positions, self.inverse_masses, images, self._threads)
+        check_resolution(system, float(solver.lengths.min()), "the shortest rigid length")
+        return solver
 
     def degrees_of_freedom(self, conserves_momentum: bool) -> int:
         """Degrees of freedom of the atoms that move, see observables. Raises ValueError if none is left."""

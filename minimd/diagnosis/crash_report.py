@@ -11,9 +11,10 @@ from minimd.engine.engine import Engine, Snapshot
 from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair
 from minimd.structure.bond_graph import among
+from minimd.structure.checks import LARGEST
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.observables import Array, longest, temperature
-from minimd.structure.system import LARGEST, System
+from minimd.structure.system import System
 
 OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
 THROWN = 0.1  # of the distance by which a force moves a pair in one step: the same, of laws without a length of their own

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from minimd.engine.engine import Engine
+from minimd.structure.checks import LARGEST
 from minimd.structure.observables import longest
-from minimd.structure.system import LARGEST
 
 RUNAWAY = 1e4  # growth of the energies: an unstable mode passes it within a few hundred steps, a stable run never does
 HALF = 0.5  # of the energies: where they are exchanged, and not made, their sum changes by much less

@@ -58,13 +58,17 @@ def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: Con
 def _free_part(system: System, bond: StiffBond, constraint_set: ConstraintSet) -> float:
     """What constraints leave of 1/μ of a bond: the relative velocity that a unit impulse along it causes, times μ. Between 0 and 1."""
     pair, inverse_masses = np.array([[bond.i, bond.j]]), constraint_set.inverse_masses[[bond.i, bond.j]]
-    arm = nearest_vectors(system.positions, system.cell, pair)[0]
-    arm /= np.linalg.norm(arm)
+    arm = _direction(nearest_vectors(system.positions, system.cell, pair)[0])
     velocities = np.zeros_like(system.positions)
     velocities[[bond.i, bond.j]] = np.outer(inverse_masses * [-1.0, 1.0], arm)
     constraint_set.project(velocities, system.positions)
     part = float((velocities[bond.j] - velocities[bond.i]) @ arm / inverse_masses.sum())
     return part if part > RIGID else 0.0
+
+
+def _direction(arm: Array) -> Array:
+    """The unit vector along a bond, (3,); any if its atoms lie on one spot."""
+    return arm / np.linalg.norm(arm) if arm.any() else np.full(3, 3.0**-0.5)
 
 
 def unstable_bond(engine: Engine) -> str | None:
@@ -152,10 +156,10 @@ class Curvature:
         return vector if bond is None else vector + self.stretching(np.array([[bond.i, bond.j]]))[0]
 
     def stretching(self, pairs: NDArray[np.int64]) -> Array:
-        """The mode of each pair by itself: its two atoms move apart. (B, N, 3), each of length one."""
+        """The mode of each pair by itself: its two atoms move apart, in any direction if they lie on one spot. (B, N, 3), each of length one."""
         modes = np.zeros((len(pairs), *self._start.shape))
         for mode, (i, j), arm in zip(modes, pairs, nearest_vectors(self._start, self._system.cell, pairs), strict=True):
-            mode[i], mode[j] = -self._root[i] * arm, self._root[j] * arm
+            mode[i], mode[j] = np.outer((-self._root[i], self._root[j]), _direction(arm))
             mode /= np.linalg.norm(mode)
         return modes
 

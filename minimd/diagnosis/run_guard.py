@@ -60,12 +60,13 @@ class RunGuard:
             self.seconds, self.n_steps, interactions.counts = counted
 
     def check_start(self) -> None:
-        """Take the state as it is now, and raise NonFiniteError if the first step would throw atoms across the scene.
+        """Take the state as it is now. Raise NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution.
 
         A state that nobody has changed since the last step goes on as if there had been no pause.
         """
         engine = self.engine
         self._snapshots, self._first_step, self._reason, self._before, self._first = [], engine.step, None, None, None
+        engine.interactions.check_resolution()
         goes_on = engine.is_as_left
         if not goes_on:
             engine.begin()

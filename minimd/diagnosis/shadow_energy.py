@@ -22,6 +22,7 @@ from minimd.engine.engine import Engine
 from minimd.engine.observation import Observable, register
 from minimd.integrators.splitting.substeps import Substeps
 from minimd.integrators.splitting.verlet import PositionVerlet, VelocityVerlet
+from minimd.structure.checks import shown
 
 
 class HasEngine(Protocol):
@@ -76,7 +77,7 @@ register(
 def check_extras(engine: Engine, names: Sequence[str]) -> None:
     """Raise ValueError unless these are names of observables that the engine has beside the usual ones."""
     if isinstance(names, str) or not set(names) <= {"shadow_energy"}:
-        raise ValueError(f"extra_observables must be ('shadow_energy',) or empty; they are {names!r}")
+        raise ValueError(f"extra_observables must be ('shadow_energy',) or empty; they are {shown(names)}")
     if names:
         check_has_shadow(engine)
 

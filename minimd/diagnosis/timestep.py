@@ -15,6 +15,7 @@ from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.verlet import VelocityVerlet
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import BondPotential
+from minimd.structure.checks import shown
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import NonFiniteError
 from minimd.structure.system import AnySystem, System
@@ -102,7 +103,7 @@ def advise_timestep(
     NonFiniteError : if the forces are not finite.  TypeError, ValueError : as Simulation.
     """
     if not (isinstance(method, Splitting) or (isinstance(method, type) and issubclass(method, Splitting))):
-        raise TypeError(f"method must be a splitting, such as VelocityVerlet or VelocityVerlet(0.005); got {method!r}")
+        raise TypeError(f"method must be a splitting, such as VelocityVerlet or VelocityVerlet(0.005); got {shown(method)}")
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
     constraint_set = ConstraintSet(system, system.constraints if constraints is None else constraints)
     forces = Forces(system, potentials)

@@ -15,6 +15,7 @@ from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath, OpenEnd, State, Surroundings
 from minimd.neighbors.verlet_list import Built
 from minimd.potentials.term import FORCES, TOTALS
+from minimd.structure.checks import shown
 from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint
 from minimd.structure.observables import Array, kinetic_energy
@@ -286,7 +287,7 @@ class Engine:
 
 def _checked(method: Splitting) -> Splitting:
     if not isinstance(method, Splitting):
-        raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {method!r}")
+        raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {shown(method)}")
     return method
 
 

@@ -19,6 +19,7 @@ from minimd.diagnosis.crash_report import CrashReport
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Snapshot
 from minimd.engine.observation import observe
+from minimd.files.trajectory import named_files
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.neighbors.queries import ClosestPair
 from minimd.structure.errors import ConstraintError, NonFiniteError
@@ -50,12 +51,13 @@ def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path |
 
     Raises ValueError for one of the trajectories, which it would replace.
     """
-    several = [Path(file) for file in ([trajectories] if isinstance(trajectories, (str, Path)) else trajectories)]
+    several = named_files("trajectory", trajectories)
     if isinstance(crash_report, bool):
         return several[0].with_suffix(SUFFIX) if crash_report and several else None
-    if Path(crash_report).resolve() in [file.resolve() for file in several]:
+    [place] = named_files("crash_report", [crash_report])
+    if place.resolve() in [file.resolve() for file in several]:
         raise ValueError(f"crash_report must be a file of its own; {str(crash_report)!r} is a trajectory of the run: choose another name")
-    return Path(crash_report)
+    return place
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from typing import Protocol
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.claim import Claim
+from minimd.structure.checks import shown
 
 
 class Writer(Protocol):
@@ -43,7 +44,7 @@ def open_trajectories(
     file that exists, unless overwrite.  FileNotFoundError, PermissionError for a folder that does not exist or cannot be written.
     OSError if another run writes the file, or it is no regular file.
     """
-    several = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    several = named_files("trajectory", paths)
     _check_are_different(several)
     files = [_appendable(path) if append else checked_output(path, overwrite) for path in several]
     with ExitStack() as closing:
@@ -74,19 +75,26 @@ def _continued(file: Path, engine: Engine, store_forces: bool) -> Writer:
     return H5MDWriter.append_to(file, engine, store_forces)
 
 
-def _appendable(path: str | Path) -> Path:
-    file = Path(path)
+def _appendable(file: Path) -> Path:
     if file.suffix.lower() != ".h5md":
         raise ValueError(f"only .h5md files can be appended to, because they hold the state from which to go on; the file is {str(file)!r}")
     return file
 
 
-def _check_are_different(paths: Sequence[str | Path]) -> None:
+def _check_are_different(paths: Sequence[Path]) -> None:
     """Raise ValueError if two paths lead to one file."""
-    seen: dict[str, str | Path] = {}
+    seen: dict[str, Path] = {}
     for path in paths:
         if (first := seen.setdefault(os.path.realpath(path), path)) is not path:
             raise ValueError(f"each trajectory must be a file of its own; {str(first)!r} and {str(path)!r} are the same: name it once")
+
+
+def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    """The paths of one file or of several.  Raises TypeError for what is no path; name is that of the argument."""
+    several = [paths] if isinstance(paths, str | Path) else paths
+    if not isinstance(several, list | tuple) or not all(isinstance(path, str | Path) and Path(path).name for path in several):
+        raise TypeError(f"{name} must be the path of a file, or a list of paths; {name} = {shown(paths)}")
+    return [Path(path) for path in several]
 
 
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:

@@ -23,7 +23,7 @@ from minimd.potentials.pair_loop import FixedPairs
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, bound
 from minimd.structure.console import outside_minimd
 from minimd.structure.errors import NonFiniteError
-from minimd.structure.system import System
+from minimd.structure.system import System, check_resolution
 
 if TYPE_CHECKING:
     import ase
@@ -51,15 +51,16 @@ class Forces:
     Raises
     ------
     TypeError, ValueError : for an object that is no potential, a species without parameters, a periodic scene without a
-        cutoff, bonded terms that name missing atoms.
+        cutoff, bonded terms that name missing atoms; and as check_resolution.
     """
 
     def __init__(self, system: System, potentials: Potential | Sequence[Potential], options: Options | None = None) -> None:
         self.system, self.options = system, options or Options()
-        self.potentials = tuple(potentials) if isinstance(potentials, Sequence) and not isinstance(potentials, str) else (potentials,)
+        self.potentials = tuple(potentials) if isinstance(potentials, list | tuple) else (potentials,)
         self.terms: list[Term] = []
         self.n_evaluations, self._builds_before, self.displacement = 0, 0, 0.0
         self._bind()
+        self.check_resolution()
         for term in self._bound:
             if term.warning:
                 warnings.warn(term.warning, stacklevel=outside_minimd())
@@ -76,6 +77,13 @@ class Forces:
         self._builds_before += _n_builds(self.terms) - _n_builds(terms)
         self.terms, self._bound, self._planned_for = terms, terms_bound, self.system.cell
         self._compiled: set[int] = set()  # details that the terms have been computed with
+
+    def check_resolution(self) -> None:
+        """Raise ValueError if atoms are so far from the origin that their separations are lost in rounding."""
+        cell = self.system.cell
+        check_resolution(self.system, float(cell.heights[cell.pbc].min(initial=np.inf)), "the height of the cell")
+        for term in self._bound:
+            check_resolution(self.system, term.shortest_length, "the shortest length of a potential")
 
     def fit_skin(self, displacement: float) -> None:
         """Choose the skin anew if the displacement of the fastest atom in a step [length] has changed much, unless the user gave a skin."""

@@ -1,11 +1,10 @@
 """Options of the computation of forces: threads, precision, skin."""
 
 from dataclasses import dataclass
-from numbers import Integral, Real
 from typing import Literal, get_args
 
 from minimd.compiled.machine import available_cores
-from minimd.structure.system import LARGEST
+from minimd.structure.checks import checked_choice, checked_count, checked_number
 
 Precision = Literal["double", "mixed"]
 
@@ -27,12 +26,11 @@ class Options:
     skin: float | None = None
 
     def __post_init__(self) -> None:
-        if self.threads is not None and not (isinstance(self.threads, Integral) and self.threads >= 1):
-            raise ValueError(f"threads must be a whole number, at least 1, or None for all cores; threads = {self.threads!r}")
-        if self.precision not in get_args(Precision):
-            raise ValueError(f"precision must be one of {', '.join(get_args(Precision))}; precision = {self.precision!r}")
-        if self.skin is not None and not (isinstance(self.skin, Real) and 0.0 <= self.skin < LARGEST):
-            raise ValueError(f"skin must be a number from 0 to {LARGEST:g}; skin = {self.skin!r}")
+        checked_choice("precision", self.precision, get_args(Precision))
+        if self.threads is not None:
+            object.__setattr__(self, "threads", checked_count("threads", self.threads))
+        if self.skin is not None:
+            object.__setattr__(self, "skin", checked_number("skin", self.skin, "finite and not negative"))
 
     @property
     def most_threads(self) -> int:

@@ -8,14 +8,12 @@ from numpy.typing import NDArray
 from minimd.compiled.kernels import kernel
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws, skin_for
-from minimd.neighbors.pair_list import PairList
+from minimd.neighbors.pair_list import PairList, check_size
 from minimd.potentials.pair_loop import by_species, pair_loop_for
 from minimd.potentials.term import FORCES, Term
-from minimd.structure.system import System, number_density
+from minimd.structure.system import System
 
 ALL_PAIRS_UP_TO = 100  # atoms: below, an open scene is faster without a list that has to be rebuilt
-MOST_PAIRS = 2**30  # 8 bytes each
-MOST_IMAGES = 2**22  # 72 bytes each
 
 
 class PairListTerm(Term):
@@ -28,7 +26,7 @@ class PairListTerm(Term):
         if not system.cell.is_periodic and n <= ALL_PAIRS_UP_TO:
             cutoff = np.inf
         skin = skin_for(system, laws, options, displacement) if cutoff < np.inf else 0.0
-        _check_size(system, cutoff, skin)
+        check_size(system, cutoff, skin)
         self._in_users_order = cutoff == np.inf
         self.summary = "all pairs" if self._in_users_order else f"pair list (skin {skin:.3g})"
         self.list = PairList(n, cutoff, skin, laws.excluded)
@@ -79,17 +77,3 @@ def scatter(local_forces, order, forces):
     for k in range(order.size):
         for c in range(3):
             forces[order[k], c] += local_forces[k, c]
-
-
-def _check_size(system: System, cutoff: float, skin: float) -> None:
-    """Raise ValueError for more pairs or images than a list can hold: for a huge reach in a small cell, or a huge scene without cutoff."""
-    n_atoms, reach, cell = len(system), cutoff + skin, system.cell
-    n_pairs = 0.5 * n_atoms**2
-    if reach < np.inf:
-        in_reach = 0.5 * n_atoms * number_density(system, reach) * 4.0 / 3.0 * np.pi * reach**3
-        n_pairs = in_reach if cell.is_periodic else min(n_pairs, in_reach)
-    n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
-    for name, number, most in (("pairs", n_pairs, MOST_PAIRS), ("images of the cell", n_images, MOST_IMAGES)):
-        if number > most:
-            hint = f"reduce the cutoff ({cutoff:g})" if skin < cutoff else f"reduce the skin ({skin:g})"
-            raise ValueError(f"pair lists hold up to {most:.1e} {name}, this scene needs about {number:.1e}: {hint}")

@@ -1,12 +1,12 @@
 """What all one-step methods have in common, and the problems and steps that they know: y(t) → y(t+h)."""
 
 from collections.abc import Callable
-from math import isfinite
-from numbers import Real
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from minimd.structure.checks import checked_number
 
 __all__ = ["Method"]
 
@@ -87,9 +87,7 @@ class Method:
     is_explicit: ClassVar[bool]
 
     def __init__(self, timestep: float) -> None:
-        if not (isinstance(timestep, Real) and isfinite(timestep) and timestep != 0.0):
-            raise ValueError(f"timestep must be finite and not zero; timestep = {timestep!r}")
-        self.timestep = float(timestep)
+        self.timestep = checked_number("timestep", timestep, "finite and not zero")
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(timestep={self.timestep:g})"

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
-from numbers import Real
 
 import numpy as np
 
@@ -11,9 +10,10 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces, Potential
 from minimd.minimization.fire import FIRE
 from minimd.potentials.term import TOTALS
+from minimd.structure.checks import checked_count, checked_number
 from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
-from minimd.structure.errors import Interrupted, checked_count
+from minimd.structure.errors import Interrupted
 from minimd.structure.system import AnySystem, System
 
 FORCE_TOLERANCE = 1e-6  # [energy/length], in reduced units and in eV/Å
@@ -98,10 +98,8 @@ def minimized(
     forces: Forces, constraint_set: ConstraintSet, force_tolerance: float, max_steps: int, max_step_length: float, progress: bool | None
 ) -> Minimization:
     """Minimize the system of some forces in place; see minimize."""
-    for name, value in (("force_tolerance", force_tolerance), ("max_step_length", max_step_length)):
-        if not (isinstance(value, Real) and isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} must be positive and finite; {name} = {value!r}")
-    checked_count("max_steps", max_steps, 0)
+    force_tolerance = checked_number("force_tolerance", force_tolerance, "positive and finite")
+    max_step_length, max_steps = checked_number("max_step_length", max_step_length, "positive and finite"), checked_count("max_steps", max_steps, 0)
     system, evaluated, energy_before = forces.system, forces.n_evaluations, _potential_energy(forces)
     constraint_set.fit(system)
     descent = FIRE(forces, constraint_set.with_equal_masses(system), max_step_length)
@@ -118,7 +116,7 @@ def minimized(
         largest_force_before=largest_before,
         potential_energy=_potential_energy(forces),
         potential_energy_before=energy_before,
-        force_tolerance=float(force_tolerance),
+        force_tolerance=force_tolerance,
     )
     if descent.stop_requested and not result.converged:
         raise Interrupted(f"stopped after step {result.n_steps} of the minimization", result)

@@ -10,6 +10,10 @@ from minimd.neighbors.buffers import SPARE
 from minimd.neighbors.search import bins_of, find_pairs
 from minimd.neighbors.verlet_list import VerletList, any_moved, partners, starts
 from minimd.structure.cell import Cell
+from minimd.structure.system import System, number_density
+
+MOST_PAIRS = 2**30  # 8 bytes each
+MOST_IMAGES = 2**22  # 72 bytes each
 
 
 class Pairs(namedtuple("Pairs", "start second image translations")):
@@ -77,3 +81,17 @@ def fixed_pairs(pairs: NDArray[np.int64], n_atoms: int, periodic: bool) -> tuple
     order, n_shifted = np.argsort(pairs[:, 0], kind="stable"), len(pairs) if periodic else 0
     second, image = pairs[order, 1].astype(np.uint32), np.arange(n_shifted, dtype=np.uint32)
     return Pairs(starts(pairs[:, 0], n_atoms), second, image, np.zeros((n_shifted, 3))), order
+
+
+def check_size(system: System, cutoff: float, skin: float) -> None:
+    """Raise ValueError for more pairs or images than a list can hold: for a huge reach in a small cell, or a huge scene without cutoff."""
+    n_atoms, reach, cell = len(system), cutoff + skin, system.cell
+    n_pairs = 0.5 * n_atoms**2
+    if reach < np.inf:
+        in_reach = 0.5 * n_atoms * number_density(system, reach) * 4.0 / 3.0 * np.pi * reach**3
+        n_pairs = in_reach if cell.is_periodic else min(n_pairs, in_reach)
+    n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
+    for name, number, most in (("pairs", n_pairs, MOST_PAIRS), ("images of the cell", n_images, MOST_IMAGES)):
+        if number > most:
+            hint = f"reduce the cutoff ({cutoff:g})" if skin < cutoff else f"reduce the skin ({skin:g})"
+            raise ValueError(f"pair lists hold up to {most:.1e} {name}, this scene needs about {number:.1e}: {hint}")

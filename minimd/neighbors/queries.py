@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.neighbors.pair_list import PairList
-from minimd.structure.system import LARGEST, System
+from minimd.neighbors.pair_list import PairList, check_size
+from minimd.structure.checks import LARGEST, checked_number, shown
+from minimd.structure.system import System
 
 QUANTITIES = "ijdDS"
 BEYOND = 1.0 + 1e-9  # of a distance, to find the pair that has it
@@ -26,10 +27,12 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     ------
     ValueError : for an unknown letter or a cutoff that is not positive and finite.
     """
-    if not set(quantities) <= set(QUANTITIES):
-        raise ValueError(f"quantities must be letters of {QUANTITIES!r}; quantities = {quantities!r}")
-    if not (np.isfinite(cutoff) and cutoff > 0.0):
-        raise ValueError(f"cutoff must be positive and finite; cutoff = {cutoff}")
+    if not (isinstance(quantities, str) and quantities and set(quantities) <= set(QUANTITIES)):
+        raise ValueError(f"quantities must be letters of {QUANTITIES!r}; quantities = {shown(quantities)}")
+    if not isinstance(system, System):
+        raise TypeError(f"system must be a minimd System; got {type(system).__name__}")
+    cutoff = checked_number("cutoff", cutoff, "positive and finite")
+    check_size(system, cutoff, 0.0)
     cell, positions = system.cell, system.positions
     pair_list = PairList(len(system), cutoff, 0.0, np.zeros((0, 2), dtype=np.int64))
     pair_list.update(positions, cell)

@@ -10,6 +10,7 @@ from minimd.compiled.kernels import kernel
 from minimd.potentials.term import FORCES, PER_ATOM, Term
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
+from minimd.structure.checks import checked_numbers, shown
 from minimd.structure.system import System
 
 STRAIGHT = 1e-8  # least sin θ that u′(θ) is divided by: sin²θ = 1 − cos²θ is rounded to 1e-16
@@ -33,8 +34,10 @@ class HarmonicAngle:
         self.triples = checked_groups("triples", triples, 3)
         self.k = _one_each("k", k, len(self.triples))
         self.angle = _one_each("angle", angle, len(self.triples))
+        if np.any(self.k < 0.0):
+            raise ValueError(f"k of a harmonic angle must not be negative; k = {shown(self.k.tolist())}")
         if np.any((self.angle < 0.0) | (self.angle > pi)):
-            raise ValueError(f"angle must lie between 0 and pi (radians); angle = {self.angle.tolist()}")
+            raise ValueError(f"angle must lie between 0 and pi (radians); angle = {shown(self.angle.tolist())}")
 
     def bind(self, system: System) -> "AngleTerm":
         """The term of these angles in a system.
@@ -114,9 +117,9 @@ class AngleTerm(Term):
 
 
 def _one_each(name: str, values: ArrayLike, n: int) -> NDArray[np.float64]:
-    array = np.asarray(values, dtype=np.float64)
+    array = checked_numbers(name, values, "one number, or one for each angle")
     if array.shape not in ((), (n,)):
         raise ValueError(f"{name} must be one number or {n}, one for each angle; its shape is {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite; {name} = {array.tolist()}")
+        raise ValueError(f"{name} must be finite; {name} = {shown(array.tolist())}")
     return np.ascontiguousarray(np.broadcast_to(array, n))

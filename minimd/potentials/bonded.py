@@ -1,15 +1,16 @@
 """Bonds: laws between fixed pairs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.potentials.law import checked_law
 from minimd.potentials.laws import HarmonicLaw
 from minimd.potentials.pair_loop import FixedPairs
 from minimd.potentials.term import NoTerm, Term, no_bonds
-from minimd.potentials.user_laws import user_law
 from minimd.structure.bond_graph import checked_pairs
+from minimd.structure.checks import checked_numbers, shown
 from minimd.structure.system import System
 
 
@@ -22,13 +23,16 @@ class BondPotential:
     parameters : one entry for each parameter of the law: a number for all bonds, or an array with one number for each.
     pairs : (B, 2) int, the bonded atoms; system.bonds if not given.
 
-    Each bond runs to the nearest image of its partner. Raises ValueError for parameters that are not finite.
+    Each bond runs to the nearest image of its partner. Raises ValueError for parameters that are not finite numbers, or pairs that are none;
+    TypeError for a law that is not a function, or parameters without their tuple.
     """
 
     def __init__(self, law: Callable | tuple, parameters: tuple[ArrayLike, ...] = (), pairs: ArrayLike | None = None) -> None:
-        self.law = law if isinstance(law, tuple) else user_law(law)
-        self.pairs = pairs
-        self.parameters = tuple(np.array(parameter, dtype=np.float64) for parameter in parameters)
+        self.law = checked_law(law)
+        self.pairs = None if pairs is None else checked_pairs("pairs", pairs)
+        if not isinstance(parameters, Sequence):
+            raise TypeError(f"parameters of bonds must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}")
+        self.parameters = tuple(checked_numbers("bond parameters", parameter, "one number, or one for each bond") for parameter in parameters)
         for parameter in self.parameters:
             if not np.isfinite(parameter).all():
                 raise ValueError(f"bond parameters must be finite; they are {parameter.tolist()}")

@@ -15,7 +15,7 @@ from numba.core import types
 from numba.extending import overload
 
 from minimd.compiled.kernels import type_of
-from minimd.potentials.user_laws import UserLaw
+from minimd.potentials.user_laws import UserLaw, user_law
 
 STEP = 1e-5  # of a central difference, relative to the distance
 ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative, and beside the size of u
@@ -31,6 +31,11 @@ def law_type(name: str, formula: Callable) -> Any:
     return type_of(formula)(namedtuple(name, fields, module=python.__module__))
 
 
+def checked_law(law: Any) -> Any:
+    """The law type of a law: that of a function of the user's, or the law type itself.  Raises TypeError for anything else."""
+    return law if isinstance(law, tuple) and hasattr(type(law), "formula") else user_law(law)
+
+
 def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
     """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length]; NaN where the law has no real number.
 
@@ -43,7 +48,7 @@ def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, 
         if "unpack" in str(error):
             raise TypeError(f"the law {_name(law)} must return two numbers, u and -u'(r)/r: {error}") from None
         return nan, nan
-    except TypeError as error:
+    except (TypeError, NameError, AttributeError, LookupError) as error:
         raise TypeError(f"the law {_name(law)} must take r² and {len(parameters)} parameters and return u and -u'(r)/r: {error}") from None
 
 

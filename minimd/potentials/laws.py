@@ -28,14 +28,14 @@ def harmonic(r2, k, length):
     """Harmonic bond.
 
         u(r)     = ½ k (r − r₀)²
-        −u′(r)/r = −k (r − r₀)/r
+        −u′(r)/r = −k (r − r₀)/r, and −k for r₀ = 0, where two atoms may lie on one spot
 
-    r2 : squared distance, > 0 [length²].  k : stiffness [energy/length²].  length : r₀, distance of the minimum [length].
+    r2 : squared distance, > 0, or ≥ 0 for r₀ = 0 [length²].  k : stiffness [energy/length²].  length : r₀, distance of the minimum [length].
     Returns u [energy], −u′/r [energy/length²].
     """
     r = sqrt(r2)
     stretch = r - length
-    return 0.5 * k * stretch * stretch, -k * stretch / r
+    return 0.5 * k * stretch * stretch, -k if length == 0.0 else -k * stretch / r
 
 
 @scalar

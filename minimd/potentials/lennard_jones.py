@@ -1,10 +1,14 @@
 """The Lennard-Jones potential: a small class for the parameters of its law."""
 
 from collections.abc import Callable, Mapping, Sequence
-from math import isfinite
+from math import inf
+from typing import Any
+
+import numpy as np
 
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import ByPairOfLabels, Label, PairPotential, Parameters
+from minimd.structure.checks import checked_number, shown
 
 
 class LennardJones(PairPotential):
@@ -35,15 +39,12 @@ class LennardJones(PairPotential):
         bonded_scale: Sequence[float] = (1.0, 1.0, 1.0),
         tail_correction: bool = False,
     ) -> None:
-        if pairs and not isinstance(epsilon, Mapping):
-            raise ValueError("pairs of LennardJones need a mapping from species to (epsilon, sigma) beside them")
         if isinstance(epsilon, Mapping) == (sigma is not None):
             raise ValueError("give LennardJones either epsilon and sigma, or one mapping from species to (epsilon, sigma)")
-        by_species = epsilon if isinstance(epsilon, Mapping) else {"all atoms": (epsilon, sigma)}
-        _check_lennard_jones({**by_species, **(pairs or {})})
+        parameters: Any = epsilon if isinstance(epsilon, Mapping) else (epsilon, sigma)
         super().__init__(
             LennardJonesLaw(),
-            epsilon if isinstance(epsilon, Mapping) else (epsilon, float(sigma or 0.0)),
+            parameters,
             cutoff,
             truncation,
             mixing=mixing,
@@ -53,13 +54,17 @@ class LennardJones(PairPotential):
             tail_correction=tail_correction,
         )
 
+    @property
+    def shortest_length(self) -> float:
+        """See PairPotential; without a cutoff the smallest σ [length]."""
+        if self.cutoff < inf:
+            return super().shortest_length
+        parameters = self.parameters.values() if isinstance(self.parameters, dict) else [self.parameters]
+        return min((sigma for _, sigma in (*parameters, *self.pairs.values())), default=inf)
 
-def _check_lennard_jones(parameters: Mapping) -> None:
-    for name, numbers in parameters.items():
-        if len(tuple(numbers)) != 2:
-            raise ValueError(f"Lennard-Jones parameters are (epsilon, sigma); those of {name!r} are {numbers!r}")
-        epsilon, sigma = numbers
-        if not (isfinite(epsilon) and epsilon >= 0.0):
-            raise ValueError(f"epsilon must be finite and not negative; epsilon of {name!r} = {epsilon}")
-        if not (isfinite(sigma) and sigma > 0.0):
-            raise ValueError(f"sigma must be finite and positive; sigma of {name!r} = {sigma}")
+    def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
+        if not isinstance(numbers, Sequence | np.ndarray) or len(numbers) != 2:
+            raise ValueError(f"Lennard-Jones parameters are (epsilon, sigma); those of {of!r} are {shown(numbers)}")
+        whose = "" if of is None else f" of {of!r}"
+        epsilon = checked_number(f"epsilon{whose}", numbers[0], "finite and not negative")
+        return epsilon, checked_number(f"sigma{whose}", numbers[1], "positive and finite")

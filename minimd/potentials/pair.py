@@ -1,24 +1,25 @@
 """Pair potentials: a law, its parameters for each pair of species, given or mixed, a cutoff and a truncation."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
-from math import inf, isfinite, pi, sqrt
-from numbers import Real
+from math import inf, isclose, isfinite, pi, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.potentials.law import check_user_law, evaluate_law
+from minimd.potentials.law import check_user_law, checked_law, evaluate_law, law_at
 from minimd.potentials.term import PairLaw, Term, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS
-from minimd.potentials.user_laws import UserLaw, user_law
-from minimd.structure.system import LARGEST, System
+from minimd.potentials.user_laws import UserLaw
+from minimd.structure.checks import checked_choice, checked_flag, checked_number, checked_numbers, listed, near, shown
+from minimd.structure.system import System
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
 ACCURACY, CONVERGED = 1e-12, 1e-8  # relative errors of tail integrals: what is asked for, and above which an integral is taken for divergent
 TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where laws of the user's are tried
 UNSCALED = (1.0, 1.0, 1.0)
+MIXED = 1e-9  # relative difference of mixed parameters of a pair and of the pair in reverse, above which it is no rounding
 
 Label = str | int
 Parameters = tuple[float, ...]
@@ -51,7 +52,7 @@ class PairPotential:
     truncation : "shifted" (default), "truncated", "force-shifted", or a switch, "switched", "charmm" or "smooth" (for
         methods of order above 2): see minimd.potentials.truncation.
     mixing : name of a rule or a function of two parameter tuples, for pairs of species not in pairs.
-    pairs : mapping from pairs of species, in either order, to their parameters.
+    pairs : mapping from pairs of species, in either order, to their parameters; beside a mapping from species.
     switch_start : r_on [length] of the switches; 0.8 r_c if not given.
     bonded_scale : factors for pairs one, two and three bonds apart; 0 excludes, 1 (default) changes nothing. In a cell
         smaller than the cutoff they hold for the nearest image of the pair only.
@@ -61,7 +62,8 @@ class PairPotential:
     Raises
     ------
     ValueError : for a cutoff that is not positive, an unknown truncation or mixing rule, factors or parameters that are
-        not finite, a switch that does not start inside the cutoff. TypeError : for a law that is not a function.
+        not finite, pairs without a mapping from species, a switch that does not start inside the cutoff.
+    TypeError : for a law that is not a function.
     """
 
     def __init__(
@@ -77,20 +79,19 @@ class PairPotential:
         bonded_scale: Sequence[float] = UNSCALED,
         tail_correction: bool = False,
     ) -> None:
-        self.plain_law = law if isinstance(law, tuple) else user_law(law)
+        self.plain_law = checked_law(law)
         self._is_tried = not isinstance(self.plain_law, UserLaw)
-        self.parameters = _checked_parameters(parameters)
-        self._cutoffs = _symmetric(cutoff) if isinstance(cutoff, Mapping) else cutoff
-        self.cutoff = _checked_cutoff(cutoff)
-        self.truncation = _choice("truncation", truncation, TRUNCATIONS)
+        self._cutoffs = _checked_cutoffs(cutoff)
+        self.cutoff = max(self._cutoffs.values()) if isinstance(self._cutoffs, dict) else self._cutoffs
+        self.truncation = checked_choice("truncation", truncation, TRUNCATIONS)
         self.law = TRUNCATIONS[truncation].around(self.plain_law)
-        self.mixing = mixing if callable(mixing) or mixing is None else MIXING[_choice("mixing", mixing, MIXING)]
-        self.pairs = _symmetric(pairs or {})
+        self.mixing = mixing if callable(mixing) or mixing is None else MIXING[checked_choice("mixing", mixing, MIXING)]
+        self.parameters, self.pairs = self._checked_parameters(parameters, pairs)
         self.switch_start = self._checked_switch_start(switch_start)
         self.bonded_scale = _checked_scale(bonded_scale)
-        self.tail_correction = tail_correction
+        self.tail_correction = checked_flag("tail_correction", tail_correction)
         if tail_correction and (truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
-            needed, given = f"a cutoff and truncation 'truncated', {_listed(SWITCHES)}", f"cutoff = {self.cutoff}, truncation = {truncation!r}"
+            needed, given = f"a cutoff and truncation 'truncated', {listed(SWITCHES)}", f"cutoff = {self.cutoff}, truncation = {truncation!r}"
             raise ValueError(f"tail_correction needs {needed}; {given} have no tail")
 
     def bind(self, system: System) -> "PairTerm":
@@ -98,10 +99,12 @@ class PairPotential:
 
         Raises
         ------
-        ValueError : as table; for a periodic cell without a cutoff, or an open one with a tail correction.
+        ValueError : as table; for a periodic cell without a cutoff, an open one with a tail correction, or pairs of species that are neither in
+            the parameters nor in the system.
         """
         if self.cutoff == inf and system.cell.is_periodic:
             raise ValueError(f"cutoff must be given in a periodic cell; that of {type(self).__name__} is None")
+        self._check_species_of_pairs(system.species_names)
         if self.tail_correction:
             _volume(system)
         return PairTerm(self, system)
@@ -119,18 +122,29 @@ class PairPotential:
         return np.array([[self._numbers(a, b) for b in names] for a in names], dtype=np.float64)
 
     @property
+    def shortest_length(self) -> float:
+        """Beside which separations must be known: the smallest cutoff [length], infinite without one."""
+        return min(self._cutoffs.values()) if isinstance(self._cutoffs, dict) else self._cutoffs
+
+    @property
     def depends_on_species(self) -> bool:
         """False if one tuple of parameters and one cutoff serve all pairs."""
         return isinstance(self.parameters, dict) or isinstance(self._cutoffs, dict)
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.parameters}, cutoff={self._cutoffs}, truncation={self.truncation!r})"
+        cutoff = None if self.cutoff == inf else self._cutoffs
+        return f"{type(self).__name__}({self.parameters}, cutoff={cutoff}, truncation={self.truncation!r})"
 
     def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
-        """u [energy] of two atoms of given species at distances r [length], truncation included; an array of r's shape."""
+        """u [energy] of two atoms of given species at distances r > 0 [length], truncation included; an array of r's shape.
+
+        Raises ValueError for distances that are not positive, and as table.
+        """
         cutoff2, *numbers = self._numbers(first, second)
-        distances = np.asarray(r, dtype=np.float64)
-        inside = [evaluate_law(self.law, x * x, tuple(numbers))[0] if x * x < cutoff2 else 0.0 for x in distances.ravel().tolist()]
+        distances = checked_numbers("r", r, "positive distances")
+        if not (distances > 0.0).all():
+            raise ValueError(f"r must be positive distances; r = {shown(r)}")
+        inside = [law_at(self.law, x, tuple(numbers))[0] if x * x < cutoff2 else 0.0 for x in distances.ravel().tolist()]
         return np.array(inside).reshape(distances.shape)
 
     def tail(self, counts: NDArray[np.int64], species_names: Sequence[Label], volume: float) -> tuple[float, float]:
@@ -150,13 +164,16 @@ class PairPotential:
             check_user_law(self.plain_law, parameters, [x * (cutoff if isfinite(cutoff) else 1.0) for x in TRIED_AT])
             self._is_tried = True
         extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, self._switch_start_for(cutoff))
+        if not all(map(isfinite, extra)) and self.truncation not in SWITCHES:
+            hint = "a cutoff" if cutoff == inf else f"another cutoff than {cutoff:g}"
+            raise ValueError(f"the law must be finite where it is {self.truncation}, at the cutoff; it is {extra[0]}: give {hint}, or 'truncated'")
         return (cutoff * cutoff, *extra, *parameters)
 
     def _cutoff_of(self, a: Any, b: Any) -> float:
         if not isinstance(self._cutoffs, dict):
             return self.cutoff
         if (a, b) not in self._cutoffs:
-            raise ValueError(f"cutoff has no entry for the pair of species {a!r}, {b!r}; it has {_listed(self._cutoffs)}")
+            raise ValueError(f"cutoff has no entry for the pair of species {a!r}, {b!r}; it has {listed(self._cutoffs)}")
         return self._cutoffs[a, b]
 
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
@@ -166,12 +183,42 @@ class PairPotential:
             return self.pairs[a, b]
         for name in (a, b):
             if name not in self.parameters:
-                raise ValueError(f"{type(self).__name__} has no parameters for species {name!r}; it has {_listed(self.parameters)}")
+                raise ValueError(f"{type(self).__name__} has no parameters for species {name!r}; it has {listed(self.parameters)}")
         if a == b:
             return self.parameters[a]
         if self.mixing is None:
             raise ValueError(f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; give them in pairs, or a mixing rule")
-        return self.mixing(self.parameters[a], self.parameters[b])
+        mixed, reverse = (self._checked_numbers(self.mixing(self.parameters[x], self.parameters[y]), (x, y)) for x, y in ((a, b), (b, a)))
+        if not len(mixed) == len(reverse) == len(self.parameters[a]) or not all(map(partial(isclose, rel_tol=MIXED), mixed, reverse)):
+            raise ValueError(f"mixing must give as many parameters, the same for {a!r}, {b!r} as in reverse; it gives {mixed} and {reverse}")
+        return mixed
+
+    def _check_species_of_pairs(self, species_names: Sequence[Label]) -> None:
+        """Raise ValueError if pairs name a species that exists nowhere else. Without parameters of species, pairs are all that there is."""
+        known = [*self.parameters, *(name for name in species_names if name not in self.parameters)] if isinstance(self.parameters, dict) else []
+        for name in (name for pair in self.pairs for name in pair):
+            if self.parameters and name not in known:
+                raise ValueError(f"pairs of {type(self).__name__} must be of known species, {listed(known)}; they name {name!r}{near(name, known)}")
+
+    def _checked_parameters(self, given: Any, pairs: Any) -> tuple[Parameters | dict[Label, Parameters], dict]:
+        """Parameters of all atoms or of each species, and those of pairs in both orders."""
+        if not isinstance(given, Mapping):
+            if pairs is not None and len(pairs):
+                raise ValueError(f"pairs of {type(self).__name__} need a mapping from species to parameters beside them; parameters = {shown(given)}")
+            return self._checked_numbers(given, None), {}
+        by_label = {label: self._checked_numbers(numbers, label) for label, numbers in given.items()}
+        by_pair = {pair: self._checked_numbers(numbers, pair) for pair, numbers in _symmetric("pairs", {} if pairs is None else pairs).items()}
+        if len({len(numbers) for numbers in (*by_label.values(), *by_pair.values())}) > 1:
+            raise ValueError(f"all species and pairs must have as many parameters; they are {shown(by_label | by_pair)}")
+        return by_label, by_pair
+
+    def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
+        """The parameters of one law.  of : the species or the pair that has them; None for all.  Raises ValueError unless they are finite numbers."""
+        values = checked_numbers("parameters", numbers, "a tuple of finite numbers")
+        if values.ndim != 1 or not np.isfinite(values).all():
+            whose = "of all atoms" if of is None else f"of {of!r}"
+            raise ValueError(f"parameters must be a tuple of finite numbers; those {whose} are {shown(numbers)}")
+        return tuple(values.tolist())
 
     def _tail_integrals(self, a: Label | None, b: Label | None) -> NDArray[np.float64]:
         """∫ (u − u_truncated) r² dr and ∫ (f − f_truncated) r⁴ dr, from where the truncation begins to infinity."""
@@ -192,12 +239,13 @@ class PairPotential:
     def _checked_switch_start(self, start: float | None) -> float | None:
         if self.cutoff == inf and self.truncation not in ("truncated", "shifted"):
             raise ValueError(f"cutoff must be given for truncation {self.truncation!r}; it is None")
-        smallest = min(self._cutoffs.values()) if isinstance(self._cutoffs, dict) else self.cutoff
-        if start is not None and self.truncation not in SWITCHES:
-            raise ValueError(f"switch_start is for truncation {_listed(SWITCHES)}; truncation = {self.truncation!r}")
-        if start is not None and not 0.0 < start < smallest:
-            raise ValueError(f"switch_start must lie between 0 and the cutoff {smallest}; switch_start = {start}")
-        return start
+        if start is None:
+            return None
+        if self.truncation not in SWITCHES:
+            raise ValueError(f"switch_start is for truncation {listed(SWITCHES)}; truncation = {self.truncation!r}")
+        if not 0.0 < checked_number("switch_start", start) < self.shortest_length:
+            raise ValueError(f"switch_start must lie between 0 and the cutoff {self.shortest_length}; switch_start = {start}")
+        return float(start)
 
 
 class PairTerm(Term):
@@ -206,7 +254,7 @@ class PairTerm(Term):
     def __init__(self, potential: PairPotential, system: System) -> None:
         table = potential.table(system.species_names)
         self.pair_law = PairLaw(type(potential).__name__, potential.law, table, potential.cutoff, potential.bonded_scale)
-        self.cutoff, self._potential = potential.cutoff, potential
+        self.cutoff, self.shortest_length, self._potential = potential.cutoff, potential.shortest_length, potential
         self._species = np.bincount(system.species_index, minlength=len(system.species_names)), system.species_names
         if potential.bonded_scale != UNSCALED and not len(system.bonds):
             self.warning = no_bonds(f"bonded_scale of {potential!r}")
@@ -239,52 +287,30 @@ def _integral(function: Callable[[float], float], low: float, high: float) -> fl
     return value
 
 
-def _checked_parameters(parameters: Parameters | ByLabel) -> Parameters | dict[Label, Parameters]:
-    if not isinstance(parameters, Mapping):
-        return _checked_tuple(parameters)
-    by_label = {label: _checked_tuple(numbers) for label, numbers in parameters.items()}
-    if len({len(numbers) for numbers in by_label.values()}) > 1:
-        raise ValueError(f"all species must have as many parameters; they are {by_label}")
-    return by_label
-
-
-def _checked_tuple(numbers: Parameters) -> Parameters:
-    values = tuple(float(number) for number in numbers)
-    if not all(map(isfinite, values)):
-        raise ValueError(f"parameters must be finite; they are {values}")
-    return values
-
-
-def _checked_cutoff(cutoff: float | Mapping[tuple[Label, Label], float] | None) -> float:
-    """The largest cutoff; infinite for None."""
+def _checked_cutoffs(cutoff: Any) -> float | dict[tuple[Label, Label], float]:
+    """The cutoff of all pairs, infinite for None, or those of pairs of species in both orders."""
     if cutoff is None:
         return inf
-    values = cutoff.values() if isinstance(cutoff, Mapping) else [cutoff]
-    for value in values:
-        if not (isinstance(value, Real) and 0.0 < value < LARGEST):
-            raise ValueError(f"cutoff must be positive and finite, below {LARGEST:g}; cutoff = {value!r}; leave it out for none")
-    return float(max(values))
+    if not isinstance(cutoff, Mapping):
+        return checked_number("cutoff", cutoff, "positive and finite")
+    if not cutoff:
+        raise ValueError("cutoff must be a number, or a mapping with an entry for each pair of species; it is empty")
+    return _symmetric("cutoff", {pair: checked_number(f"cutoff of {pair!r}", value, "positive and finite") for pair, value in cutoff.items()})
 
 
 def _checked_scale(bonded_scale: Sequence[float]) -> tuple[float, ...]:
-    factors = tuple(float(factor) for factor in bonded_scale) if isinstance(bonded_scale, Iterable) else ()
-    if len(factors) != 3 or not all(isfinite(factor) for factor in factors):
-        raise ValueError(f"bonded_scale must be three finite factors, for pairs one, two and three bonds apart; it is {bonded_scale!r}")
-    return factors
+    expected = "three finite factors, for pairs one, two and three bonds apart"
+    factors = checked_numbers("bonded_scale", bonded_scale, expected)
+    if factors.shape != (3,) or not np.isfinite(factors).all():
+        raise ValueError(f"bonded_scale must be {expected}; it is {shown(bonded_scale)}")
+    return tuple(factors.tolist())
 
 
-def _choice(name: str, value: str, allowed: Mapping) -> str:
-    if value not in allowed:
-        raise ValueError(f"{name} must be one of {_listed(allowed)}; {name} = {value!r}")
-    return value
-
-
-def _symmetric(by_pair: Mapping) -> dict:
+def _symmetric(name: str, by_pair: Any) -> dict:
+    """The same mapping with each pair of species in both orders."""
+    if not isinstance(by_pair, Mapping) or not all(isinstance(pair, tuple) and len(pair) == 2 for pair in by_pair):
+        raise ValueError(f"{name} must be a mapping from pairs of species, such as ('A', 'B'); {name} = {shown(by_pair)}")
     for (a, b), value in by_pair.items():
-        if by_pair.get((b, a), value) != value:
+        if np.any(by_pair.get((b, a), value) != value):
             raise ValueError(f"the pair {a!r}, {b!r} must be given once; it has {value} and {by_pair[b, a]}")
     return {key: value for (a, b), value in by_pair.items() for key in ((a, b), (b, a))}
-
-
-def _listed(keys: Iterable) -> str:
-    return ", ".join(repr(key) for key in keys)

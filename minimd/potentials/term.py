@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Protocol
 from numpy.typing import NDArray
 
 from minimd.neighbors.verlet_list import VerletList
+from minimd.structure.checks import shown
 from minimd.structure.system import System
 
 FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes the ones before
@@ -52,6 +53,7 @@ class Term:
     ----------
     pair_law : a PairLaw for the planner to run on a list of neighbors; None for a term that adds its forces itself.
     cutoff : an atom that moves farther in one step may pass another without interacting [length].
+    shortest_length : beside which rounding errors of separations must be small [length].
     list : the list of neighbors, if the term keeps one.  summary : that list, for the report.
     ingredient : name of what this term adds to a scene; the report lists it where absent.  warning : for the user, given once.
     needs_one_accumulator : whether add with TOTALS adds to the first elements of energies and virials only.
@@ -60,6 +62,7 @@ class Term:
 
     pair_law: PairLaw | None = None
     cutoff: float = inf
+    shortest_length: float = inf
     list: VerletList | None = None
     summary: str = ""
     ingredient: str = ""
@@ -110,12 +113,13 @@ def bound(potential: Any, system: System) -> Term:
     Raises TypeError for something that is no potential, or binds to something that is no term.
     """
     if not hasattr(potential, "bind"):
-        raise TypeError(f"potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got {potential!r}")
+        raise TypeError(f"potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got {shown(potential)}")
     term = potential.bind(system)
     if isinstance(term, Term):
         return term
     if not hasattr(term, "add"):
-        raise TypeError(f"bind must return a term, an object with add(system, detail, forces, energies, virials); that of {potential!r} is {term!r}")
+        wanted = "an object with add(system, detail, forces, energies, virials)"
+        raise TypeError(f"bind must return a term, {wanted}; that of {shown(potential)} is {shown(term)}")
     completed = Term()  # the defaults of a Term beside what the object has
     completed.__dict__.update({name: getattr(term, name) for name in ("add", "skipped") if hasattr(term, name)})
     return completed

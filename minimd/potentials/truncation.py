@@ -18,7 +18,7 @@ from math import sqrt
 from typing import NamedTuple
 
 from minimd.compiled.kernels import scalar
-from minimd.potentials.law import evaluate_law, law_type
+from minimd.potentials.law import evaluate_law, law_at, law_type
 
 
 @scalar
@@ -96,7 +96,7 @@ class Truncation(NamedTuple):
 
 
 def _value_and_slope(law: tuple, parameters: tuple, cutoff: float, _switch_start: float) -> tuple:
-    u, f = evaluate_law(law, cutoff * cutoff, parameters)
+    u, f = law_at(law, cutoff, parameters)
     return (u, -f * cutoff, cutoff)
 
 
@@ -105,7 +105,7 @@ CharmmSwitched, Smooth = law_type("CharmmSwitched", charmm), law_type("Smooth", 
 
 TRUNCATIONS = {
     "truncated": Truncation(lambda law: law, lambda law, parameters, cutoff, switch_start: ()),
-    "shifted": Truncation(Shifted, lambda law, parameters, cutoff, switch_start: evaluate_law(law, cutoff * cutoff, parameters)[:1]),
+    "shifted": Truncation(Shifted, lambda law, parameters, cutoff, switch_start: law_at(law, cutoff, parameters)[:1]),
     "force-shifted": Truncation(ForceShifted, _value_and_slope),
     "switched": Truncation(Switched, lambda law, parameters, cutoff, switch_start: (switch_start, cutoff)),
     "charmm": Truncation(CharmmSwitched, lambda law, parameters, cutoff, switch_start: (switch_start * switch_start, cutoff * cutoff)),

@@ -7,13 +7,15 @@ module; a class that no law of this process has asked for stays without a formul
 import re
 from collections import namedtuple
 from collections.abc import Callable
+from types import FunctionType
 from typing import Any
 from uuid import uuid4
 
 from numba.core.dispatcher import Dispatcher
 
 from minimd.compiled.kernels import scalar, type_of
-from minimd.compiled.snapshot import Snapshot, UnclearError
+from minimd.compiled.snapshot import Snapshot
+from minimd.structure.checks import shown
 
 CLASS_NAME = "UserLaw_{}"  # a digest, or a random number
 
@@ -41,7 +43,7 @@ class UserLaw(namedtuple("UserLaw", "")):
 
 
 _classes: dict[str, type[UserLaw]] = {}
-_unrecognized: dict[Dispatcher, type[UserLaw]] = {}
+_unrecognized: dict[Any, type[UserLaw]] = {}  # by the compiled copy
 
 
 def __getattr__(name: str) -> type[UserLaw]:
@@ -54,14 +56,16 @@ def __getattr__(name: str) -> type[UserLaw]:
 def user_law(function: Callable) -> UserLaw:
     """The law type of a plain or compiled function of r² and parameters that returns u and −u′(r)/r.
 
-    The law stays as it is now: globals that it reads may change later without effect. Raises TypeError if it is not a function.
+    The law stays as it is now, compiled and in Python: globals that it reads may change later without effect. Raises TypeError if it is
+    not a function.
     """
-    if not callable(function):
-        raise TypeError(f"a law must be a function law(r2, *parameters) that returns u and -u'(r)/r; it is {function!r}")
-    try:
-        snapshot = Snapshot(function)
-    except UnclearError:
-        return _unrecognized_law(function)
+    if not isinstance(function, FunctionType | Dispatcher):
+        raise TypeError(f"a law must be a function law(r2, *parameters) that returns u and -u'(r)/r; it is {shown(function)}")
+    if function in _unrecognized:  # a copy of a law type asks for it again
+        return _unrecognized[function]()
+    snapshot = Snapshot(function)
+    if not snapshot.digest:
+        return _unrecognized_law(snapshot)
     named = _class_named(CLASS_NAME.format(snapshot.digest))
     if not hasattr(named, "formula"):
         type_of(_compiled(snapshot.function), snapshot.python)(named)
@@ -78,13 +82,12 @@ def is_recognized(law: tuple) -> bool:
     return law.is_recognized if isinstance(law, UserLaw) else all(is_recognized(inner) for inner in law)
 
 
-def _unrecognized_law(function: Any) -> UserLaw:
-    """The law type of a function as it is; the same one if it is asked for again with a compiled function, which Numba freezes."""
-    formula = _compiled(function)
-    if formula not in _unrecognized:
-        named = _class_named(CLASS_NAME.format(uuid4().hex))
-        named.is_recognized = False
-        _unrecognized[formula] = type_of(formula)(named)
+def _unrecognized_law(snapshot: Snapshot) -> UserLaw:
+    """The law type of a function without a digest."""
+    named = _class_named(CLASS_NAME.format(uuid4().hex))
+    named.is_recognized = False
+    formula = _compiled(snapshot.function)
+    _unrecognized[formula] = type_of(formula, snapshot.python)(named)
     return _unrecognized[formula]()
 
 

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationInfo, model_validator
 
+from minimd.structure.checks import LARGEST
 from minimd.structure.units import BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3
 
 KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension: ending of the key: size of that unit
@@ -101,7 +102,8 @@ class Section(BaseModel):
 def _multiplied(value: Any, size: float | None) -> Any:
     if isinstance(value, list):
         return [_multiplied(entry, size) for entry in value]
-    return value * size if size is not None and isinstance(value, int | float) and not isinstance(value, bool) else value
+    is_quantity = size is not None and isinstance(value, int | float) and not isinstance(value, bool)
+    return value * size if size is not None and is_quantity and abs(value) < LARGEST else value  # what is larger is refused later, as it stands
 
 
 def one_of(allowed: Collection[str]) -> AfterValidator:

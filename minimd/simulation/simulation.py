@@ -24,9 +24,9 @@ from minimd.forces.forces import Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
+from minimd.structure.checks import checked_count, checked_flag, checked_number, shown
 from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
-from minimd.structure.errors import checked_count
 from minimd.structure.observables import Array
 from minimd.structure.system import AnySystem, System
 from minimd.structure.velocities import maxwell_boltzmann, rescaled
@@ -180,10 +180,15 @@ class Simulation:
         """
         engine, guard = self.engine, self.guard
         every, end = checked_count("every", every), _end(engine.step, n_steps, until_step)
+        files = {"store_forces": store_forces, "overwrite": overwrite, "append": append}
+        files = {name: checked_flag(name, flag) for name, flag in files.items()}
+            checked_flag(*one) for one in (("store_forces", store_forces), ("overwrite", overwrite), ("append", append))
+        )
+        if not isinstance(observers, list | tuple) or not all(map(callable, observers)):
+            raise TypeError(f"observers must be a list of functions of a simulation; observers = {shown(observers)}")
         check_extras(engine, engine.extra_observables)
         place, start = crash_file_place(crash_report, trajectory), engine.step
-        files = {"store_forces": store_forces, "overwrite": overwrite, "append": append}
-        with self._running(engine.noise_shift), crash_file_left(place, guard, overwrite):  # the file is left after all others are closed
+        with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):  # the file is left after all others are closed
             guard.check_start()
             with (
                 stop_on_signals(engine.surroundings),
@@ -242,6 +247,7 @@ class Simulation:
         """
         engine, guard = self.engine, self.guard
         n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
+        temperature = checked_number("temperature", temperature, "finite and not negative")
         engine.equilibrated += n_steps
         place = crash_file_place(crash_report or False, ())
         with (

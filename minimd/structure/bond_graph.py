@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.structure.checks import checked_indices
+
 MAX_BONDS_APART = 3
 
 
@@ -51,19 +53,15 @@ def checked_groups(name: str, groups: ArrayLike, size: int, n_atoms: int | None 
 
     Raises ValueError if the shape is another, an atom is missing, or one stands twice in a group.
     """
-    expected = f"{name} must be an (n, {size}) array of atom indices"
-    try:
-        array = np.array(groups)
-    except ValueError as error:
-        raise ValueError(f"{expected}: {error}") from None
+    array = checked_indices(name, groups, f"an (n, {size}) array of atom indices")
     if array.size == 0:
         return np.zeros((0, size), dtype=np.int64)
-    if array.ndim != 2 or array.shape[1] != size or not np.issubdtype(array.dtype, np.integer):
-        raise ValueError(f"{expected}; its shape is {array.shape}, its type {array.dtype}")
+    if array.ndim != 2 or array.shape[1] != size:
+        raise ValueError(f"{name} must be an (n, {size}) array of atom indices; its shape is {array.shape}")
     ordered = np.sort(array, axis=1)
     missing = (ordered[:, 0] < 0) | (ordered[:, -1] >= (np.inf if n_atoms is None else n_atoms))
     repeated = (np.diff(ordered, axis=1) == 0).any(axis=1)
     for wrong, demand in ((missing, f"atoms {'from 0 on' if n_atoms is None else f'0 to {n_atoms - 1}'}"), (repeated, "different atoms")):
         if wrong.any():
             raise ValueError(f"{name} must name {demand}; {name}[{np.argmax(wrong)}] = {array[np.argmax(wrong)].tolist()}")
-    return np.ascontiguousarray(array, dtype=np.int64)
+    return array

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.kernels import kernel, scalar
+from minimd.compiled.machine import EPS
+from minimd.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers, shown
 
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
-SIZES = (1e-75, 1e75)  # of lattice vectors [length]: their fourth powers are still numbers
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 
 
@@ -35,6 +36,7 @@ class Cell:
     heights: NDArray[np.float64] = field(init=False)
 
     def __post_init__(self) -> None:
+        self.__dict__.update(vectors=_as_matrix(self.vectors), pbc=_as_flags(self.pbc))
         _check_independent(self.vectors, self.pbc)
         lattice, reduction = _reduced(self.vectors, self.pbc)
         inverse = np.linalg.inv(lattice)
@@ -49,16 +51,12 @@ class Cell:
 
         Raises
         ------
-        ValueError : if the shape is another, a number is not finite, a periodic direction has no vector, or the
-            periodic vectors are linearly dependent.
+        ValueError : if the shape is another, a number is masked, complex or not finite, pbc is neither one bool nor three, a periodic
+            direction has no vector, or the periodic vectors are linearly dependent.
         """
         matrix = _as_matrix(vectors)
         given = np.any(matrix != 0.0, axis=1)
-        periodic = given if pbc is None else np.array(np.broadcast_to(np.asarray(pbc, dtype=bool), 3))
-        if (periodic & ~given).any():
-            direction = int(np.argmax(periodic & ~given))
-            raise ValueError(f"pbc[{direction}] is True but cell[{direction}] is zero; give a lattice vector or set pbc to False there")
-        return cls(matrix, periodic)
+        return cls(matrix, given if pbc is None else _as_flags(pbc))
 
     @property
     def is_periodic(self) -> bool:
@@ -141,7 +139,7 @@ def minimum_image_translations(positions, first, second, lattice, inverse, pbc, 
 def _as_matrix(vectors: ArrayLike | None) -> NDArray[np.float64]:
     if vectors is None:
         return np.zeros((3, 3))
-    array = np.array(vectors, dtype=np.float64)
+    array = checked_numbers("cell", vectors, "one length, three lengths or a (3, 3) array of rows")
     if array.ndim == 0 or array.shape == (3,):
         if (array < 0.0).any():
             raise ValueError(f"lengths of a cell must not be negative; cell = {array.tolist()}")
@@ -153,13 +151,26 @@ def _as_matrix(vectors: ArrayLike | None) -> NDArray[np.float64]:
     return array
 
 
+def _as_flags(pbc: ArrayLike) -> NDArray[np.bool_]:
+    """(3,) bool; 0 and 1 count as bools."""
+    array = checked_array("pbc", pbc, "one bool or three", "bi")
+    if array.shape not in ((), (3,)) or not np.isin(array, (0, 1)).all():
+        raise ValueError(f"pbc must be one bool or three; pbc = {shown(pbc)}")
+    return np.array(np.broadcast_to(array.astype(bool), 3))
+
+
 def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> None:
+    missing = np.flatnonzero(pbc & ~vectors.any(axis=1))
+    if missing.size:
+        raise ValueError(f"pbc[{missing[0]}] is True but cell[{missing[0]}] is zero; give a lattice vector or set pbc to False there")
     rows = vectors[pbc]
     if rows.size == 0:
         return
     largest = np.abs(rows).max(axis=1)
-    if largest.min() < SIZES[0] or largest.max() > SIZES[1]:
-        raise ValueError(f"lattice vectors must be between {SIZES[0]:g} and {SIZES[1]:g} long; take other units: they are {rows.tolist()}")
+    if largest.min() < SMALLEST or largest.max() > LARGEST:
+        raise ValueError(f"lattice vectors must be between {SMALLEST:g} and {LARGEST:g} long; take other units: they are {rows.tolist()}")
+    if EPS * largest.max() > largest.min():
+        raise ValueError(f"lattice vectors must not be longer than others by more than {1.0 / EPS:.1g}; they are {rows.tolist()}")
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
         raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}")

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Protocol
 
+from minimd.structure.checks import checked_flag
+
 TENTHS = 10
 SIGNALS = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]  # Windows has no SIGHUP
 OURS = (signal.SIG_DFL, signal.default_int_handler)  # handlers that nobody has set
@@ -17,8 +19,11 @@ OURS = (signal.SIG_DFL, signal.default_int_handler)  # handlers that nobody has 
 def progress_of(n_steps: int, label: str, show: bool | None = None) -> Iterator[Callable[[int], Any]]:
     """Show on standard error how much of n_steps is done; yields a function to be called with the number of steps made.
 
-    show : True for a bar on a terminal and ten lines elsewhere; False for nothing; None for a bar on a terminal only.
+    show : True for a bar on a terminal and ten lines elsewhere; False for nothing; None for a bar on a terminal only. Raises ValueError for
+        anything else.
     """
+    if show is not None:
+        checked_flag("progress", show)
     is_terminal, told = sys.stderr is not None and sys.stderr.isatty(), 0
 
     def tell_tenths(done: int) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure.bond_graph import checked_pairs
+from minimd.structure.checks import LARGEST, MOST_ATOMS, SMALLEST, checked_array, checked_choice, checked_number, checked_numbers, shown
 
 SolverName = Literal["auto", "newton", "shake"]
 SOLVERS = ("auto", "newton", "shake")
@@ -24,7 +25,8 @@ class DistanceConstraints:
 
     Raises
     ------
-    ValueError : for no pairs, an atom paired with itself, or a pair given twice; lengths or a tolerance not positive; an unknown solver.
+    ValueError : for no pairs, an atom paired with itself, or a pair given twice; lengths that are not positive; a tolerance that is not
+        between 0 and 1; an unknown solver.
     """
 
     def __init__(self, pairs: ArrayLike, lengths: ArrayLike | None = None, tolerance: float = TOLERANCE, solver: SolverName = "auto") -> None:
@@ -33,18 +35,16 @@ class DistanceConstraints:
             raise ValueError("pairs of DistanceConstraints must name at least one pair; there is none")
         self.lengths: NDArray[np.float64] | None = None
         if lengths is not None:
-            given, n_pairs = np.asarray(lengths, dtype=float), len(self.pairs)
+            given, n_pairs = checked_numbers("lengths", lengths, "one number, or one for each pair"), len(self.pairs)
             if given.shape not in ((), (1,), (n_pairs,)):
                 raise ValueError(f"lengths must be one number or {n_pairs}, one for each pair; their shape is {given.shape}")
             self.lengths = np.broadcast_to(given, (n_pairs,)).copy()
-            wrong = np.flatnonzero(~(np.isfinite(self.lengths) & (self.lengths > 0.0)))
+            wrong = np.flatnonzero(~((self.lengths >= SMALLEST) & (self.lengths <= LARGEST)))
             if wrong.size:
                 raise ValueError(f"lengths must be positive and finite; that of constraint {wrong[0]} is {self.lengths[wrong[0]]}")
-        if not tolerance > 0.0:
-            raise ValueError(f"tolerance must be positive; tolerance = {tolerance!r}")
-        if solver not in SOLVERS:
-            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}; solver = {solver!r}")
-        self.tolerance, self.solver = float(tolerance), solver
+        self.tolerance, self.solver = checked_number("tolerance", tolerance), checked_choice("solver", solver, SOLVERS)
+        if not 0.0 < self.tolerance < 1.0:
+            raise ValueError(f"tolerance must lie between 0 and 1, it is one of |r² − d²|/d²; tolerance = {tolerance!r}")
 
     def __repr__(self) -> str:
         return f"DistanceConstraints({len(self.pairs)} pairs, solver={self.solver!r})"
@@ -63,11 +63,12 @@ class FixedAtoms:
     """
 
     def __init__(self, atoms: ArrayLike) -> None:
-        chosen = np.asarray(atoms) if np.size(atoms) else np.empty(0, dtype=np.int64)
-        self._n_bools = chosen.size if chosen.dtype == bool else None
-        self.atoms = np.flatnonzero(chosen) if chosen.dtype == bool else np.unique(chosen)
-        if chosen.ndim != 1 or not np.issubdtype(self.atoms.dtype, np.integer) or self.atoms.min(initial=0) < 0:
-            raise ValueError(f"fixed atoms must be a list of indices, counted from 0, or one bool for each atom; got {atoms!r}")
+        expected = "a list of indices, counted from 0, or one bool for each atom"
+        chosen = checked_array("fixed atoms", atoms, expected, "bi")
+        if chosen.ndim != 1 or (chosen.size and not 0 <= chosen.min() <= chosen.max() < MOST_ATOMS):
+            raise ValueError(f"fixed atoms must be {expected}; got {shown(atoms)}")
+        self._n_bools = chosen.size if chosen.dtype == bool and chosen.size else None
+        self.atoms = np.flatnonzero(chosen) if chosen.dtype == bool else np.unique(chosen.astype(np.int64))
 
     def __repr__(self) -> str:
         return f"FixedAtoms({len(self.atoms)} atoms)"

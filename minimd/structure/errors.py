@@ -1,7 +1,6 @@
-"""The exceptions of failed physics, the one that ends an interrupted computation, the message of an error, and the check of counts."""
+"""The exceptions of failed physics, the one that ends an interrupted computation, and the message of an error."""
 
 import os
-from numbers import Integral
 from typing import Any
 
 
@@ -43,13 +42,3 @@ def sentence(error: BaseException) -> str:
     if isinstance(error, OSError) and error.strerror is not None:
         return error.strerror if error.filename is None else f"{os.fsdecode(error.filename)}: {error.strerror}"
     return str(error) or ("interrupted" if isinstance(error, KeyboardInterrupt) else type(error).__name__)
-
-
-def checked_count(name: str, value: Any, least: int = 1) -> int:
-    """The value as an int.
-
-    Raises ValueError unless it is an int or an integer of NumPy, not a bool, and at least least; name is its name in the message.
-    """
-    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
-        raise ValueError(f"{name} must be a whole number, at least {least}; {name} = {value!r}")
-    return int(value)

@@ -1,7 +1,5 @@
 """Periodic images of pairs: the nearest one, and the one at a given distance."""
 
-from itertools import product
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +7,8 @@ from minimd.structure.cell import Cell, minimum_image_translations
 from minimd.structure.constraints import DistanceConstraints
 
 Array = NDArray[np.float64]
+
+MOST_IMAGES = 2**16  # in which one length is looked for: 40 cells in each of three directions
 
 
 def nearest_images(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Array:
@@ -28,13 +28,17 @@ def nearest_vectors(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> A
 def images_of_length(positions: Array, cell: Cell, pairs: NDArray[np.int64], lengths: Array) -> Array:
     """(K, 3) lattice vectors [length] for which |r_j − r_i| of each pair is closest to its length.
 
-    Up to half the cell these are the nearest images.
+    Up to half the cell these are the nearest images. Raises ValueError for a length that reaches over more than MOST_IMAGES.
     """
     translations = nearest_images(positions, cell, pairs)
     for k in np.flatnonzero(lengths**2 >= cell.safe_distance2):
         nearest = positions[pairs[k, 1]] - positions[pairs[k, 0]] + translations[k]
-        reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0).astype(int)
-        others = np.array(list(product(*(range(-n, n + 1) for n in reach)))) @ cell.lattice
+        reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0)
+        n_images = np.prod(2.0 * reach + 1.0)
+        if n_images > MOST_IMAGES:
+            given = f"that of constraint {k}, {lengths[k]:g}, over {n_images:.1e} in a cell {cell.heights[cell.pbc].min():.3g} high"
+            raise ValueError(f"lengths must reach over at most {MOST_IMAGES} images; {given}: reduce it")
+        others = np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij"), axis=-1).reshape(-1, 3) @ cell.lattice
         translations[k] += others[np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))]
     return translations
 

@@ -1,10 +1,12 @@
 """Perfect crystals of one kind of atom, in a cubic cell: where many simulations start."""
 
 from collections.abc import Sequence
-from math import cbrt, isfinite
+from math import cbrt, prod
 
 import numpy as np
 from numpy.typing import NDArray
+
+from minimd.structure.checks import MOST_ATOMS, checked_choice, checked_indices, checked_number, shown
 
 _FCC = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0))
 BASES = {  # atoms of the cubic unit cell, in units of its edge
@@ -22,19 +24,24 @@ def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tup
     repeat : three numbers of unit cells, each at least 1.
     lattice_constant : edge of the unit cell [length].
 
-    Raises ValueError for an unknown lattice, numbers of cells that are not three positive ones, an edge that is not positive.
+    Raises ValueError for an unknown lattice, numbers of cells that are not three positive ones, too many atoms, an edge that is not positive.
     """
-    if lattice not in BASES:
-        raise ValueError(f"lattice must be one of {', '.join(map(repr, BASES))}; lattice = {lattice!r}")
-    if len(repeat) != 3 or min(repeat) < 1:
-        raise ValueError(f"repeat must be three numbers of unit cells, each at least 1; repeat = {list(repeat)}")
-    if not (isfinite(lattice_constant) and lattice_constant > 0.0):
-        raise ValueError(f"lattice_constant must be positive and finite; lattice_constant = {lattice_constant}")
-    corners = np.stack(np.meshgrid(*map(np.arange, repeat), indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    positions = (corners + np.array(BASES[lattice])).reshape(-1, 3) * lattice_constant
-    return positions, np.array(repeat, dtype=np.float64) * lattice_constant
+    basis = BASES[checked_choice("lattice", lattice, BASES)]
+    counts = checked_indices("repeat", repeat, "three numbers of unit cells")
+    if counts.shape != (3,) or counts.min() < 1:
+        raise ValueError(f"repeat must be three numbers of unit cells, each at least 1; repeat = {shown(repeat)}")
+    n_atoms, lattice_constant = len(basis) * prod(counts.tolist()), checked_number("lattice_constant", lattice_constant, "positive and finite")
+    if n_atoms > MOST_ATOMS:
+        raise ValueError(f"repeat must make at most {MOST_ATOMS} atoms; repeat = {shown(repeat)} makes {n_atoms:.1e} of them")
+    corners = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    positions = (corners + np.array(basis)).reshape(-1, 3) * lattice_constant
+    return positions, counts.astype(np.float64) * lattice_constant
 
 
 def constant_from_density(lattice: str, density: float, mass: float = 1.0) -> float:
-    """Edge a = (n m/ρ)^(1/3) of a unit cell of n atoms [length].  density : ρ [mass/length³].  mass : m of one atom."""
-    return cbrt(len(BASES[lattice]) * mass / density)
+    """Edge a = (n m/ρ)^(1/3) of a unit cell of n atoms [length].  density : ρ [mass/length³].  mass : m of one atom.
+
+    Raises ValueError for an unknown lattice, a density or a mass that is not positive.
+    """
+    n_atoms = len(BASES[checked_choice("lattice", lattice, BASES)])
+    return cbrt(n_atoms * checked_number("mass", mass, "positive and finite") / checked_number("density", density, "positive and finite"))

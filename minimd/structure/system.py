@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.compiled.machine import EPS
 from minimd.structure import units as unit_systems
 from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.cell import Cell
-from minimd.structure.constraints import Constraint
+from minimd.structure.checks import LARGEST, MOST_ATOMS, SMALLEST, checked_numbers, shown
+from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.units import UnitSystem
 
 if TYPE_CHECKING:
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 
 AnySystem: TypeAlias = "System | ase.Atoms"
 READ_ONLY = ("masses", "species_names", "species_index", "bonds", "units")
-LARGEST = 1e75  # of positions and velocities: their fourth powers are still numbers
+RESOLVED = 1e-6  # of a length: rounding errors of separations beside it
 
 
 class System:
@@ -43,8 +45,9 @@ class System:
 
     Raises
     ------
-    ValueError : if a shape does not fit, a number is not finite, a mass is not positive, a bond names a missing atom,
-        one atom twice or one pair twice, or a periodic direction has no lattice vector.
+    ValueError : if a shape does not fit, a number is masked, complex, a bool or not finite, a mass is not positive, a bond names a missing
+        atom, one atom twice or one pair twice, or a periodic direction has no lattice vector. TypeError : for units or constraints of
+        another kind.
     """
 
     def __init__(
@@ -61,8 +64,8 @@ class System:
         constraints: Sequence[Constraint] = (),
     ) -> None:
         if not isinstance(units, UnitSystem):
-            raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {units!r}")
-        self.units, self.constraints = units, tuple(constraints)
+            raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {shown(units)}")
+        self.units, self.constraints = units, _constraints(constraints)
         self.positions = _vectors("positions", positions)
         self.masses = _masses(masses, len(self.positions), units)
         self.velocities = np.zeros_like(self.positions) if velocities is None else _vectors("velocities", velocities, len(self))
@@ -84,7 +87,7 @@ class System:
         elif name in READ_ONLY and name in self.__dict__:
             raise AttributeError(f"{name} of a System cannot be changed; make a new System")
         elif name == "cell" and not isinstance(value, Cell):
-            raise TypeError(f"the cell of a System can be replaced by a Cell, such as Cell.of(10.0); got {value!r}")
+            raise TypeError(f"the cell of a System can be replaced by a Cell, such as Cell.of(10.0); got {shown(value)}")
         else:
             super().__setattr__(name, value)
 
@@ -124,20 +127,11 @@ class System:
         return atoms_from_system(self)
 
 
-def _numbers(name: str, values: ArrayLike, expected: str) -> NDArray[np.float64]:
-    try:
-        if np.ma.is_masked(values) or np.iscomplexobj(values):
-            raise ValueError("some are masked" if np.ma.is_masked(values) else "they are complex")
-        return np.array(values, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be {expected}: {error}") from None
-
-
 def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArray[np.float64]:
     """A fresh contiguous (N, 3) float64 array, or a sentence about what is wrong with it."""
-    array = _numbers(name, values, "an (N, 3) array of numbers")
-    if array.ndim != 2 or array.shape[1] != 3 or array.shape[0] == 0:
-        raise ValueError(f"{name} must be an (N, 3) array with N > 0; its shape is {array.shape}")
+    array = checked_numbers(name, values, "an (N, 3) array of numbers")
+    if array.ndim != 2 or array.shape[1] != 3 or not 0 < array.shape[0] <= MOST_ATOMS:
+        raise ValueError(f"{name} must be an (N, 3) array with N > 0, at most {MOST_ATOMS}; its shape is {array.shape}")
     if n_atoms is not None and len(array) != n_atoms:
         raise ValueError(f"{name} must have one row for each of the {n_atoms} atoms; it has {len(array)}")
     _demand(name, "finite", np.isfinite(array).all(axis=1), array)
@@ -151,23 +145,31 @@ def _masses(masses: ArrayLike | None, n_atoms: int, units: UnitSystem) -> NDArra
         if units is not unit_systems.LJ:
             raise ValueError(f"masses must be given in {units.name} units; only reduced units have a default, 1")
         return np.ones(n_atoms)
-    array = _numbers("masses", masses, "one number, or one for each atom")
+    array = checked_numbers("masses", masses, "one number, or one for each atom")
     if array.ndim == 0:
         array = np.full(n_atoms, float(array))
     if array.shape != (n_atoms,):
         raise ValueError(f"masses must be one number or {n_atoms}, one for each atom; their shape is {array.shape}")
     _demand("masses", "positive and finite", np.isfinite(array) & (array > 0.0), array)
+    _demand("masses", f"between {SMALLEST:g} and {LARGEST:g}", (array >= SMALLEST) & (array <= LARGEST), array)
     return array
 
 
 def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, NDArray[np.int64]]:
     if species is None:
         return ("X",), np.zeros(n_atoms, dtype=np.int64)
-    labels = np.asarray(species, dtype=object)
+    if np.ma.is_masked(species):
+        raise ValueError("species must be labels; some are masked: fill them")
+    if isinstance(species, np.ndarray) and species.shape != (n_atoms,):
+        raise ValueError(f"species must be {n_atoms} labels, one for each atom; their shape is {species.shape}")
+    try:
+        labels = np.asarray(species, dtype=object)
+    except ValueError as error:
+        raise ValueError(f"species must be {n_atoms} labels, one for each atom: {error}") from None
     if labels.shape != (n_atoms,):
         raise ValueError(f"species must be {n_atoms} labels, one for each atom; their shape is {labels.shape}")
     if not any(all(isinstance(label, kind) and not isinstance(label, bool) for label in labels) for kind in (str, (int, np.integer))):
-        raise ValueError(f"species must be all strings or all whole numbers; they are {labels[:3].tolist()} ...")
+        raise ValueError(f"species must be all strings or all whole numbers; they are {shown(labels[:3].tolist())} ...")
     names, index = np.unique(labels.tolist(), return_inverse=True)
     return tuple(names.tolist()), index.astype(np.int64)
 
@@ -177,6 +179,20 @@ def _demand(name: str, what: str, is_good: Any, array: NDArray[np.float64]) -> N
     if bad.size:
         others = f", and {bad.size - 1} more" if bad.size > 1 else ""
         raise ValueError(f"{name} must be {what}; {name}[{bad[0]}] = {array[bad[0]].tolist()}{others}")
+
+
+def _constraints(constraints: Any) -> tuple[Constraint, ...]:
+    if not isinstance(constraints, list | tuple) or not all(isinstance(one, DistanceConstraints | FixedAtoms) for one in constraints):
+        raise TypeError(f"constraints of a System must be a list of DistanceConstraints and FixedAtoms; got {shown(constraints)}")
+    return tuple(constraints)
+
+
+def check_resolution(system: System, length: float, name: str) -> None:
+    """Raise ValueError if separations of atoms have rounding errors of more than RESOLVED of a length.  name : of the length, in words."""
+    farthest = float(np.abs(system.positions).max())
+    if EPS * farthest > RESOLVED * length:
+        error, most = f"{EPS * farthest:.1g}, more than a millionth of {name}, {length:.3g}", RESOLVED * length / EPS
+        raise ValueError(f"positions must be below {most:.1e} here; the largest is {farthest:.1e}, where rounding moves atoms by {error}: shift them")
 
 
 def number_density(system: System, thickness: float) -> float:

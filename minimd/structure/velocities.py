@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from minimd.structure.checks import checked_count, checked_number
 from minimd.structure.observables import Array, momentum, temperature
+
+SEEDS = 2**128
 
 
 def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int | None = None) -> Array:  # noqa: N803
@@ -11,10 +14,10 @@ def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int 
     Each component has variance k_B T/m before the mean motion is removed and the rest rescaled.
     masses : (N,).  target : T ≥ 0 [temperature].  seed : of numpy's PCG64; None for a new draw each time.
 
-    Raises ValueError if the target is negative or not finite.
+    Raises ValueError if the target is negative or not finite, or the seed no whole number.
     """
-    _check(target)
-    draw = np.random.default_rng(seed).standard_normal((len(masses), 3))
+    target = checked_number("temperature", target, "finite and not negative")
+    draw = np.random.default_rng(None if seed is None else checked_count("seed", seed, 0, SEEDS)).standard_normal((len(masses), 3))
     velocities = draw * np.sqrt(k_B * target / masses)[:, None]
     if len(masses) > 1:
         velocities = without_momentum(velocities, masses)
@@ -31,13 +34,8 @@ def rescaled(velocities: Array, masses: Array, target: float, k_B: float = 1.0, 
 
     Raises ValueError if the target is negative or not finite, or nothing moves.
     """
-    _check(target)
+    target = checked_number("temperature", target, "finite and not negative")
     now = temperature(velocities, masses, k_B, n_dof)
     if now == 0.0:
         raise ValueError("velocities are all zero and cannot be rescaled; draw them with set_temperature")
     return velocities * np.sqrt(target / now)
-
-
-def _check(target: float) -> None:
-    if not (np.isfinite(target) and target >= 0.0):
-        raise ValueError(f"temperature must be finite and not negative; temperature = {target}")

@@ -79,7 +79,7 @@ def test_skins_of_any_width_give_the_same_path(cell, precision):
 
 def test_a_skin_beyond_all_bounds_is_refused_or_right():
     assert_stops("reduce the skin", lambda: ran(solid(4), SMOOTH, 0.004, 10, skin=1e4), ValueError)
-    assert_stops("skin must be a number from 0", lambda: ran(solid(4), SMOOTH, 0.004, 10, skin=1e300), ValueError)
+    assert_stops("skin must be finite and not negative, between 1e-75 and 1e", lambda: ran(solid(4), SMOOTH, 0.004, 10, skin=1e300), ValueError)
     wide, usual = (ran(solid(4, cell=False), SMOOTH, 0.004, 50, temperature=1.0, skin=skin) for skin in (1e6, 0.3))
     assert np.abs(wide.positions - usual.positions).max() < 1e-12
 

@@ -20,6 +20,7 @@ from minimd.integrators.ode.differences import CENTRAL, time_derivative
 from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
 from minimd.integrators.ode.problems import DifferentialAlgebraic
+from minimd.structure.checks import shown
 
 __all__ = ["Hessenberg1", "Hessenberg2", "Hessenberg3"]
 
@@ -116,7 +117,7 @@ class Hessenberg(DifferentialAlgebraic):
     def _begun(self, start: Any, t: float) -> list[Array]:
         """The parts of a start, with zeros for algebraic variables that are not given; sizes are remembered."""
         if not isinstance(start, tuple) or len(start) not in (len(self.names) - 1, len(self.names)):
-            raise ValueError(f"the start must be a tuple of {', '.join(self.names)}, of which {self.names[-1]} may be left out; got {start!r}")
+            raise ValueError(f"the start must be a tuple of {', '.join(self.names)}, of which {self.names[-1]} may be left out; got {shown(start)}")
         parts = [np.array(part, dtype=float).reshape(-1) for part in start]
         if len(parts) < len(self.names):
             parts.append(np.zeros(self._n_multipliers(t, *parts)))

@@ -18,6 +18,7 @@ from minimd.integrators.ode.differences import CENTRAL, central_differences, tim
 from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
 from minimd.integrators.ode.problems import DifferentialAlgebraic
+from minimd.structure.checks import shown
 
 __all__ = ["Implicit", "pencil_index"]
 
@@ -83,7 +84,7 @@ class Implicit(DifferentialAlgebraic):
         y, slope = start if isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1 else (start, np.zeros(np.shape(start)))
         y, slope = np.array(y, dtype=float), np.array(slope, dtype=float)
         if y.ndim != 1 or y.size == 0 or y.shape != slope.shape or not (np.isfinite(y).all() and np.isfinite(slope).all()):
-            raise ValueError(f"the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; got {start!r}")
+            raise ValueError(f"the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; got {shown(start)}")
         n_equations = self.residual(t, y, slope).size
         if n_equations != y.size:
             raise ValueError(f"there must be as many equations as variables; F has {n_equations}, y has {y.size}")

@@ -8,8 +8,6 @@ Differential Equations and Differential-Algebraic Equations (1998), 9.2. Project
 """
 
 from collections.abc import Callable
-from math import isfinite
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -20,6 +18,7 @@ from minimd.integrators.ode.differences import accurate_differences
 from minimd.integrators.ode.functions import Field, Function, argument_names
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.problems import FirstOrder
+from minimd.structure.checks import checked_number, shown
 from minimd.structure.errors import ConvergenceError
 
 __all__ = ["Invariants", "stabilized"]
@@ -101,7 +100,7 @@ class Manifold:
 def check_invariants(invariants: Invariants) -> None:
     """TypeError for anything but Invariants."""
     if not isinstance(invariants, Invariants):
-        raise TypeError(f"invariants must be Invariants(g), with a function g(y) or g(q, v); got {invariants!r}")
+        raise TypeError(f"invariants must be Invariants(g), with a function g(y) or g(q, v); got {shown(invariants)}")
 
 
 Correction = Callable[[Array], Array]  # (n,) a term that is added to y′, of the state
@@ -174,8 +173,7 @@ def stabilized(problem: Problem, invariants: Invariants, gamma: float) -> Correc
     ConvergenceError : from a run, where the gradients of the invariants are not independent.
     """
     check_invariants(invariants)
-    if not (isinstance(gamma, Real) and isfinite(gamma) and gamma > 0.0):
-        raise ValueError(f"gamma must be positive and finite; gamma = {gamma!r}")
+    checked_number("gamma", gamma, "positive and finite")
     manifold: Manifold
 
     def begin(y: Array, shape: Shape) -> None:

@@ -22,6 +22,7 @@ from minimd.integrators.manifold.invariants import Invariants, Manifold, check_i
 from minimd.integrators.method import Array, Method, Problem, Step
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.problems import FirstOrder
+from minimd.structure.checks import shown
 from minimd.structure.errors import ConvergenceError
 
 __all__ = ["index_two", "projected", "symmetrically_projected", "with_multipliers"]
@@ -66,7 +67,7 @@ def with_multipliers(method: type[Method], invariants: Invariants) -> type[Metho
 
 def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type["ManifoldStep"]) -> type[Method]:
     if not (isinstance(method, type) and issubclass(method, Method)):
-        raise TypeError(f"method must be a method without a time step, such as RadauIIA3; got {method!r}")
+        raise TypeError(f"method must be a method without a time step, such as RadauIIA3; got {shown(method)}")
     check_invariants(invariants)
     name = f"{verb}({method.name})"
     source = f"{verb}, Hairer, Lubich, Wanner (2006), IV.4, V.4: {method.source}"

@@ -17,7 +17,8 @@ from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array, Method, Problem
 from minimd.integrators.ode.drivers import LEFTOVER, Solution, check_ahead, check_problem, end_message
 from minimd.integrators.ode.problems import DifferentialAlgebraic
-from minimd.structure.errors import ConvergenceError, checked_count
+from minimd.structure.checks import checked_count, checked_number, checked_numbers, shown
+from minimd.structure.errors import ConvergenceError
 
 __all__ = ["StepControl", "run_adaptive"]
 
@@ -48,12 +49,13 @@ class StepControl:
     max_steps: int = 1_000_000
 
     def __post_init__(self) -> None:
-        atol = np.asarray(self.atol, dtype=float)
-        if not (self.rtol >= 0.0 and np.all(atol >= 0.0) and (self.rtol > 0.0 or np.all(atol > 0.0))):
+        atol = checked_numbers("atol", self.atol, "one number, or one for each component")
+        if not (checked_number("rtol", self.rtol) >= 0.0 and np.all(atol >= 0.0) and (self.rtol > 0.0 or np.all(atol > 0.0))):
             raise ValueError(f"rtol and atol must not be negative, nor both zero; rtol = {self.rtol!r}, atol = {self.atol!r}")
-        if self.first_step is not None and not 0.0 < self.first_step < np.inf:
-            raise ValueError(f"first_step must be positive and finite; first_step = {self.first_step!r}")
-        if not 0.0 <= self.min_step <= self.max_step or self.max_step == 0.0:
+        if self.first_step is not None:
+            checked_number("first_step", self.first_step, "positive and finite")
+        longest = self.max_step if self.max_step == np.inf else checked_number("max_step", self.max_step)
+        if not 0.0 <= checked_number("min_step", self.min_step) <= longest or longest == 0.0:
             raise ValueError(f"0 <= min_step <= max_step is needed; min_step = {self.min_step!r}, max_step = {self.max_step!r}")
         checked_count("max_steps", self.max_steps)
 
@@ -105,9 +107,9 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
     check_problem(problem)
     check_ahead(t0, t_end)
     if not (isinstance(method, type) and issubclass(method, Method)):
-        raise TypeError(f"method must be a method without a time step, such as VelocityVerlet; got {method!r}")
+        raise TypeError(f"method must be a method without a time step, such as VelocityVerlet; got {shown(method)}")
     if not isinstance(control, StepControl):
-        raise TypeError(f"control must be StepControl(rtol, atol); got {control!r}")
+        raise TypeError(f"control must be StepControl(rtol, atol); got {shown(control)}")
     y = problem.begin(start, t0)
     if (given := np.shape(control.atol)) not in ((), y.shape):
         raise ValueError(f"atol must be a number, or an array of length {y.size}, one for each component of y; got shape {given}")

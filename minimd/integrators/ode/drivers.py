@@ -9,7 +9,8 @@ from typing import Any, Self
 import numpy as np
 
 from minimd.integrators.method import Array, Method, Problem
-from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
+from minimd.structure.checks import checked_count, checked_number, shown
+from minimd.structure.errors import ConvergenceError, NonFiniteError
 
 __all__ = ["Solution", "run_steps", "run_until"]
 
@@ -79,8 +80,7 @@ def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: fl
     """
     check_method(method)
     checked_count("n_steps", n_steps)
-    if not isfinite(t0):
-        raise ValueError(f"t0 must be finite; t0 = {t0!r}")
+    checked_number("t0", t0)
     return _fixed(problem, method, start, t0, repeat(method.timestep, n_steps), every)
 
 
@@ -91,7 +91,7 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
     """
     check_method(method)
     h = method.timestep
-    n_steps = (t_end - t0) / h
+    n_steps = (checked_number("t_end", t_end) - checked_number("t0", t0)) / h
     if not (isfinite(n_steps) and n_steps > 0.0):
         raise ValueError(f"t_end must be finite and lie ahead of t0; t0 = {t0!r}, t_end = {t_end!r}, timestep = {h!r}")
     whole = int(n_steps * (1.0 + LEFTOVER) + LEFTOVER)
@@ -102,7 +102,7 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
 
 def check_ahead(t0: float, t_end: float) -> None:
     """ValueError unless both times are finite, and differ."""
-    if not (isfinite(t0) and isfinite(t_end) and t0 != t_end):
+    if checked_number("t0", t0) == checked_number("t_end", t_end):
         raise ValueError(f"t0 and t_end must be finite and differ; t0 = {t0!r}, t_end = {t_end!r}")
 
 
@@ -150,10 +150,10 @@ def end_message(problem: Problem) -> str:
 def check_problem(problem: Problem) -> None:
     """TypeError for anything but a problem."""
     if not hasattr(problem, "begin"):
-        raise TypeError(f"problem must be a differential equation, such as SecondOrder(f); got {problem!r}")
+        raise TypeError(f"problem must be a differential equation, such as SecondOrder(f); got {shown(problem)}")
 
 
 def check_method(method: Method) -> None:
     """TypeError for anything but a method with its time step."""
     if not isinstance(method, Method):
-        raise TypeError(f"method must be a method with its time step, such as VelocityVerlet(0.05); got {method!r}")
+        raise TypeError(f"method must be a method with its time step, such as VelocityVerlet(0.05); got {shown(method)}")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from minimd.integrators.method import Array
+from minimd.structure.checks import shown
 
 Function = Callable[..., Any]
 
@@ -23,7 +24,7 @@ def argument_names(function: Function, label: str, wanted: str = "a function") -
     Raises TypeError for anything but a function; label is its name in the message, wanted what it should be.
     """
     if not callable(function):
-        raise TypeError(f"{label} must be {wanted}; got {function!r}")
+        raise TypeError(f"{label} must be {wanted}; got {shown(function)}")
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # written in C, such as numpy.sin
@@ -38,7 +39,7 @@ def checked_values(answer: Any, shape: tuple[int, ...] | None, name: str) -> Arr
     """
     values = np.array(answer)
     if values.dtype.kind not in "fiub":
-        raise TypeError(f"{name} must answer with real numbers; got {answer!r}")
+        raise TypeError(f"{name} must answer with real numbers; got {shown(answer)}")
     if shape is not None and values.shape != shape and not values.size == prod(shape) == 1:
         raise ValueError(f"{name} must answer with an array of shape {shape}; got shape {values.shape}")
     return values.reshape(-1).astype(float, copy=False)

@@ -18,7 +18,8 @@ import scipy  # its parts are loaded when they are used
 from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import forward_differences
-from minimd.structure.errors import ConvergenceError, checked_count
+from minimd.structure.checks import checked_count, shown
+from minimd.structure.errors import ConvergenceError
 
 __all__ = ["FixedPoint", "Newton"]
 
@@ -100,7 +101,7 @@ Solver = Newton
 def checked_solver(solver: Solver) -> Solver:
     """TypeError for anything but a solver."""
     if not isinstance(solver, Newton):
-        raise TypeError(f"solver must be Newton() or FixedPoint(); got {solver!r}")
+        raise TypeError(f"solver must be Newton() or FixedPoint(); got {shown(solver)}")
     return solver
 
 

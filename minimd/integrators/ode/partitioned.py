@@ -27,6 +27,7 @@ from minimd.integrators.ode.functions import Field, Function, check_finite
 from minimd.integrators.ode.newton import Iteration, Newton, Solver, checked_solver
 from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps
+from minimd.structure.checks import shown
 
 __all__ = ["Partitioned", "SecondOrder"]
 
@@ -69,7 +70,7 @@ class Partitioned:
         Raises ValueError if q and v do not have the same shape, or a value is not finite; from g and f, if their answers have another shape.
         """
         if not isinstance(start, (tuple, list, np.ndarray)) or len(start) != 2:
-            raise ValueError(f"the start must be a pair, (q, v); got {start!r}")
+            raise ValueError(f"the start must be a pair, (q, v); got {shown(start)}")
         q, v = (np.array(part, dtype=float) for part in start)
         if q.shape != v.shape or q.size == 0:
             raise ValueError(f"q and v of the start must have the same shape, and at least one element; got {q.shape} and {v.shape}")

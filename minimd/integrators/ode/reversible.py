@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from minimd.integrators.method import Array, Method
 from minimd.integrators.ode.drivers import LEFTOVER, Solution, check_ahead, check_method, check_problem, end_message, with_path
 from minimd.integrators.ode.partitioned import Partitioned
-from minimd.structure.errors import ConvergenceError, NonFiniteError, checked_count
+from minimd.structure.checks import checked_count, checked_number, shown
+from minimd.structure.errors import ConvergenceError, NonFiniteError
 
 __all__ = ["DensityControl", "run_reversible"]
 
@@ -54,8 +55,7 @@ class DensityControl:
     max_steps: int = 1_000_000
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.density < np.inf:
-            raise ValueError(f"density must be positive and finite; density = {self.density!r}")
+        checked_number("density", self.density, "positive and finite")
         checked_count("max_steps", self.max_steps)
 
 
@@ -82,7 +82,7 @@ def run_reversible(
     check_ahead(t0, t_end)
     checked_count("every", every)
     if not isinstance(control, DensityControl):
-        raise TypeError(f"control must be DensityControl(rate, density, max_steps); got {control!r}")
+        raise TypeError(f"control must be DensityControl(rate, density, max_steps); got {shown(control)}")
     if not method.is_symmetric:
         raise ValueError(f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not")
     if (t_end - t0) * method.timestep < 0.0:

@@ -10,14 +10,13 @@ in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993)
 """
 
 from collections.abc import Callable
-from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array
 from minimd.integrators.ode.drivers import Solution
-from minimd.structure.errors import checked_count
+from minimd.structure.checks import checked_count, checked_number
 
 __all__ = ["stormer_summed", "stormer_two_step"]
 
@@ -59,8 +58,7 @@ def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: floa
 def _start(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> tuple[Array, Array]:
     """Memory for q₀ … q_{n+1} with q₀ and q₁ filled in, and the first increment."""
     q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)
-    if not (isfinite(timestep) and timestep != 0.0):
-        raise ValueError(f"timestep must be finite and not zero; timestep = {timestep!r}")
+    checked_number("timestep", timestep, "finite and not zero")
     checked_count("n_steps", n_steps)
     a0 = np.asarray(f(q0), dtype=float)
     if not q0.shape == v0.shape == a0.shape:

@@ -11,6 +11,7 @@ from itertools import chain
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, alternating, merged, mirrored, palindrome, repeated, scaled
 from minimd.integrators.splitting.verlet import VelocityVerlet
+from minimd.structure.checks import shown
 
 __all__ = ["PEFRL", "BlanesMoan4", "CandyRozmus4", "KahanLi6", "KahanLi8", "McLachlanAtela4", "Ruth3", "Suzuki4", "Yoshida6", "adjoint", "compose"]
 
@@ -36,7 +37,7 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
     """
     for part in parts:
         if not isinstance(part, (Kick, Drift)) and not (isinstance(part, type) and issubclass(part, Splitting)):
-            raise TypeError(f"parts must be methods, such as VelocityVerlet, or flows, such as Kick(0.5); got {part!r}")
+            raise TypeError(f"parts must be methods, such as VelocityVerlet, or flows, such as Kick(0.5); got {shown(part)}")
         _refuse_bath(part)
     if weights is None:
         n_methods = sum(isinstance(part, type) for part in parts)

@@ -6,8 +6,7 @@ counted, so that total energy minus this sum changes by the errors of kicks and 
 G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007); D. A. Sivak, J. D. Chodera, G. E. Crooks, Phys. Rev. X 3, 011007 (2013).
 """
 
-from math import exp, isfinite, sqrt
-from numbers import Integral, Real
+from math import exp, sqrt
 from typing import Self
 
 import numpy as np
@@ -17,6 +16,7 @@ from minimd.integrators.method import Problem, Step
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath, State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Thermalize
+from minimd.structure.checks import checked_count, checked_number
 from minimd.structure.observables import kinetic_energy, momentum
 
 __all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
@@ -44,9 +44,7 @@ class Thermostat(Splitting):
         super().__init__(timestep)
         if self.timestep < 0.0:
             raise ValueError(f"time cannot run backwards with a thermostat; timestep = {timestep!r}")
-        if not isinstance(seed, Integral) or not 0 <= seed < SEEDS:
-            raise ValueError(f"seed must be a whole number, not negative and below 2¹²⁸; seed = {seed!r}")
-        self.temperature, self.seed = _not_negative("temperature", temperature), int(seed)
+        self.temperature, self.seed = checked_number("temperature", temperature, "finite and not negative"), checked_count("seed", seed, 0, SEEDS)
 
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
@@ -100,12 +98,12 @@ class LangevinBAOAB(Thermostat):
 
     def __init__(self, timestep: float, temperature: float, friction: float, seed: int) -> None:
         super().__init__(timestep, temperature, seed)
-        self.friction = _not_negative("friction", friction)
+        self.friction = checked_number("friction", friction, "finite and not negative")
 
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
         """See Thermostat; γ = 1/τ."""
-        return cls(timestep, temperature, 1.0 / relaxation_time, seed)
+        return cls(timestep, temperature, 1.0 / checked_number("relaxation_time", relaxation_time, "positive and finite"), seed)
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration."""
@@ -145,9 +143,7 @@ class StochasticVelocityRescaling(Thermostat):
 
     def __init__(self, timestep: float, temperature: float, relaxation_time: float, seed: int) -> None:
         super().__init__(timestep, temperature, seed)
-        self.relaxation_time = _not_negative("relaxation_time", relaxation_time)
-        if not self.relaxation_time > 0.0:
-            raise ValueError(f"relaxation_time must be positive; relaxation_time = {relaxation_time!r}")
+        self.relaxation_time = checked_number("relaxation_time", relaxation_time, "positive and finite")
 
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
@@ -189,9 +185,3 @@ def rescale(velocities, drift, scale):
         velocities[i, 0] = x + scale * velocities[i, 0]
         velocities[i, 1] = y + scale * velocities[i, 1]
         velocities[i, 2] = z + scale * velocities[i, 2]
-
-
-def _not_negative(name: str, value: float) -> float:
-    if not (isinstance(value, Real) and isfinite(value) and value >= 0.0):
-        raise ValueError(f"{name} must be finite and not negative; {name} = {value!r}")
-    return float(value)

@@ -1,0 +1,156 @@
+"""The checks at the door: what comes in is returned as the inside expects it, or refused in one sentence, before memory is asked for."""
+
+from collections.abc import Collection, Iterable, Sequence
+from difflib import get_close_matches
+from math import inf, nan
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+SMALLEST, LARGEST = 1e-75, 1e75  # of positive quantities: their fourth powers are still numbers
+MOST_ATOMS = 2**27  # 3 GB of positions
+MOST_NUMBERS = 3 * MOST_ATOMS  # in an array
+COUNTS = 2**63  # whole numbers in arrays and files are below it
+SHOWN = 80  # characters of a value in a message
+SIMILAR = 0.5  # of the letters are the same, as of Ar and Al
+DEMANDS = {
+    "finite": lambda number: abs(number) < inf,
+    "finite and not zero": lambda number: 0.0 < abs(number) < inf,
+    "finite and not negative": lambda number: 0.0 <= number < inf,
+    "positive and finite": lambda number: 0.0 < number < inf,
+}
+KINDS = {"b": "bools", "i": "whole numbers", "f": "fractions", "c": "complex"}  # by the letters of NumPy
+PLAIN = {bool: "b", int: "i", float: "f"}
+
+
+def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) -> int:
+    """The value as an int.
+
+    Raises ValueError unless it is an int or an integer of NumPy, not a bool, at least least and below limit; name is its name in the message.
+    """
+    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) < limit:
+        most = f" and below {limit:.3g}" if isinstance(value, Integral) and int(value) >= limit else ""
+        raise ValueError(f"{name} must be a whole number, at least {least}{most}; {name} = {shown(value)}")
+    return int(value)
+
+
+def checked_number(name: str, value: Any, demand: str = "finite") -> float:
+    """The value as a float.  demand : one of DEMANDS.
+
+    Raises ValueError for what is no real number, such as a text or a bool, for what the demand excludes, and for sizes that leave no room for
+    powers: above LARGEST, and, of positive quantities, below SMALLEST.
+    """
+    number = _as_float(value)
+    if not DEMANDS[demand](number):
+        raise ValueError(f"{name} must be {demand}; {name} = {shown(value)}")
+    if abs(number) > LARGEST or ("positive" in demand and number < SMALLEST):
+        sizes = f"between {SMALLEST:g} and {LARGEST:g} in size"
+        raise ValueError(f"{name} must be {demand}, {sizes}; {name} = {shown(value)}: take other units")
+    return number
+
+
+def checked_flag(name: str, value: Any) -> bool:
+    """The value as a bool.  Raises ValueError unless it is True or False, of Python or of NumPy."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be True or False; {name} = {shown(value)}")
+    return bool(value)
+
+
+def checked_choice(name: str, value: Any, allowed: Collection[str]) -> Any:
+    """The value, if it is one of the allowed texts.  Raises ValueError otherwise."""
+    if not (isinstance(value, str) and value in allowed):
+        raise ValueError(f"{name} must be one of {listed(allowed)}; {name} = {shown(value)}")
+    return value
+
+
+def checked_numbers(name: str, values: Any, expected: str) -> NDArray[np.float64]:
+    """A new contiguous array of real numbers, of any shape; they may be infinite or NaN.  Raises ValueError as checked_array."""
+    array = checked_array(name, values, expected, "if")
+    try:
+        return np.array(array, dtype=np.float64, order="C")
+    except OverflowError as error:
+        raise ValueError(f"{name} must be {expected}: {error}") from None
+
+
+def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
+    """A new contiguous array of indices of atoms, of any shape; they may be negative.  Raises ValueError as checked_array, or if one is too large."""
+    array = checked_array(name, values, expected, "i")
+    if array.size and not -MOST_ATOMS <= array.min() <= array.max() < MOST_ATOMS:
+        raise ValueError(f"{name} must be {expected}: they go from {array.min()} to {array.max()}, at most {MOST_ATOMS} atoms are taken")
+    return np.array(array, dtype=np.int64, order="C")
+
+
+def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[Any]:
+    """The values as an array, the same one if they are one.  expected : words for the message.  kinds : which of KINDS may be in it.
+
+    Raises ValueError for anything else, for masked values, for bools among numbers, for ragged lists, and for more than MOST_NUMBERS values.
+    """
+    found: set[str] = set()
+    try:
+        _find_kinds(values, found)
+        wrong = [KINDS[kind] for kind in sorted(found) if kind not in kinds or (kind == "b" and len(found) > 1)]
+        if wrong:
+            raise ValueError(f"some are {wrong[0]}")
+        return np.asarray(values)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ValueError(f"{name} must be {expected}: {error}") from None
+
+
+def _find_kinds(values: Any, found: set[str]) -> None:
+    """Add to found the kinds of numbers among the values.  Raises ValueError for what is none, is masked, or is too many."""
+    if type(values) in PLAIN:
+        found.add(PLAIN[type(values)])
+    elif isinstance(values, list | tuple):
+        for value in values:
+            _find_kinds(value, found)
+    elif isinstance(values, Sequence) and not isinstance(values, str) and len(values) > MOST_NUMBERS:
+        raise ValueError(f"they are {len(values)}, at most {MOST_NUMBERS} are taken")
+    else:
+        _find_kinds_of_array(values, np.asanyarray(values), found)
+
+
+def _find_kinds_of_array(values: Any, array: NDArray[Any], found: set[str]) -> None:
+    kind = array.dtype.kind.replace("u", "i")
+    if array.size > MOST_NUMBERS:
+        raise ValueError(f"they are {array.size}, at most {MOST_NUMBERS} are taken")
+    if np.ma.is_masked(array):
+        raise ValueError("some are masked; fill them or leave them out")
+    if array.dtype == object and array.ndim:
+        _find_kinds(array.tolist(), found)
+    elif isinstance(values, Real) or (kind in KINDS and array.size):
+        found.add(kind if kind in KINDS else "i" if isinstance(values, Integral) else "f")
+    elif array.size:
+        raise ValueError(f"{shown(array.ravel()[:1].tolist()[0])} is no number")
+
+
+def _as_float(value: Any) -> float:
+    """NaN for what is no real number."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return nan
+    try:
+        return float(value)
+    except OverflowError:
+        return inf
+
+
+def near(name: Any, known: Iterable[Any]) -> str:
+    """The question whether the most similar of the known names was meant, or nothing if none is similar."""
+    texts = [one for one in known if isinstance(one, str)]
+    found = get_close_matches(name, texts, n=1, cutoff=SIMILAR) if isinstance(name, str) else []
+    return f"; did you mean {found[0]!r}?" if found else ""
+
+
+def listed(names: Iterable[Any]) -> str:
+    """The names, with commas between them."""
+    return ", ".join(repr(name) for name in names)
+
+
+def shown(value: Any) -> str:
+    """A value as Python writes it, in one line, shortened."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # whatever an object of the user's raises, or an integer of more digits than Python writes
+        text = f"an object of type {type(value).__name__}"
+    return text if len(text) <= SHOWN else text[: SHOWN - 4] + " ..."

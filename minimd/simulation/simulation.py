@@ -182,8 +182,6 @@ class Simulation:
         every, end = checked_count("every", every), _end(engine.step, n_steps, until_step)
         files = {"store_forces": store_forces, "overwrite": overwrite, "append": append}
         files = {name: checked_flag(name, flag) for name, flag in files.items()}
-            checked_flag(*one) for one in (("store_forces", store_forces), ("overwrite", overwrite), ("append", append))
-        )
         if not isinstance(observers, list | tuple) or not all(map(callable, observers)):
             raise TypeError(f"observers must be a list of functions of a simulation; observers = {shown(observers)}")
         check_extras(engine, engine.extra_observables)

@@ -4,7 +4,7 @@ import hashlib
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -188,6 +188,12 @@ class Engine:
         self.interactions.go_on_with(checkpoint.displacement, checkpoint.lists)
         self.leave()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For pickle and copy: a copy makes the steps that this engine would make, to the last bit."""
+        scene = self.system, self.interactions.potentials, self.method, self.constraints, self.interactions.options
+        more = {"noise_shift": self.noise_shift, "extra_observables": self.extra_observables, "notes": dict(self.notes), "is_whole": self.is_whole}
+        return _copied, (scene, self.checkpoint(), self.is_as_left, self.interactions.counts, more)
+
     @property
     def step(self) -> int:
         """Number of steps made. Setting it leaves the time as it is."""
@@ -283,6 +289,19 @@ class Engine:
     def kinetic_energy(self) -> float:
         """K [energy]."""
         return kinetic_energy(self.velocities, self.system.masses)
+
+
+def _copied(scene: tuple[Any, ...], checkpoint: Checkpoint, is_as_left: bool, counts: tuple[int, int], more: dict[str, Any]) -> Engine:
+    """The engine that __reduce__ has described. Its warnings have been given."""
+    with warnings.catch_warnings(action="ignore"):
+        engine = Engine(*scene)
+    engine.go_on_from(checkpoint)
+    if not is_as_left:  # somebody has changed its state, and its next run will begin anew
+        engine.moved()
+    engine.interactions.counts = counts
+    for name, value in more.items():
+        setattr(engine, name, value)
+    return engine
 
 
 def _checked(method: Splitting) -> Splitting:

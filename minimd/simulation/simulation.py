@@ -1,12 +1,13 @@
 """Simulation: runs an engine, and calls observers between its steps."""
 
+import copy
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
 from time import monotonic
-from typing import ClassVar, Generic, Literal, Self, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
 from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
@@ -104,11 +105,16 @@ class Simulation:
         precision: Literal["double", "mixed"] = "double",
         skin: float | None = None,
     ) -> None:
-        self.engine = Engine(system, potentials, method, constraints, Options(threads, precision, skin))
-        self.guard = RunGuard(self.engine)
+        self._hold(Engine(system, potentials, method, constraints, Options(threads, precision, skin)))
+
+    def _hold(self, engine: Engine) -> None:
+        self.engine, self.guard, self._is_running = engine, RunGuard(engine), False
         self.record: Record | None = None
         self.reversibility: Reversibility | None = None
-        self._is_running = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For pickle and copy: nothing is shared, and the copy goes on with the same bits."""
+        return _copied, (type(self), self.engine, self.guard.seconds, self.guard.n_steps, self.record, self.reversibility)
 
     def __repr__(self) -> str:
         return f"Simulation({self.system!r}, {self.method!r}, step {self.step})"
@@ -221,8 +227,12 @@ class Simulation:
             writer.write(frame)
         if observers:
             engine.leave()
-            for observer in observers:
-                observer(self)
+            try:
+                for observer in observers:
+                    observer(self)
+            finally:
+                if not engine.is_as_left:
+                    engine.moved()
             if not engine.is_as_left:
                 self.guard.forget()
                 engine.begin()
@@ -380,6 +390,17 @@ class Simulation:
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot."""
         self.engine.restore(snapshot)
+
+
+def _copied(
+    kind: type[Simulation], engine: Engine, seconds: float, n_steps: int, record: Record | None, reversibility: Reversibility | None
+) -> Simulation:
+    """The simulation that __reduce__ has described."""
+    simulation = kind.__new__(kind)
+    simulation._hold(copy.deepcopy(engine))
+    simulation.guard.seconds, simulation.guard.n_steps = seconds, n_steps
+    simulation.record, simulation.reversibility = copy.deepcopy(record), reversibility
+    return simulation
 
 
 def _end(step: int, n_steps: int | None, until_step: int | None) -> int:

@@ -6,6 +6,7 @@ that crosses to ASE and back is the same number; a test compares the two.
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 BOLTZMANN_EV_PER_K = 8.617330337217213e-05
 FEMTOSECOND = 0.09822694788464063  # Å √(u/eV)
@@ -45,6 +46,11 @@ class UnitSystem:
     momentum: str = "√(m ε)"
     angular_momentum: str = "σ √(m ε)"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For pickle and copy: ASE's units stay the same object, and so do reduced ones."""
+        is_known = SYSTEMS.get(self.name) == self
+        return (_system, (self.name,)) if is_known else (UnitSystem, tuple(vars(self).values()))
+
     def shown(self, time: float) -> str:
         """A time in words: to 4 digits in the unit of time steps below 1000 of them, else to 6 digits; "2.5 fs", "12.5 ps", "0.004 τ"."""
         shown = time * self.to_picosecond
@@ -74,3 +80,7 @@ ASE = UnitSystem(
 fs = FEMTOSECOND
 ps = PICOSECOND
 SYSTEMS = {"ASE": ASE, "LJ": LJ}
+
+
+def _system(name: str) -> UnitSystem:
+    return SYSTEMS[name]

@@ -1,0 +1,75 @@
+"""What travels: pickle, copy and deepcopy of all objects, with the same bits afterwards and nothing shared."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from numba import njit
+from test_kills import SCENES, method_of
+
+import minimd as md
+
+WAYS = {"pickle": lambda one: pickle.loads(pickle.dumps(one)), "copy": copy.copy, "deepcopy": copy.deepcopy}
+
+
+@njit
+def gaussian(r2, height, width2):
+    """A soft repulsion."""
+    u = height * np.exp(-r2 / width2)
+    return u, 2.0 * u / width2
+
+
+OBJECTS = [
+    md.System(np.eye(3), cell=3.0, species=["A", "B", "A"], bonds=[[0, 1]]),
+    md.System(np.eye(3), cell=3.0).cell,
+    md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.9)}, cutoff=2.5, truncation="switched"),
+    md.PairPotential(gaussian, (1.0, 2.0), 2.0),
+    md.HarmonicBond(1.0, 1.0),
+    md.HarmonicAngle(1.0, 2.0, [[0, 1, 2]]),
+    md.LangevinBAOAB(0.1, 1.0, 1.0, seed=2),
+    md.DistanceConstraints([[0, 1]], 1.0),
+    md.FixedAtoms([0]),
+]
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("one", OBJECTS, ids=lambda one: type(one).__name__)
+def test_objects_travel(one, way):
+    other = WAYS[way](one)
+    assert type(other) is type(one)
+    assert repr(other) == repr(one)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_units_stay_the_same_object(way):
+    assert WAYS[way](md.units.ASE) is md.units.ASE
+    assert WAYS[way](md.System(np.eye(3), units=md.units.ASE)).units is md.units.ASE
+    assert WAYS[way](md.units.UnitSystem(name="mine", k_B=2.0)) == md.units.UnitSystem(name="mine", k_B=2.0)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    ("scene", "method"), [("plain", "position-verlet"), ("rigid", "langevin-baoab"), ("springs", "leapfrog"), ("few", "velocity-verlet")]
+)
+def test_a_copy_of_a_simulation_makes_the_same_steps(scene, method, way):
+    one = SCENES[scene](method_of(method))
+    one.run(37, every=10)
+    other, start = WAYS[way](one), one.positions.copy()
+    other.run(50, every=10)
+    np.testing.assert_array_equal(one.positions, start)  # nothing is shared
+    one.run(50, every=10)
+    for name in ("positions", "velocities", "time", "reservoir_energy"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    np.testing.assert_array_equal(one.record.total_energy, other.record.total_energy)
+    assert str(WAYS[way](one).report()).split("speed")[0] == str(one.report()).split("speed")[0]
+
+
+def test_a_copy_knows_that_its_state_was_changed():
+    one = SCENES["plain"]()
+    one.run(20)
+    one.velocities[:] *= 1.1
+    other = copy.copy(one)
+    for simulation in (one, other):
+        simulation.run(20)
+    np.testing.assert_array_equal(one.positions, other.positions)

@@ -53,9 +53,10 @@ def test_doctor_notices_a_bit_that_depends_on_threads(monkeypatch):
 
 def test_doctor_notices_a_drift(monkeypatch):
     class Leaking(md.VelocityVerlet):
-        def advance(self, state, *arguments):
+        def advance(self, state, compute_forces, n_steps, with_energy, surroundings, march):
             state.velocities[:] *= 0.9999
-            return super().advance(state, *arguments)
+            surroundings.open_end = None
+            return super().advance(state, compute_forces, n_steps, with_energy, surroundings, march)
 
     monkeypatch.setattr(doctor.md, "VelocityVerlet", Leaking)
     fine, sentence = doctor.conservation()

@@ -54,6 +54,7 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
     guard.make_steps(n_steps)
     way = longest(engine.positions - start.positions)[1]
     engine.velocities[:] *= -1.0
+    engine.turned()
     turning, forces = engine.snapshot(), engine.forces.copy()
     guard.make_steps(n_steps)
     returned = engine.positions.copy()

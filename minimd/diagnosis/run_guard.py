@@ -77,14 +77,13 @@ class RunGuard:
         if not goes_on:
             engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
         engine.evaluate()
-        engine.leave()
+        if not goes_on:
+            engine.leave()
         if fault := fault_at_start(engine):
             raise self._failure(fault, engine.step)
 
     def make_steps(self, n_steps: int, with_energy: bool = False) -> None:
         """Make steps, in blocks.  with_energy : evaluate the energy with the last forces.  Raises as advance."""
-        if not self.engine.is_as_left:
-            self.engine.moved()
         try:
             for done in range(0, n_steps, BLOCK):
                 self.advance(min(BLOCK, n_steps - done), with_energy and done + BLOCK >= n_steps)

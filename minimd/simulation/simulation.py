@@ -239,7 +239,10 @@ class Simulation:
 
     def make_steps(self, n_steps: int) -> None:
         """Make steps without observations.  Raises ValueError for a negative count, and as run."""
-        self.guard.make_steps(checked_count("n_steps", n_steps, 0))
+        n_steps = checked_count("n_steps", n_steps, 0)
+        if not self.engine.is_as_left:
+            self.engine.moved()
+        self.guard.make_steps(n_steps)
 
     def equilibrate(
         self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None, crash_report: str | Path | None = None

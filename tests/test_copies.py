@@ -44,7 +44,7 @@ def test_objects_travel(one, way):
 @pytest.mark.parametrize("way", WAYS)
 def test_units_stay_the_same_object(way):
     assert WAYS[way](md.units.ASE) is md.units.ASE
-    assert WAYS[way](md.System(np.eye(3), units=md.units.ASE)).units is md.units.ASE
+    assert WAYS[way](md.System(np.eye(3), masses=40.0, units=md.units.ASE)).units is md.units.ASE
     assert WAYS[way](md.units.UnitSystem(name="mine", k_B=2.0)) == md.units.UnitSystem(name="mine", k_B=2.0)
 
 

@@ -106,20 +106,20 @@ def minimized(
     with progress_of(max_steps, "minimizing", progress) as tell, stop_on_signals(descent):
         largest_before = descent.begin()
         descent.run(force_tolerance, max_steps, tell)
-    constraint_set.project(system.velocities, system.positions)
-    result = Minimization(
-        system=system,
-        converged=descent.largest_force <= force_tolerance,
-        n_steps=descent.n_steps,
-        n_evaluations=forces.n_evaluations - evaluated + 1,
-        largest_force=descent.largest_force,
-        largest_force_before=largest_before,
-        potential_energy=_potential_energy(forces),
-        potential_energy_before=energy_before,
-        force_tolerance=force_tolerance,
-    )
-    if descent.stop_requested and not result.converged:
-        raise Interrupted(f"stopped after step {result.n_steps} of the minimization", result)
+        constraint_set.project(system.velocities, system.positions)
+        result = Minimization(
+            system=system,
+            converged=descent.largest_force <= force_tolerance,
+            n_steps=descent.n_steps,
+            n_evaluations=forces.n_evaluations - evaluated + 1,
+            largest_force=descent.largest_force,
+            largest_force_before=largest_before,
+            potential_energy=_potential_energy(forces),
+            potential_energy_before=energy_before,
+            force_tolerance=force_tolerance,
+        )
+        if descent.stop_requested and not result.converged:
+            raise Interrupted(f"stopped after step {result.n_steps} of the minimization", result)
     return result
 
 

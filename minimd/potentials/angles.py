@@ -39,6 +39,9 @@ class HarmonicAngle:
         if np.any((self.angle < 0.0) | (self.angle > pi)):
             raise ValueError(f"angle must lie between 0 and pi (radians); angle = {shown(self.angle.tolist())}")
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({shown(self.k.tolist())}, {shown(self.angle.tolist())}, {len(self.triples)} triples)"
+
     def bind(self, system: System) -> "AngleTerm":
         """The term of these angles in a system.
 

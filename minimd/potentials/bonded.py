@@ -37,6 +37,10 @@ class BondPotential:
             if not np.isfinite(parameter).all():
                 raise ValueError(f"bond parameters must be finite; they are {parameter.tolist()}")
 
+    def __repr__(self) -> str:
+        which = "" if self.pairs is None else f", {len(self.pairs)} pairs"
+        return f"{type(self).__name__}({', '.join(shown(one.tolist()) for one in self.parameters)}{which})"
+
     def bind(self, system: System) -> Term:
         """The term of these bonds in a system.
 

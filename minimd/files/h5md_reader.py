@@ -1,5 +1,6 @@
 """What a minimd file holds: record, restart and description, read back; see h5md_schema for the layout."""
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -91,7 +92,7 @@ def read_file(path: str | Path) -> H5MDContents:
                 has_forces=f"{TRAJECTORY}/force" in h5,
                 title=str(at["title"]),
                 scene=str(at["scene"]),
-                parameters={name: at[name].item() for name in at["parameters"]},
+                parameters=json.loads(at["parameters"]),
                 precision=str(at["precision"]),
                 skin=None if np.isnan(at["skin"]) else float(at["skin"]),
                 potentials=list(at["potentials"]),

@@ -11,6 +11,7 @@ edges are written where any direction is periodic and the cell has three indepen
 P. de Buyl, P. H. Colberg, F. Höfling, Comput. Phys. Commun. 185, 1546 (2014); H5MD 1.1.
 """
 
+import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -112,8 +113,8 @@ def describe_method(group: h5py.Group, engine: Engine) -> None:
     group.attrs.update({"method": engine.method.name, "conserves_momentum": engine.conserves_momentum})
     group.attrs.update({"precision": options.precision, "skin": np.nan if options.skin is None else options.skin})
     group.attrs["potentials"] = [f"{type(one).__name__}: {one!r}" for one in engine.interactions.potentials]
-    group.attrs["parameters"] = list(engine.method.parameters)
-    group.attrs.update({name: np.asarray(value) for name, value in engine.method.parameters.items()})
+    group.attrs["parameters"] = json.dumps(engine.method.parameters)  # a seed may be larger than any number of HDF5
+    group.attrs.update({name: value for name, value in engine.method.parameters.items() if isinstance(value, float)})
 
 
 def _describe_standard(h5: h5py.File, system: System) -> None:

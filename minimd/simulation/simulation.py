@@ -4,10 +4,9 @@ import copy
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from operator import attrgetter
 from pathlib import Path
 from time import monotonic
-from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
+from typing import Any, ClassVar, Literal, Self
 
 from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
@@ -25,6 +24,7 @@ from minimd.forces.forces import Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
+from minimd.simulation.engine_attribute import EngineAttribute
 from minimd.structure.checks import checked_count, checked_flag, checked_number, shown
 from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
@@ -34,25 +34,6 @@ from minimd.structure.velocities import maxwell_boltzmann, rescaled
 
 SECONDS_BETWEEN_CHECKPOINTS = 5.0  # whatever every is: no more is lost when the process is killed
 Observer = Callable[["Simulation"], None]
-T = TypeVar("T")
-
-
-class EngineAttribute(Generic[T]):
-    """Attribute of a simulation that reads and sets the attribute of its engine with the same name; with a path it is read-only."""
-
-    def __init__(self, doc: str, path: str = "") -> None:
-        self.__doc__, self._path = doc, path
-
-    def __set_name__(self, _owner: type, name: str) -> None:
-        self._name = name
-
-    def __get__(self, simulation: "Simulation", _owner: type) -> T:
-        return self if simulation is None else attrgetter(self._path or self._name)(simulation.engine)
-
-    def __set__(self, simulation: "Simulation", value: T) -> None:
-        if self._path:
-            raise AttributeError(f"{self._name} of a Simulation cannot be set; make a new Simulation")
-        setattr(simulation.engine, self._name, value)
 
 
 class Simulation:

@@ -1,0 +1,25 @@
+"""Attributes of a simulation that are those of its engine."""
+
+from operator import attrgetter
+from typing import Any, Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class EngineAttribute(Generic[T]):
+    """Attribute of a simulation that reads and sets the attribute of its engine with the same name; with a path it is read-only."""
+
+    def __init__(self, doc: str, path: str = "") -> None:
+        self.__doc__, self._path = doc, path
+
+    def __set_name__(self, _owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, simulation: Any, _owner: type) -> T:
+        found: Any = self if simulation is None else attrgetter(self._path or self._name)(simulation.engine)
+        return found  # type: ignore[no-any-return]
+
+    def __set__(self, simulation: Any, value: T) -> None:
+        if self._path:
+            raise AttributeError(f"{self._name} of a Simulation cannot be set; make a new Simulation")
+        setattr(simulation.engine, self._name, value)

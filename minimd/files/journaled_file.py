@@ -61,7 +61,7 @@ class JournaledFile:
         start, end = self._at, max(self._at, min(self._at + len(view), self.size))
         found = bytearray(end - start)
         if start < self._committed:
-            old = os.pread(self._claim.descriptor, min(end, self._committed) - start, start)
+            old = _read_at(self._claim.descriptor, min(end, self._committed) - start, start)
             found[: len(old)] = old
         if end > self._committed:
             first = max(start, self._committed)
@@ -208,4 +208,18 @@ def _apply(descriptor: int, size: int, pieces: Pieces) -> None:
 def _write_all(descriptor: int, data: bytes, place: int) -> None:
     view, done = memoryview(data), 0
     while done < len(view):
-        done += os.pwrite(descriptor, view[done:], place + done)
+        done += _write_at(descriptor, view[done:], place + done)
+
+
+def _read_at(descriptor: int, n_bytes: int, place: int) -> bytes:
+    if hasattr(os, "pread"):
+        return os.pread(descriptor, n_bytes, place)
+    os.lseek(descriptor, place, os.SEEK_SET)  # Windows has no pread
+    return os.read(descriptor, n_bytes)
+
+
+def _write_at(descriptor: int, data: memoryview, place: int) -> int:
+    if hasattr(os, "pwrite"):
+        return os.pwrite(descriptor, data, place)
+    os.lseek(descriptor, place, os.SEEK_SET)
+    return os.write(descriptor, data)

@@ -92,8 +92,9 @@ def test_n_steps_and_m_steps_are_n_plus_m(scene, precision, threads, tmp_path):
     draw = random.Random(f"{scene} {precision} {threads}")
     for k in range(4):
         name, n, m, every = draw.choice(NAMES), draw.randrange(130), draw.randrange(1, 130), draw.choice([1, 7, 10, 50, 1000])
+        skin = draw.choice([None, 0.05])  # with the latter, lists are built every few steps, some of them where a run stops
         with atoms_per_domain(50):
-            whole, parts = (SCENES[scene](method_of(name), precision=precision, threads=threads) for _ in range(2))
+            whole, parts = (SCENES[scene](method_of(name), precision=precision, threads=threads, skin=skin) for _ in range(2))
             whole.run(n + m, every=every, trajectory=tmp_path / f"{k}.h5md")
             path = tmp_path / f"{k} in parts.h5md"
             parts.run(n, every=every, trajectory=path)

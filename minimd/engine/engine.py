@@ -136,7 +136,7 @@ class Engine:
         if self._state.forces_are_current and self.interactions.has_energy:
             return
         end = self.surroundings.open_end
-        is_aside = end is not None and end.positions is not None  # the next block does not come here
+        is_aside = end is not None and end.drifts_next  # the run itself needs no forces here
         before, n_builds = self.interactions.lists_built() if is_aside else (), self.interactions.n_builds
         self.interactions.compute(TOTALS)
         self._state.forces_are_current = True

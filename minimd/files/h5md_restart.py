@@ -34,6 +34,7 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
         "displacement": checkpoint.displacement,
     }
     clock = state.clock or (state.step, state.time)
+    numbers["drifts_next"] = int(state.open_end is not None and state.open_end.drifts_next)
     numbers |= {"clock_step": clock[0], "clock_time": clock[1], "equilibrated": checkpoint.equilibrated}
     numbers |= {"skins": np.array([one.skin for one in checkpoint.lists]), "tolerance": 0.0 if images is None else images[1]}
     return {name: array for name, array in arrays.items() if array is not None}, numbers
@@ -41,7 +42,9 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
 
 def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Checkpoint:
     """The checkpoint that was flattened."""
-    end = OpenEnd(arrays["open_velocities"], arrays.get("open_positions")) if "open_velocities" in arrays else None
+    end = None
+    if "open_velocities" in arrays:
+        end = OpenEnd(arrays["open_velocities"], arrays.get("open_positions"), bool(numbers["drifts_next"]))
     step, time, energy = int(numbers["step"]), float(numbers["time"]), float(numbers["reservoir_energy"])
     lists = tuple(Built(float(skin), arrays.get(f"list_{k}")) for k, skin in enumerate(numbers["skins"]))
     clock = int(numbers["clock_step"]), float(numbers["clock_time"])

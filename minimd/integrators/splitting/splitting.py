@@ -146,7 +146,7 @@ class Splitting(Method):
         while step <= n_steps:
             substeps = end if step == n_steps else start if step == 0 and not goes_on else cycle
             if step == n_steps:
-                around.leave_open(state, ends=bool(end), moves=any(isinstance(substep, Drift) for substep in end))
+                around.leave_open(state, end, cycle)
             for k, substep in enumerate(substeps):
                 if march is not None and durations is not None and substeps is cycle and k == first_kick and not state.forces_are_current:
                     step += march(state, durations, n_steps - 1 - step)

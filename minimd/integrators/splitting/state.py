@@ -8,6 +8,7 @@ import numpy as np
 
 from minimd.constraints.solver import ConstraintSolver
 from minimd.integrators.method import Array
+from minimd.integrators.splitting.substeps import Drift, Substeps, mechanical
 
 __all__ = ["Bath", "OpenEnd", "State", "Surroundings"]
 
@@ -56,10 +57,12 @@ class OpenEnd(NamedTuple):
     """A state before the end of a block of steps: before the last half kick or drift, and before velocities were projected.
 
     velocities : (N, 3), a copy.  positions : likewise, or None if they are those of the state.
+    drifts_next : whether the next block moves the atoms before it needs forces; those at the positions of the state are not on its way.
     """
 
     velocities: Array
     positions: Array | None
+    drifts_next: bool
 
 
 @dataclass
@@ -77,18 +80,19 @@ class Surroundings:
     keeps_open_end: bool = False
     open_end: OpenEnd | None = None
 
-    def leave_open(self, state: State, ends: bool, moves: bool) -> None:
-        """Keep the open end of a block.  ends : whether substeps follow that end it.  moves : whether a drift is among them."""
-        is_changed = ends or self.constraints is not None
-        if self.keeps_open_end:
-            velocities = state.velocities.copy() if is_changed else state.velocities
-            self.open_end = OpenEnd(velocities, state.positions.copy() if moves else None)
+    def leave_open(self, state: State, end: Substeps, cycle: Substeps) -> None:
+        """Keep the open end of a block.  end : the substeps that end it.  cycle : those of the next step, if it goes on."""
+        if not self.keeps_open_end:
+            return
+        velocities = state.velocities.copy() if end or self.constraints is not None else state.velocities
+        positions = state.positions.copy() if any(isinstance(substep, Drift) for substep in end) else None
+        self.open_end = OpenEnd(velocities, positions, drifts_next=isinstance(mechanical(cycle)[0], Drift))
 
     def take_up(self, state: State) -> bool:
         """Go back to the open end of the block before; False if there is none."""
         if self.open_end is None:
             return False
-        velocities, positions = self.open_end
+        velocities, positions, _ = self.open_end
         state.velocities[:] = velocities
         if positions is not None:
             state.positions[:], state.forces_are_current = positions, False

@@ -1,5 +1,6 @@
 """The cache of compiled code: found again, never stale, in any place that can be written."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -138,3 +139,24 @@ def test_without_a_cache_kernels_are_compiled_all_the_same(tmp_path):
     answer = run({"NUMBA_CACHE_DIR": str(tmp_path), "HOME": str(tmp_path), "TMPDIR": str(tmp_path)}, code)
     assert answer.stdout.split() == ["4", "NullCache"], answer.stderr
     assert answer.stderr.count("UserWarning") == 3
+
+
+@pytest.mark.parametrize("n_replaced", [0, 1, 2])
+def test_a_process_killed_between_two_files_of_the_cache_leaves_no_code_of_another_signature(n_replaced, tmp_path, monkeypatch):
+    """Code lies there from an earlier state of the source, which the index does not name any more."""
+    compiling.CodeFiles(str(tmp_path), "twice", "earlier").save("integers", "code for integers")
+    replace, files = os.replace, compiling.CodeFiles(str(tmp_path), "twice", "now")
+
+    def killing(*names, done=[]):  # noqa: B006
+        done.append(names)
+        if len(done) > n_replaced:
+            raise KeyboardInterrupt
+        replace(*names)
+
+    monkeypatch.setattr(os, "replace", killing)
+    with contextlib.suppress(KeyboardInterrupt):
+        files.save("floats", "code for floats")
+    monkeypatch.undo()
+    assert files.load("floats") == ("code for floats" if n_replaced == 2 else None)
+    files.save("integers", "new code for integers")
+    assert files.load("integers") == "new code for integers"

@@ -18,9 +18,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
 from typing import Any
+from uuid import uuid4
 
 import numba
 from numba.core import event
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.extending import overload
 
 from minimd.compiled.features import NEWEST, restrict_features
@@ -80,6 +82,28 @@ def open_to_others(folder: Path) -> Path | None:
     return None
 
 
+class CodeFiles(IndexDataCacheFile):
+    """The files of a kernel in Numba's cache: an index, and one file for the machine code of each signature.
+
+    Numba numbers the files, and writes the index first. A process that is killed in between, or two at once, may leave an index that names the
+    machine code of another signature. Here a file has a name that no other ever has, and the index names it when it is there.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        """Called by Numba after a compilation."""
+        name = self._data_name(uuid4().int)
+        self._save_data(name, data)
+        self._save_index({**self._load_index(), key: name})
+
+
+class KernelCache(FunctionCache):
+    """Numba's cache of the compiled forms of a kernel."""
+
+    def __init__(self, function: Callable) -> None:
+        super().__init__(function)
+        self._cache_file = CodeFiles(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
+
+
 def kernel(function, **flags):
     """Compile a function that Python calls with arrays and numbers: lazily, once per machine."""
     folder, previous = cache_folder(), numba.config.CACHE_DIR
@@ -87,7 +111,7 @@ def kernel(function, **flags):
     if folder is not None:
         numba.config.CACHE_DIR = str(folder)
         try:
-            compiled.enable_caching()
+            compiled._cache = KernelCache(function)
         finally:
             numba.config.CACHE_DIR = previous
     return compiled

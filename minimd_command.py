@@ -42,7 +42,8 @@ def _end(code: int, words: str = "") -> None:
             if stream is not None:
                 stream.flush()
         except (OSError, RuntimeError, ValueError) as reason:  # nobody reads it, it is in the middle of a print, or closed
-            code, words = code or WRONG_OUTPUT, words or f"minimd: error: the output is not complete: {reason}\n"
+            if code == 0:  # else a reason to end has been told
+                code, words = WRONG_OUTPUT, f"minimd: error: the output is not complete: {reason}\n"
     try:
         os.write(2, words.encode())
     finally:

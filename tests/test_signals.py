@@ -269,6 +269,16 @@ def test_a_command_that_was_started_deaf_to_signals_stays_so(folder):
     assert process.returncode == 0
 
 
+@pytest.mark.parametrize(("arguments", "code"), [(("--help",), 2), (("run", "hot.toml"), 3)])
+def test_a_reader_that_is_gone_is_told_of_in_one_sentence(arguments, code, folder):
+    Path("hot.toml").write_text(SCENE.replace("timestep = 0.004", "timestep = 0.025").replace("1.44", "50.0"))
+    process = command(*arguments, env={"PYTHONUNBUFFERED": ""})
+    process.stdout.close()
+    process.stdout = None
+    assert len(sentences(process)) == 1
+    assert process.returncode == code
+
+
 @pytest.mark.slow
 def test_ctrl_c_at_a_hundred_moments(folder, tmp_path):
     """Half of them while the kernels are compiled, into a cache that the next run goes on with; half of them with all kernels compiled."""

@@ -1,5 +1,6 @@
 """The cache of compiled code: found again, never stale, in any place that can be written."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -54,9 +55,108 @@ def test_edited_sources_get_another_cache(tmp_path, monkeypatch):
     assert compiling._source_hash() != before
 
 
-@pytest.mark.skipif(not hasattr(os, "getuid"), reason="POSIX permissions")
-def test_a_cache_that_others_can_write_is_not_used(tmp_path):
+POSIX = pytest.mark.skipif(not hasattr(os, "getuid"), reason="POSIX permissions")
+
+
+def folder_of_cache(base, monkeypatch):
+    """Where compiled code would be kept, if only this place were there."""
+    monkeypatch.setattr(compiling, "_cache_bases", lambda: [base])
+    return compiling.cache_folder.__wrapped__()
+
+
+@POSIX
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o722])
+@pytest.mark.parametrize("opened", ["a", "a/b", "a/b/c"])
+def test_a_cache_that_others_can_change_is_refused_whichever_folder_on_the_way_is_open(opened, mode, tmp_path, monkeypatch):
+    place = tmp_path / "a" / "b" / "c"
+    place.mkdir(parents=True)
+    assert folder_of_cache(place, monkeypatch).parent == place
+    (tmp_path / opened).chmod(mode)
+    with pytest.warns(UserWarning, match=f"compiled code is not kept in {place}, because other users can change {tmp_path / opened}; "):
+        assert folder_of_cache(place, monkeypatch) is None
+
+
+@POSIX
+def test_nothing_is_made_in_a_folder_that_others_can_change(tmp_path, monkeypatch):
     tmp_path.chmod(0o777)
-    assert not compiling._is_mine(tmp_path)
-    tmp_path.chmod(0o700)
-    assert compiling._is_mine(tmp_path)
+    with pytest.warns(UserWarning, match="other users can change"):
+        folder_of_cache(tmp_path / "new", monkeypatch)
+    assert list(tmp_path.iterdir()) == []
+
+
+@POSIX
+def test_a_common_sticky_folder_may_lie_on_the_way_but_not_be_the_cache(tmp_path, monkeypatch):
+    tmp_path.chmod(0o1777)
+    folder = folder_of_cache(tmp_path / "own", monkeypatch)
+    assert compiling.open_to_others(folder) is None
+    assert compiling.open_to_others(tmp_path) == tmp_path
+    (tmp_path / "own").chmod(0o770)
+    assert compiling.open_to_others(folder) == tmp_path / "own"
+
+
+@POSIX
+@pytest.mark.parametrize("mode", [0o755, 0o1777])
+def test_a_folder_of_another_user_is_refused_sticky_or_not(mode, tmp_path, monkeypatch):
+    """As this user sees it who is not the owner."""
+    owner = os.stat(tmp_path).st_uid
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    theirs.chmod(mode)
+    stat = Path.stat
+
+    def foreign(path, **options):
+        found = stat(path, **options)
+        return os.stat_result([*found[:4], owner + 12345, *found[5:]]) if path == theirs else found
+
+    monkeypatch.setattr(Path, "stat", foreign)
+    assert compiling.open_to_others(theirs / "cache") == theirs
+
+
+@POSIX
+def test_links_are_followed_to_where_the_code_would_lie(tmp_path, monkeypatch):
+    (tmp_path / "open" / "cache").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "open" / "cache")
+    assert folder_of_cache(tmp_path / "link", monkeypatch).parent == tmp_path / "open" / "cache"
+    (tmp_path / "open").chmod(0o777)
+    with pytest.warns(UserWarning, match="other users can change .*/open;"):
+        assert folder_of_cache(tmp_path / "link", monkeypatch) is None
+
+
+@POSIX
+def test_new_folders_are_for_this_user_alone_whatever_the_umask(tmp_path, monkeypatch):
+    before = os.umask(0)
+    try:
+        folder = folder_of_cache(tmp_path / "a" / "b", monkeypatch)
+    finally:
+        os.umask(before)
+    assert all(part.stat().st_mode & 0o777 == 0o700 for part in (folder, folder.parent, folder.parent.parent))
+
+
+@POSIX
+def test_without_a_cache_kernels_are_compiled_all_the_same(tmp_path):
+    tmp_path.chmod(0o777)
+    code = "import sys; from minimd.compiled.kernels import kernel\n@kernel\ndef twice(x): return x + x\nprint(twice(2), type(twice._cache).__name__)"
+    answer = run({"NUMBA_CACHE_DIR": str(tmp_path), "HOME": str(tmp_path), "TMPDIR": str(tmp_path)}, code)
+    assert answer.stdout.split() == ["4", "NullCache"], answer.stderr
+    assert answer.stderr.count("UserWarning") == 3
+
+
+@pytest.mark.parametrize("n_replaced", [0, 1, 2])
+def test_a_process_killed_between_two_files_of_the_cache_leaves_no_code_of_another_signature(n_replaced, tmp_path, monkeypatch):
+    """Code lies there from an earlier state of the source, which the index does not name any more."""
+    compiling.CodeFiles(str(tmp_path), "twice", "earlier").save("integers", "code for integers")
+    replace, files = os.replace, compiling.CodeFiles(str(tmp_path), "twice", "now")
+
+    def killing(*names, done=[]):  # noqa: B006
+        done.append(names)
+        if len(done) > n_replaced:
+            raise KeyboardInterrupt
+        replace(*names)
+
+    monkeypatch.setattr(os, "replace", killing)
+    with contextlib.suppress(KeyboardInterrupt):
+        files.save("floats", "code for floats")
+    monkeypatch.undo()
+    assert files.load("floats") == ("code for floats" if n_replaced == 2 else None)
+    files.save("integers", "new code for integers")
+    assert files.load("integers") == "new code for integers"

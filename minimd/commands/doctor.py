@@ -64,7 +64,10 @@ def installation() -> Iterator[str]:
 
 def cache() -> Finding:
     """Whether compiled kernels can be stored for the next process."""
-    folder, fine = compiling.cache_folder(), os.access(compiling.cache_folder(), os.W_OK)
+    folder = compiling.cache_folder()
+    if folder is None:
+        return False, "each process compiles anew; set NUMBA_CACHE_DIR to a folder that you, and nobody else, can write to"
+    fine = os.access(folder, os.W_OK)
     return fine, f"{folder}{'' if fine else ' cannot be written; set NUMBA_CACHE_DIR'}"
 
 

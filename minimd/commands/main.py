@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from minimd.bench.outcome import DisagreementError
 from minimd.commands import bench, check, doctor, plot, replay, resume, run
@@ -16,8 +17,9 @@ CODES |= {KeyboardInterrupt: INTERRUPTED, NonFiniteError: BLOWN_UP, ConstraintEr
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted, 143 terminated.
+    """Run one command and return its exit code.
 
+    0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted, 143 terminated, 129 terminated as its terminal was closed.
     Expected failures end in one sentence for each problem on standard error.
     """
     parser = argparse.ArgumentParser(prog="minimd", description="Molecular dynamics from a scene file, in small.", epilog="Begin with: minimd doctor")
@@ -33,7 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         passed = arguments.command(arguments)  # None of a command that judges nothing
         return OK if passed is None or passed else FAILED
     except tuple(CODES) as error:
-        sys.stdout.flush()
+        with suppress(OSError):  # nobody reads it any more
+            sys.stdout.flush()
         for line in sentence(error).splitlines():
             print(f"minimd: error: {line}", file=sys.stderr)
         return next(code for kind, code in CODES.items() if isinstance(error, kind))

@@ -8,17 +8,21 @@ minimd: edited sources never meet yesterday's machine code, and any writable pla
 import functools
 import hashlib
 import os
+import stat
 import sys
 import tempfile
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
 from typing import Any
+from uuid import uuid4
 
 import numba
 from numba.core import event
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.extending import overload
 
 from minimd.compiled.features import NEWEST, restrict_features
@@ -29,29 +33,88 @@ WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
 
 
 @functools.cache
-def cache_folder() -> Path:
-    """The first writable of $NUMBA_CACHE_DIR, the user's cache folder, the temporary folder; one subfolder per source state."""
+def cache_folder() -> Path | None:
+    """The folder for compiled code, one per source state; None if there is none, and each process compiles anew.
+
+    It lies in the first of $NUMBA_CACHE_DIR, the user's cache folder and the temporary folder that can be written, and that nobody else can
+    change: what is in it will be executed. Warns of one that others can change.
+    """
     name = f"minimd-{_source_hash()}"
     for base in _cache_bases():
-        folder = base / name
+        folder = Path(os.path.realpath(base / name))
         try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            if not open_to_others(folder):
+                _make(folder)
+            if opened := open_to_others(folder):  # perhaps only now: somebody else may have been faster in a common folder
+                warnings.warn(
+                    f"compiled code is not kept in {base}, because other users can change {opened}; "
+                    "take that right from them, or set NUMBA_CACHE_DIR to a folder of your own",
+                    stacklevel=2,
+                )
+                continue
             with tempfile.TemporaryFile(dir=folder):
-                if _is_mine(folder):
-                    return folder
+                return folder
         except OSError:
             continue
-    return Path(tempfile.mkdtemp(prefix=name))
+    return None
+
+
+def open_to_others(folder: Path) -> Path | None:
+    """The first folder on the way to this one, and with it, that a user other than this one and root can change; None if there is none.
+
+    Whoever can write to a folder can exchange the folders in it, unless it is sticky, as /tmp is: then only their owners can. Folders that do
+    not exist yet are nobody's. Windows keeps the folders of users apart by other means.
+
+    Raises OSError if it cannot be found out.
+    """
+    if not hasattr(os, "getuid"):
+        return None
+    folder = Path(os.path.realpath(folder))
+    trusted = {os.getuid(), 0, os.stat(folder.anchor).st_uid}  # in a container root may have another number
+    for part in (*reversed(folder.parents), folder):
+        try:
+            status = part.stat()
+        except FileNotFoundError:
+            return None
+        is_common = part != folder and status.st_mode & stat.S_ISVTX
+        if status.st_uid not in trusted or (status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not is_common):
+            return part
+    return None
+
+
+class CodeFiles(IndexDataCacheFile):
+    """The files of a kernel in Numba's cache: an index, and one file for the machine code of each signature.
+
+    Numba numbers the files, and writes the index first. A process that is killed in between, or two at once, may leave an index that names the
+    machine code of another signature. Here a file has a name that no other ever has, and the index names it when it is there.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        """Called by Numba after a compilation."""
+        name = self._data_name(uuid4().int)
+        self._save_data(name, data)
+        self._save_index({**self._load_index(), key: name})
+
+
+class KernelCache(FunctionCache):
+    """Numba's cache of the compiled forms of a kernel."""
+
+    def __init__(self, function: Callable) -> None:
+        super().__init__(function)
+        self._cache_file = CodeFiles(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
 
 
 def kernel(function, **flags):
     """Compile a function that Python calls with arrays and numbers: lazily, once per machine."""
-    previous = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder())
-    try:
-        return numba.njit(cache=True, error_model="numpy", **flags)(function)
-    finally:
-        numba.config.CACHE_DIR = previous
+    folder, previous = cache_folder(), numba.config.CACHE_DIR
+    compiled = numba.njit(error_model="numpy", **flags)(function)
+    if folder is not None:
+        numba.config.CACHE_DIR = str(folder)
+        try:
+            compiled._cache = KernelCache(function)
+        finally:
+            numba.config.CACHE_DIR = previous
+    return compiled
 
 
 def shared_kernel(function):
@@ -172,10 +235,11 @@ def announce_compilation() -> Iterator[None]:
         compile_clock.is_to_tell = False
 
 
-def _is_mine(folder: Path) -> bool:
-    """Cached code is executed, so no other user may be able to write it."""
-    status = folder.stat()
-    return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
+def _make(folder: Path) -> None:
+    """Make a folder, and those on the way to it that are not there, for this user alone."""
+    for part in (*reversed(folder.parents), folder):
+        if not part.is_dir():
+            part.mkdir(mode=0o700, exist_ok=True)
 
 
 def _source_hash() -> str:

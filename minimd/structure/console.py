@@ -12,7 +12,7 @@ from minimd.structure.checks import checked_flag
 
 TENTHS = 10
 SIGNALS = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]  # Windows has no SIGHUP
-OURS = (signal.SIG_DFL, signal.default_int_handler)  # handlers that nobody has set
+DEFAULT_HANDLERS: list[Any] = [signal.SIG_DFL, signal.default_int_handler]  # handlers that nobody has set; the command `minimd` adds its own
 
 
 @contextmanager
@@ -49,35 +49,63 @@ class Stoppable(Protocol):
 
 @contextmanager
 def stop_on_signals(run: Stoppable) -> Iterator[None]:
-    """While active, Ctrl-C, SIGTERM and SIGHUP set run.stop_requested; at the end, SIGTERM and SIGHUP raise SystemExit with 128 + their number.
+    """While active, Ctrl-C, SIGTERM and SIGHUP set run.stop_requested; at the end, SIGTERM and SIGHUP raise Terminated, and Ctrl-C KeyboardInterrupt.
 
-    Handlers that the host has set, and signals that it ignores, are left alone; so is everything outside the main thread. A second signal acts
-    as if there were no run, and so does one that comes when the last step has been made.
+    Handlers that the host has set, and signals that it ignores, are left alone; so is everything outside the main thread. A second Ctrl-C does
+    not wait for the end of the step. A run inside another one, in an observer, stops first, and its exception ends the other one.
     """
-    run.stop_requested = False
-    received: list[int] = []
-    before: dict[int, Any] = {}
-
-    def request_stop(number: int, _frame: FrameType | None) -> None:
-        run.stop_requested = True
-        received.append(number)
-        _restore(before)
-
-    if threading.current_thread() is threading.main_thread():
-        before.update({number: handler for number in SIGNALS if (handler := signal.getsignal(number)) in OURS})
-        for number in before:
-            signal.signal(number, request_stop)
+    requests = StopRequests(run)
     try:
+        requests.begin()
         yield
     except KeyboardInterrupt as stopped:
-        _restore(before)
-        if received and received[0] != signal.SIGINT:
-            raise Terminated(received[0], str(stopped)) from None
+        if requests.received and requests.received[0] != signal.SIGINT:
+            raise Terminated(requests.received[0], str(stopped)) from None
         raise
     finally:
-        _restore(before)
-    if received:
-        signal.raise_signal(received[0])
+        requests.end()
+    if requests.received:
+        words = "stopped after the last step"
+        raise KeyboardInterrupt(words) if requests.received[0] == signal.SIGINT else Terminated(requests.received[0], words)
+
+
+class StopRequests:
+    """The handler of signals during a run, set in place of handlers that nobody has set, and of that of a run around it.
+
+    received : numbers of the signals that came, in order.
+    """
+
+    def __init__(self, run: Stoppable) -> None:
+        self._run, self._before = run, dict[int, Any]()
+        self.received: list[int] = []
+
+    def __call__(self, number: int, _frame: FrameType | None) -> None:
+        """Python calls this between two instructions of the main thread."""
+        self._run.stop_requested = True
+        self.received.append(number)
+        if number == signal.SIGINT:
+            self._give_back(number)
+
+    def begin(self) -> None:
+        """Set the handler; outside the main thread, where none can be set, do nothing."""
+        self._run.stop_requested = False
+        if threading.current_thread() is threading.main_thread():
+            for number in SIGNALS:
+                handler = signal.getsignal(number)
+                if isinstance(handler, StopRequests) or handler in DEFAULT_HANDLERS:
+                    self._before[number] = handler
+                    signal.signal(number, self)
+
+    def end(self) -> None:
+        """Set the handlers from before, that of Ctrl-C last: it may raise."""
+        self._run.stop_requested = False
+        for number in reversed(self._before):
+            self._give_back(number)
+
+    def _give_back(self, number: int) -> None:
+        before = self._before[number]
+        if signal.getsignal(number) is self:  # the host may have set its own meanwhile
+            signal.signal(number, before)
 
 
 class Terminated(SystemExit):
@@ -89,11 +117,6 @@ class Terminated(SystemExit):
 
     def __str__(self) -> str:
         return self.words
-
-
-def _restore(handlers: dict[int, Any]) -> None:
-    for number, handler in handlers.items():
-        signal.signal(number, handler)
 
 
 def outside_minimd() -> int:

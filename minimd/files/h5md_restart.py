@@ -106,10 +106,15 @@ def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]
 
 
 def digest_of(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> int:
-    """CRC-32 of names and bytes."""
+    """CRC-32 of names, types and bytes."""
     digest = 0
     for name in sorted(arrays):
-        digest = zlib.crc32(np.ascontiguousarray(arrays[name]).data, zlib.crc32(name.encode(), digest))
+        digest = digest_of_array(name, arrays[name], digest)
     for name in sorted(set(numbers) - {DIGEST}):
         digest = zlib.crc32(np.asarray(numbers[name], dtype=np.float64).tobytes(), zlib.crc32(name.encode(), digest))
     return digest
+
+
+def digest_of_array(name: str, array: np.ndarray, digest: int = 0) -> int:
+    """CRC-32 of the name, type, shape and bytes of an array, behind those of a digest."""
+    return zlib.crc32(np.ascontiguousarray(array).data, zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), digest))

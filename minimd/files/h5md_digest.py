@@ -99,7 +99,7 @@ def _description(h5: h5py.File) -> Iterator[bytes]:
     items: dict[str, h5py.HLObject] = {}
     for group in FIXED:
         items[group] = h5[group]
-        h5[group].visititems(lambda name, item, group=group: items.setdefault(f"{group}/{name}", item))
+        h5[group].visititems(lambda name, item, group=group: items.update({f"{group}/{name}": item}))  # anything but None would end the visit
     for name, item in sorted(items.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
             continue
@@ -111,4 +111,5 @@ def _description(h5: h5py.File) -> Iterator[bytes]:
             grows = item.maxshape[:1] == (None,)
             yield repr((item.shape[grows:], item.dtype.str)).encode()
             if not grows:
-                yield repr(item[()].tolist()).encode() if item.dtype.kind == "O" else item[()].tobytes()
+                content = np.asarray(item[()])
+                yield repr(content.tolist()).encode() if item.dtype.kind == "O" else content.tobytes()

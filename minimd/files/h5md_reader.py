@@ -16,7 +16,7 @@ from minimd.engine.record import SERIES, Record
 from minimd.files.first_look import looked_at
 from minimd.files.h5md_constraints import read_constraints
 from minimd.files.h5md_digest import check_sizes, damaged_frames, is_signed, n_whole_frames
-from minimd.files.h5md_restart import read_restart
+from minimd.files.h5md_restart import damaged_restart, read_restart
 from minimd.files.h5md_schema import STEPS, TRAJECTORY, opened
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
@@ -97,23 +97,25 @@ def read_file(path: str | Path) -> H5MDContents:
 
 
 def damage(path: str | Path) -> str:
-    """Which frames of a minimd file are not those that were written, in words; empty if all are.  Raises as read_file.
+    """Which frames of a minimd file, or which of its restarts, are not those that were written, in words; empty if all are.
 
-    A child process reads the file first, and all of it: what survives this can be read here.
+    A child process reads the file first, and all of it: what survives this can be read here.  Raises as read_file.
     """
-    return looked_at(path, partial(_damage, path))
+    frames, restart = looked_at(path, partial(_damage, path))
+    return frames or restart
 
 
 def verify_frames(path: str | Path) -> None:
     """Raise OSError unless all frames of a minimd file are those that were written; and as read_file."""
-    if which := damage(path):
+    if which := looked_at(path, partial(_damage, path))[0]:
         raise OSError(f"file {str(path)!r} is damaged: {which} are not those that were written; copy it again, or run again")
 
 
-def _damage(path: str | Path) -> str:
+def _damage(path: str | Path) -> tuple[str, str]:
+    """Frames, and restarts."""
     with _verified(path) as h5:
-        n_frames = read_restart(h5)[1]
-        return damaged_frames(h5) or (f"frames from {n_whole_frames(h5)} on" if n_whole_frames(h5) < n_frames else "")
+        n_frames, found = read_restart(h5)[1], n_whole_frames(h5)
+        return damaged_frames(h5) or (f"frames from {found} on" if found < n_frames else ""), damaged_restart(h5)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ The older of the two is overwritten, then they change their names: if one is dam
 """
 
 import zlib
+from itertools import count
 from typing import Any
 
 import h5py
@@ -72,12 +73,32 @@ def read_restart(h5: h5py.File) -> tuple[Checkpoint, int, bool]:
     Raises ValueError if no restart is whole.
     """
     for name in (RESTART, EARLIER):
-        try:
-            arrays, numbers = read_group(h5[name])
-            return unflattened(arrays, numbers), int(numbers["n_frames"]), name == EARLIER
-        except (KeyError, ValueError, OSError, RuntimeError, TypeError):
-            continue
+        if (found := _whole(h5, name)) is not None:
+            return *found, name == EARLIER
     raise ValueError("its restart is damaged")
+
+
+def damaged_restart(h5: h5py.File) -> str:
+    """Which restart is damaged, in words; empty if none is. A file of one commit has no earlier one."""
+    if _whole(h5, RESTART) is None:
+        return "numbers of the newest restart"
+    return "numbers of the restart before the newest" if EARLIER in h5 and _whole(h5, EARLIER) is None else ""
+
+
+def set_aside_damaged(h5: h5py.File) -> None:
+    """Rename the restarts that are damaged; nothing is written or freed where they claim to lie, which may belong to others."""
+    for name in (RESTART, EARLIER, SPARE):
+        if h5.get(name, getlink=True) is not None and _whole(h5, name) is None:
+            h5.move(name, next(free for k in count(1) if h5.get(free := f"{name}_damaged_{k}", getlink=True) is None))
+
+
+def _whole(h5: h5py.File, name: str) -> tuple[Checkpoint, int] | None:
+    """A restart, and how many frames the file had then; None if it is damaged."""
+    try:
+        arrays, numbers = read_group(h5[name])
+        return unflattened(arrays, numbers), int(numbers["n_frames"])
+    except Exception:  # HDF5 and h5py raise almost anything for bytes they do not expect
+        return None
 
 
 def write_group(group: h5py.Group, arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> None:

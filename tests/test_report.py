@@ -1,9 +1,12 @@
 """The conservation report: what it calls conserved, and how sure it is."""
 
 import numpy as np
+import pytest
 from references import liquid
 
 import minimd as md
+from minimd.diagnosis.report import conservation_report, drift, drift_of_walk
+from minimd.engine.record import SERIES, Record
 
 LJ = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
 
@@ -36,8 +39,6 @@ def test_report_sees_momentum_change():
 
 def test_drift_has_an_honest_error():
     """The error of the slope covers the truth for correlated noise, and finds a slope that is there."""
-    from minimd.diagnosis.report import drift
-
     rng, t, misses = np.random.default_rng(0), np.linspace(0, 100, 4000), 0
     for _ in range(200):
         noise = np.convolve(rng.normal(size=4099), np.ones(100) / 100, mode="valid")
@@ -70,3 +71,47 @@ def test_small_significant_drift_is_told_apart_from_none():
     simulation.run(2000, every=10, observers=[heat])
     assert 1e-4 < simulation.report().energy_drift.slope < 1e-2
     assert simulation.report().energy_is_conserved is False
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """The record of a run in which everything is conserved, with all that a record may hold."""
+    simulation = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(0.002))
+    record = simulation.run(300, every=10)
+    extra = {"shadow_energy": record.total_energy, "constraint_violation": np.zeros(len(record))}
+    return {name: np.array(getattr(record, name)) for name in ("step", "time", *SERIES) if name in record} | extra
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("frames", [[0], [17], [30], slice(None)], ids=["first", "middle", "last", "all"])
+@pytest.mark.parametrize("bath", [False, True], ids=["alone", "bath"])
+def test_nothing_is_conserved_where_something_is_not_finite(recorded, value, frames, bath):
+    """In any observable, in any frame."""
+    known = recorded | ({"conserved_energy": recorded["total_energy"]} if bath else {})
+    fine = conservation_report(Record.of(md.units.LJ, 108, known), angular=False)
+    assert fine.energy_is_conserved
+    assert fine.shadow_is_conserved
+    assert fine.momentum_is_conserved
+    for name in known.keys() - {"step"}:
+        series = known | {name: known[name].copy()}
+        series[name][frames] = value
+        report = conservation_report(Record.of(md.units.LJ, 108, series), angular=True)
+        judged = (report.energy_is_conserved, report.shadow_is_conserved, report.momentum_is_conserved, report.angular_momentum_is_conserved)
+        assert judged == (False,) * 4
+        assert report.verdict.startswith(f"NOTHING IS CONSERVED: {name.replace('_', ' ')} is not finite at step")
+
+
+@pytest.mark.parametrize("frames", [[0], [17], [30], slice(None)], ids=["first", "middle", "last", "all"])
+def test_an_energy_that_overflows_is_not_conserved(recorded, frames):
+    energy = recorded["total_energy"].copy()
+    energy[frames] = 1e308 * np.random.default_rng(1).random(len(energy[frames]))
+    report = conservation_report(Record.of(md.units.LJ, 108, recorded | {"total_energy": energy}), angular=False)
+    assert report.energy_is_conserved is False
+    assert "DRIFTS" in report.verdict
+
+
+@pytest.mark.parametrize("slope", [drift, drift_of_walk])
+def test_a_series_that_is_not_finite_has_a_drift(slope):
+    t, series = np.linspace(0.0, 1.0, 50), np.ones(50)
+    series[20] = np.nan
+    assert slope(t, series).is_significant

@@ -1,5 +1,6 @@
 """The check of a run from its file alone: energies and momenta recomputed from velocities that MDAnalysis reads, and conservation laws."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
-from minimd.files.h5md_reader import damage
+from minimd.files.h5md_reader import damage, damage_told
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.images import images_of_length, lengths_of
@@ -74,7 +75,7 @@ def check_file(path: str | Path) -> FileCheck:
     Stored observables are float64. Velocities come in float32, for which the tolerances allow.  Raises as minimd.mdanalysis.universe.
     """
     sums = Comparison("checksums", float(bool(which := damage(path))), EXACT, f"{which or 'no frames'} are not those that were written")
-    with universe_of(path) as made:
+    with damage_told(path) if which else nullcontext(), universe_of(path) as made:
         contents, moved, system = made.contents, recompute(made), made.contents.system
         record, is_free = Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}), contents.conserves_momentum
         report = conservation_report(record, linear=is_free, angular=is_free and not system.cell.is_periodic)

@@ -14,9 +14,11 @@ def add(commands: Any) -> None:
 
 
 def plot(arguments: argparse.Namespace) -> None:
-    """Draw the picture and print its name.  Raises as plot_file."""
+    """Draw the picture and print its name.  Raises as verify_frames and plot_file."""
     from minimd.analysis.plot import plot_file
+    from minimd.files.h5md_reader import verify_frames
 
+    verify_frames(arguments.file)
     picture = arguments.out or arguments.file.with_suffix(".png")
     word = "replaced" if picture.exists() else "written"
     print(f"drawing        {picture} ...", flush=True)

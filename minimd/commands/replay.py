@@ -15,10 +15,12 @@ def add(commands: Any) -> None:
 
 
 def replay(arguments: argparse.Namespace) -> None:
-    """Print the crash report and make the steps.  Raises as minimd.replay."""
+    """Print the crash report and make the steps.  Raises as verify_frames and minimd.replay."""
     import minimd as md
     from minimd.files.crash_file import read_crash_report
+    from minimd.files.h5md_reader import verify_frames
 
+    verify_frames(arguments.file)
     scene = scene_of(arguments)
     out, picture = (True, True) if arguments.out is None else (arguments.out, arguments.out.with_suffix(".png"))
     with silence(arguments.quiet):

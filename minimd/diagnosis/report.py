@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.engine.record import Record
+from minimd.engine.record import SERIES, Record
 
 BLOCKS = 20  # averages of the total energy between which the drift is fitted
 SIGNIFICANT = 3.0  # standard errors
@@ -47,17 +47,19 @@ class Drift:
 
     @property
     def is_significant(self) -> bool:
-        """True if the slope differs from zero by more than three standard errors."""
-        return abs(self.slope) > SIGNIFICANT * self.error
+        """True if the slope differs from zero by more than three standard errors, or is no number."""
+        return not abs(self.slope) <= SIGNIFICANT * self.error
 
 
 def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS) -> Drift:
     """Least-squares slope of a series, with the standard error that its correlated fluctuations leave.
 
     Averages over a few long blocks are nearly independent of each other, so that their scatter about the line gives the
-    error. time, series : (T,).  H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989).
+    error. time, series : (T,). NaN if one of them is not finite.  H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989).
     """
     blocks = min(blocks, len(series))
+    if not np.isfinite([time, series]).all():
+        return Drift(np.nan, np.nan)
     if blocks < FEW or np.ptp(time) == 0.0:
         slope = (series[-1] - series[0]) / np.ptp(time) if np.ptp(time) > 0.0 else 0.0
         return Drift(float(slope), np.inf)
@@ -73,7 +75,7 @@ def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks
     mean square of a step between two block averages is 2/3 of that of the walk over the same time.
     """
     blocks = min(blocks, len(series))
-    if blocks < FEW or np.ptp(time) == 0.0:
+    if blocks < FEW or np.ptp(time) == 0.0 or not np.isfinite([time, series]).all():
         return drift(time, series, blocks)
     t, y = _block_means(time, blocks), _block_means(series, blocks)
     return Drift(float((y[-1] - y[0]) / (t[-1] - t[0])), float(np.sqrt(1.5 * (blocks - 1)) * np.diff(y).std(ddof=1) / (t[-1] - t[0])))
@@ -119,6 +121,7 @@ class Report:
     kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
     temperatures : means of the first and of the last fifth of the run.
+    not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
     lines : results that need no run: see diagnosis.static_checks.
     """
 
@@ -141,13 +144,17 @@ class Report:
     lines: tuple[Line, ...] = ()
     energy_range: float = 0.0
     temperatures: tuple[float, float] = (0.0, 0.0)
+    not_finite: str = ""
 
     @property
     def energy_is_conserved(self) -> bool | None:
         """True if the drift is zero within three standard errors, or below 1e-6 of the kinetic energy in each ps or τ; None if unknown.
 
-        Energies that differ by half the kinetic energy are not conserved, whatever the line through them: one bad step is no drift.
+        Energies that differ by half the kinetic energy are not conserved, whatever the line through them: one bad step is no drift. Nor is
+        anything conserved where an observable is not finite.
         """
+        if self.not_finite:
+            return False
         if not self.has_bath and self.energy_range > LARGEST_RANGE * self.kinetic_energy:
             return False
         return self._has_no(self.energy_drift)
@@ -155,22 +162,24 @@ class Report:
     @property
     def shadow_is_conserved(self) -> bool | None:
         """Whether the shadow energy has no drift, likewise; None if it was not recorded, or in too few frames."""
-        return None if self.shadow_drift is None else self._has_no(self.shadow_drift)
+        return None if self.shadow_drift is None else self._has_no(self.shadow_drift) and not self.not_finite
 
     def _has_no(self, slope: Drift) -> bool | None:
         if self.n_frames < FEW:
             return None
+        if not np.isfinite([slope.slope, slope.error, self.kinetic_energy]).all():
+            return False
         return not slope.is_significant or abs(slope.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
 
     @property
     def momentum_is_conserved(self) -> bool:
         """True if the change is what rounding explains, which adds up like a random walk, or if the momentum is no constant."""
-        return (self.momentum_change or 0.0) < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        return not self.not_finite and (self.momentum_change or 0.0) < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
 
     @property
     def angular_momentum_is_conserved(self) -> bool:
         """Likewise."""
-        return (self.angular_momentum_change or 0.0) < ANGULAR_MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        return not self.not_finite and (self.angular_momentum_change or 0.0) < ANGULAR_MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
 
     @property
     def is_settling(self) -> bool:
@@ -207,6 +216,8 @@ class Report:
     @property
     def verdict(self) -> str:
         """One sentence."""
+        if self.not_finite:
+            return f"NOTHING IS CONSERVED: {self.not_finite}"
         if self.energy_is_conserved is None:
             return f"{self.n_frames} frames are too few to judge; observe more often"
         name, (first, last) = "total energy minus reservoir energy" if self.has_bath else "total energy", self.temperatures
@@ -220,6 +231,7 @@ class Report:
         return f"{energy}; {momentum}."
 
 
+@np.errstate(all="ignore")  # the report tells what is not finite
 def conservation_report(record: Record, angular: bool, cost: Cost | None = None, linear: bool = True, lines: Sequence[Line] = ()) -> Report:
     """The report of a record.
 
@@ -251,8 +263,19 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         lines=tuple(lines),
         units=(units.energy, units.shown_time, units.temperature),
         temperatures=(float(record.temperature[:fifth].mean()), float(record.temperature[-fifth:].mean())),
+        not_finite=_not_finite(record),
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())),
     )
+
+
+def _not_finite(record: Record) -> str:
+    """The first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none."""
+    for name in ("time", *SERIES):
+        if name in record:
+            values = np.asarray(getattr(record, name)).reshape(len(record), -1)
+            if not (finite := np.isfinite(values).all(axis=1)).all():
+                return f"{name.replace('_', ' ')} is not finite at step {record.step[np.argmin(finite)]}"
+    return ""
 
 
 def _oscillation(time: NDArray[np.float64], series: NDArray[np.float64], slope: Drift) -> float:

@@ -3,7 +3,9 @@
 minimd/blocks             (B, 2) a row for each block of frames: how many frames there were after it, and the CRC-32 of the block;
                           the attribute series names the datasets that grow with the frames
 minimd/restart, ...       see h5md_restart
-minimd, attribute digest  the CRC-32 of everything that does not change: attributes and arrays of minimd, particles and connectivity
+minimd, attribute digest  the CRC-32 of everything that does not change: names, types, attributes, and arrays that do not grow
+
+Types are part of every checksum: the same bytes in another order are other numbers.
 """
 
 import zlib
@@ -12,10 +14,10 @@ from collections.abc import Iterator
 import h5py
 import numpy as np
 
-from minimd.files.h5md_restart import DIGEST, EARLIER, RESTART, SPARE
+from minimd.files.h5md_restart import DIGEST, EARLIER, RESTART, SPARE, digest_of_array
 
 BLOCKS = "minimd/blocks"
-FIXED = ("minimd", "particles", "connectivity")  # groups of what does not change, apart from series and restarts
+FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups of what does not change, apart from series and restarts
 
 
 def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
@@ -32,8 +34,19 @@ def digest_of_block(entries: dict[str, np.ndarray]) -> int:
     """CRC-32 of the entries of some frames, by the paths of their series."""
     digest = 0
     for path in sorted(entries):
-        digest = zlib.crc32(np.ascontiguousarray(entries[path]).data, zlib.crc32(path.encode(), digest))
+        digest = digest_of_array(path, entries[path], digest)
     return digest
+
+
+def check_sizes(h5: h5py.File) -> None:
+    """Raise ValueError if a dataset claims to be larger than the file, before memory is asked for."""
+    n_bytes = h5.id.get_filesize()
+
+    def check(name: str, item: h5py.HLObject) -> None:
+        if isinstance(item, h5py.Dataset) and item.nbytes > n_bytes:
+            raise ValueError(f"{name} would be larger than the file, {item.nbytes} bytes")
+
+    h5.visititems(check)
 
 
 def damaged_frames(h5: h5py.File) -> str:
@@ -86,7 +99,7 @@ def _description(h5: h5py.File) -> Iterator[bytes]:
     items: dict[str, h5py.HLObject] = {}
     for group in FIXED:
         items[group] = h5[group]
-        h5[group].visititems(lambda name, item, group=group: items.setdefault(f"{group}/{name}", item))
+        h5[group].visititems(lambda name, item, group=group: items.update({f"{group}/{name}": item}))  # anything but None would end the visit
     for name, item in sorted(items.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
             continue
@@ -94,5 +107,9 @@ def _description(h5: h5py.File) -> Iterator[bytes]:
         for key in sorted(item.attrs):
             if key not in (DIGEST, "particles_group"):
                 yield repr((key, np.asarray(item.attrs[key]).tolist())).encode()
-        if isinstance(item, h5py.Dataset) and item.maxshape[:1] != (None,):
-            yield repr((item.shape, item.dtype.kind)).encode() + (repr(item[()].tolist()).encode() if item.dtype.kind == "O" else item[()].tobytes())
+        if isinstance(item, h5py.Dataset):
+            grows = item.maxshape[:1] == (None,)
+            yield repr((item.shape[grows:], item.dtype.str)).encode()
+            if not grows:
+                content = np.asarray(item[()])
+                yield repr(content.tolist()).encode() if item.dtype.kind == "O" else content.tobytes()

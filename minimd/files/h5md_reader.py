@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 
 from minimd.engine.engine import Checkpoint
 from minimd.engine.record import SERIES, Record
+from minimd.files.first_look import looked_at
 from minimd.files.h5md_constraints import read_constraints
-from minimd.files.h5md_digest import damaged_frames, is_signed, n_whole_frames
-from minimd.files.h5md_restart import read_restart
+from minimd.files.h5md_digest import check_sizes, damaged_frames, is_signed, n_whole_frames
+from minimd.files.h5md_restart import damaged_restart, read_restart
 from minimd.files.h5md_schema import STEPS, TRAJECTORY, opened
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
@@ -68,52 +70,72 @@ def read_file(path: str | Path) -> H5MDContents:
 
     Raises FileNotFoundError, OSError as opened, and OSError if it is damaged.  ValueError if it is not HDF5, or not written by minimd.
     """
-    with opened(path) as h5:
-        if "minimd" not in h5:
-            raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
-        with _damage_told(path):
-            n_frames, group = n_whole_frames(h5), h5["minimd"]
-            if not is_signed(h5):
-                raise ValueError("its description is not the one that was written")
-            restart, _, is_earlier = read_restart(h5)
-            system, at = _system(group, restart), group.attrs
-            repaired = f"the newest restart in {path} is damaged; the one before it is used, of step {restart.state.step}" if is_earlier else ""
-            return H5MDContents(
-                record=_record(h5, system, n_frames),
-                system=system,
-                restart=restart,
-                step=restart.state.step,
-                time=restart.state.time,
-                timestep=float(at["timestep"]),
-                method=str(at["method"]),
-                reservoir_energy=restart.state.reservoir_energy,
-                conserves_momentum=bool(at["conserves_momentum"]),
-                n_frames=n_frames,
-                has_forces=f"{TRAJECTORY}/force" in h5,
-                title=str(at["title"]),
-                scene=str(at["scene"]),
-                parameters=json.loads(at["parameters"]),
-                precision=str(at["precision"]),
-                skin=None if np.isnan(at["skin"]) else float(at["skin"]),
-                potentials=list(at["potentials"]),
-                repaired=repaired,
-            )
+    with _verified(path) as h5:
+        n_frames, group = n_whole_frames(h5), h5["minimd"]
+        restart, _, is_earlier = read_restart(h5)
+        system, at = _system(group, restart), group.attrs
+        repaired = f"the newest restart in {path} is damaged; the one before it is used, of step {restart.state.step}" if is_earlier else ""
+        return H5MDContents(
+            record=_record(h5, system, n_frames),
+            system=system,
+            restart=restart,
+            step=restart.state.step,
+            time=restart.state.time,
+            timestep=float(at["timestep"]),
+            method=str(at["method"]),
+            reservoir_energy=restart.state.reservoir_energy,
+            conserves_momentum=bool(at["conserves_momentum"]),
+            n_frames=n_frames,
+            has_forces=f"{TRAJECTORY}/force" in h5,
+            title=str(at["title"]),
+            scene=str(at["scene"]),
+            parameters=json.loads(at["parameters"]),
+            precision=str(at["precision"]),
+            skin=None if np.isnan(at["skin"]) else float(at["skin"]),
+            potentials=list(at["potentials"]),
+            repaired=repaired,
+        )
 
 
 def damage(path: str | Path) -> str:
-    """Which frames of a minimd file are not those that were written, in words; empty if all are.  Raises as read_file."""
-    with opened(path) as h5, _damage_told(path):
-        return damaged_frames(h5)
+    """Which frames of a minimd file, or which of its restarts, are not those that were written, in words; empty if all are.
+
+    A child process reads the file first, and all of it: what survives this can be read here.  Raises as read_file.
+    """
+    frames, restart = looked_at(path, partial(_damage, path))
+    return frames or restart
 
 
 def verify_frames(path: str | Path) -> None:
     """Raise OSError unless all frames of a minimd file are those that were written; and as read_file."""
-    if which := damage(path):
+    if which := looked_at(path, partial(_damage, path))[0]:
         raise OSError(f"file {str(path)!r} is damaged: {which} are not those that were written; copy it again, or run again")
 
 
+def _damage(path: str | Path) -> tuple[str, str]:
+    """Frames, and restarts."""
+    with _verified(path) as h5:
+        n_frames, found = read_restart(h5)[1], n_whole_frames(h5)
+        return damaged_frames(h5) or (f"frames from {found} on" if found < n_frames else ""), damaged_restart(h5)
+
+
 @contextmanager
-def _damage_told(path: str | Path) -> Iterator[None]:
+def _verified(path: str | Path) -> Iterator[h5py.File]:
+    """A minimd file, opened, of which the description is the one that was written. Raises as read_file, also for what is raised inside."""
+    with opened(path) as h5:
+        with damage_told(path):
+            is_ours = "minimd" in h5
+        if not is_ours:
+            raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
+        with damage_told(path):
+            check_sizes(h5)
+            if not is_signed(h5):
+                raise ValueError("its description is not the one that was written")
+            yield h5
+
+
+@contextmanager
+def damage_told(path: str | Path) -> Iterator[None]:
     """Turn whatever goes wrong while a file is read into a sentence."""
     try:
         yield

@@ -6,6 +6,7 @@ The older of the two is overwritten, then they change their names: if one is dam
 """
 
 import zlib
+from itertools import count
 from typing import Any
 
 import h5py
@@ -75,12 +76,32 @@ def read_restart(h5: h5py.File) -> tuple[Checkpoint, int, bool]:
     Raises ValueError if no restart is whole.
     """
     for name in (RESTART, EARLIER):
-        try:
-            arrays, numbers = read_group(h5[name])
-            return unflattened(arrays, numbers), int(numbers["n_frames"]), name == EARLIER
-        except (KeyError, ValueError, OSError, RuntimeError, TypeError):
-            continue
+        if (found := _whole(h5, name)) is not None:
+            return *found, name == EARLIER
     raise ValueError("its restart is damaged")
+
+
+def damaged_restart(h5: h5py.File) -> str:
+    """Which restart is damaged, in words; empty if none is. A file of one commit has no earlier one."""
+    if _whole(h5, RESTART) is None:
+        return "numbers of the newest restart"
+    return "numbers of the restart before the newest" if EARLIER in h5 and _whole(h5, EARLIER) is None else ""
+
+
+def set_aside_damaged(h5: h5py.File) -> None:
+    """Rename the restarts that are damaged; nothing is written or freed where they claim to lie, which may belong to others."""
+    for name in (RESTART, EARLIER, SPARE):
+        if h5.get(name, getlink=True) is not None and _whole(h5, name) is None:
+            h5.move(name, next(free for k in count(1) if h5.get(free := f"{name}_damaged_{k}", getlink=True) is None))
+
+
+def _whole(h5: h5py.File, name: str) -> tuple[Checkpoint, int] | None:
+    """A restart, and how many frames the file had then; None if it is damaged."""
+    try:
+        arrays, numbers = read_group(h5[name])
+        return unflattened(arrays, numbers), int(numbers["n_frames"])
+    except Exception:  # HDF5 and h5py raise almost anything for bytes they do not expect
+        return None
 
 
 def write_group(group: h5py.Group, arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> None:
@@ -109,10 +130,15 @@ def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]
 
 
 def digest_of(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> int:
-    """CRC-32 of names and bytes."""
+    """CRC-32 of names, types and bytes."""
     digest = 0
     for name in sorted(arrays):
-        digest = zlib.crc32(np.ascontiguousarray(arrays[name]).data, zlib.crc32(name.encode(), digest))
+        digest = digest_of_array(name, arrays[name], digest)
     for name in sorted(set(numbers) - {DIGEST}):
         digest = zlib.crc32(np.asarray(numbers[name], dtype=np.float64).tobytes(), zlib.crc32(name.encode(), digest))
     return digest
+
+
+def digest_of_array(name: str, array: np.ndarray, digest: int = 0) -> int:
+    """CRC-32 of the name, type, shape and bytes of an array, behind those of a digest."""
+    return zlib.crc32(np.ascontiguousarray(array).data, zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), digest))

@@ -22,7 +22,7 @@ from minimd.files.claim import Claim
 from minimd.files.h5md_constraints import difference
 from minimd.files.h5md_digest import add_block, drop_frames, sign
 from minimd.files.h5md_reader import H5MDContents, read_file
-from minimd.files.h5md_restart import write_restart
+from minimd.files.h5md_restart import set_aside_damaged, write_restart
 from minimd.files.journaled_file import JournaledFile
 
 SECONDS_BETWEEN_FLUSHES = 1.0
@@ -66,6 +66,7 @@ class H5MDWriter:
         with writer._telling("be continued"):
             writer._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
             writer._last_step = int(contents.record.step[writer._n_frames - 1])
+            set_aside_damaged(writer._h5)
             drop_frames(writer._h5, writer._n_frames)
             layout.describe_method(writer._h5["minimd"], engine)
             sign(writer._h5)

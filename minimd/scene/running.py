@@ -85,8 +85,8 @@ def resume_run(
     ValueError, OSError : for a file that cannot be continued, or has no scene.
     NonFiniteError, KeyboardInterrupt : as Simulation.run.
     """
-    path, contents = Path(file), read_file(file)
     verify_frames(file)
+    path, contents = Path(file), read_file(file)
     stored = parse_scene(contents.scene, path) if contents.scene else None
     scene = scene or stored
     if scene is None:

@@ -1,0 +1,70 @@
+"""A first look at a file, in a child process: on damaged bytes HDF5 may crash, or never come to an end, and take its process along."""
+
+import faulthandler
+import os
+import pickle
+import signal
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+Found = TypeVar("Found")
+
+SECONDS, BYTES_PER_SECOND = 10, 10_000_000  # of processor time that a look may take; reading takes a hundredth of it
+
+
+def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
+    """What a look at a file finds, or raises; made in a child process where the system can fork, else in this one.
+
+    Raises OSError if the child crashes, or computes for longer than reading can take.
+    """
+    if not hasattr(os, "fork"):
+        return look()
+    listening, telling = os.pipe()
+    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of threads, which do not reach HDF5: h5py holds its lock in a fork
+        child = os.fork()
+    if child == 0:
+        _tell(telling, path, look)
+    os.close(telling)
+    try:
+        with open(listening, "rb") as pipe:
+            answer = pipe.read()
+    except BaseException:
+        os.kill(child, signal.SIGKILL)
+        raise
+    finally:
+        _, status = os.waitpid(child, 0)
+    if status or not answer:
+        raise OSError(f"file {str(path)!r} is damaged: HDF5 crashes where it reads it; copy it again, or run again")
+    found, error = pickle.loads(answer)
+    if error is not None:
+        raise error
+    return found
+
+
+def _tell(pipe: int, path: str | Path, look: Callable[[], Any]) -> NoReturn:
+    """In the child: look, tell what was found or raised, and end without a word, whatever happens."""
+    status = 1
+    try:
+        faulthandler.disable()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        _limit(SECONDS + os.stat(path).st_size // BYTES_PER_SECOND)
+        answer: tuple[Any, Exception | None]
+        try:
+            answer = look(), None
+        except Exception as error:
+            answer = None, error
+        with open(pipe, "wb") as told:
+            pickle.dump(answer, told)
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def _limit(seconds: int) -> None:
+    """Let this process compute for so long, and leave no core file."""
+    import resource  # where there is no fork, there is no such module
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.getrlimit(resource.RLIMIT_CPU)[1]))

@@ -27,7 +27,7 @@ SENTENCE, PASSED, FAILED, TRACEBACK, CRASH = "a sentence", "passed", "failed", "
 
 
 def make_files(folder):
-    """A sound file of each scene; runs are made in two parts, so that they have two restarts."""
+    """A sound file of each scene; runs are made in two parts, so that they have two restarts. Every command is loaded then."""
     files = {}
     with contextlib.chdir(folder):
         for name, scene in SCENES.items():
@@ -37,6 +37,9 @@ def make_files(folder):
             files[name] = folder / (f"{name}.crash.h5md" if name == "crash" else f"{name}.h5md")
             if name != "crash":
                 assert cli.main(["resume", f"{name}.h5md", "--steps", "10", "--quiet"]) == 0
+        for command, file in (("check", "plain.h5md"), ("plot", "plain.h5md"), ("replay", "crash.crash.h5md")):
+            name, *options = COMMANDS[command]
+            assert cli.main([name, file, *options]) == 0
     return files
 
 

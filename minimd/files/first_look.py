@@ -36,7 +36,7 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
     finally:
         _, status = os.waitpid(child, 0)
     if status or not answer:
-        raise OSError(f"file {str(path)!r} is damaged: HDF5 crashes where it reads it; copy it again, or run again")
+        raise OSError(f"file {str(path)!r} is damaged: HDF5 crashes on it; copy it again, or run again")
     found, error = pickle.loads(answer)
     if error is not None:
         raise error

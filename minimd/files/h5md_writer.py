@@ -24,6 +24,7 @@ from minimd.files.h5md_digest import add_block, drop_frames, sign
 from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.h5md_restart import set_aside_damaged, write_restart
 from minimd.files.journaled_file import JournaledFile
+from minimd.files.rehearsal import rehearse
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 MOST_OFTEN = 50.0  # times as long as a flush takes, while there is memory for frames
@@ -57,10 +58,11 @@ class H5MDWriter:
         Forces are written if the file has them. A frame at the step of the restart is not doubled.
 
         Raises ValueError if the file holds another system or other constraints, no forces although store_forces, or if the simulation does not
-        stand at the step of the restart.  OSError if the file cannot be written.
+        stand at the step of the restart.  OSError if the file cannot be written, or is damaged.
         """
         contents = read_file(file)
         _check_continues(Path(file), contents, engine, store_forces)
+        rehearse(file)
         writer = cls.__new__(cls)
         writer._begin(Claim(file, is_new=False), engine, contents.has_forces, "r+")
         with writer._telling("be continued"):

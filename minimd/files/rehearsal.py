@@ -1,0 +1,39 @@
+"""A rehearsal before a file is continued: what a run will do with it, in the memory of a child process that may crash.
+
+Damage that reading does not meet, such as a wrong count of links, can bring HDF5 down when it writes.
+"""
+
+from functools import partial
+from pathlib import Path
+
+import h5py
+
+from minimd.files.claim import Claim
+from minimd.files.first_look import looked_at
+from minimd.files.h5md_digest import BLOCKS, add_block, drop_frames, sign
+from minimd.files.h5md_reader import damage_told
+from minimd.files.h5md_restart import read_restart, set_aside_damaged, write_restart
+from minimd.files.journaled_file import JournaledFile
+
+
+def rehearse(path: str | Path) -> None:
+    """Raise OSError if a minimd file cannot be continued because it is damaged, or another run is writing it. Nothing is written to the disk."""
+    looked_at(path, partial(_continue_in_memory, path))
+
+
+def _continue_in_memory(path: str | Path) -> None:
+    """Add the last frame once more, and two restarts; all of it ends with the process, because nothing is committed."""
+    disk = JournaledFile(Claim(path, is_new=False))
+    with damage_told(path), h5py.File(disk, "r+") as h5:
+        set_aside_damaged(h5)
+        restart, n_frames, _ = read_restart(h5)
+        drop_frames(h5, n_frames)
+        last = {name: h5[name][-1:] for name in h5[BLOCKS].attrs["series"]}
+        for name, entry in last.items():
+            h5[name].resize(n_frames + 1, axis=0)
+            h5[name][n_frames:] = entry
+        add_block(h5, n_frames + 1, last)
+        for _ in range(2):
+            write_restart(h5, restart, n_frames + 1)
+            h5.flush()
+        sign(h5)

@@ -66,16 +66,16 @@ def sound(tmp_path_factory):
 
 
 def test_damaged_files_end_in_a_sentence_or_a_right_result(sound):
-    """Each way three times, with one command each."""
-    counts = check_seeds(sound, range(3 * len(WAYS)), commands_of_one)
-    assert counts[SENTENCE] > 30
-    assert counts[RIGHT] > 5
+    """Each way once, with one command."""
+    counts = check_seeds(sound, range(len(WAYS)), commands_of_one)
+    assert counts[SENTENCE] > len(WAYS) // 3
+    assert counts[RIGHT] > 1
 
 
 def commands_of_one(name, seed):
     """One of those of all_commands."""
     several = all_commands(name, seed)
-    return [several[seed // len(WAYS) % len(several)]]
+    return [several[seed % len(several)]]
 
 
 @pytest.mark.slow

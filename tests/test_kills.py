@@ -90,7 +90,7 @@ def assert_same_file(path, other):
 def test_n_steps_and_m_steps_are_n_plus_m(scene, precision, threads, tmp_path):
     """In one process and through a file, stopped anywhere, for some methods drawn at random."""
     draw = random.Random(f"{scene} {precision} {threads}")
-    for k in range(4):
+    for k in range(2):
         name, n, m, every = draw.choice(NAMES), draw.randrange(130), draw.randrange(1, 130), draw.choice([1, 7, 10, 50, 1000])
         skin = draw.choice([None, 0.05])  # with the latter, lists are built every few steps, some of them where a run stops
         with atoms_per_domain(50):
@@ -147,13 +147,13 @@ def assert_survives_kills(scene, every_kth, folder, monkeypatch):
             begin()
         assert_same_file(path, whole)
         path.unlink()
-    assert n_lost * every_kth < 20  # kills before the first frame was there
+    assert n_lost * every_kth < 60  # kills before the first frame was there
     assert sorted(os.listdir(folder)) == ["whole.h5md"]
     return n_changes
 
 
 def test_a_run_killed_at_some_writes_goes_on_to_the_same_bits(tmp_path, monkeypatch):
-    assert_survives_kills(rigid, 9, tmp_path, monkeypatch)
+    assert_survives_kills(rigid, 29, tmp_path, monkeypatch)
 
 
 @pytest.mark.slow

@@ -242,8 +242,8 @@ def assert_stopped_run_goes_on(number, seconds):
 
 
 def test_ctrl_c_at_some_moments_ends_the_command_in_one_sentence(folder):
-    for k in range(8):
-        interrupted_after(k / 8 * 2 * LOADING)
+    for k in range(3):
+        interrupted_after(k / 3 * 2 * LOADING)
 
 
 def test_a_run_that_is_terminated_or_hung_up_on_goes_on_to_the_same_bits(folder):

@@ -49,7 +49,7 @@ def _tell(pipe: int, path: str | Path, look: Callable[[], Any]) -> NoReturn:
     try:
         faulthandler.disable()
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        _limit(SECONDS + os.stat(path).st_size // BYTES_PER_SECOND)
+        _limit(SECONDS + (os.path.getsize(path) // BYTES_PER_SECOND if os.path.exists(path) else 0))
         answer: tuple[Any, Exception | None]
         try:
             answer = look(), None

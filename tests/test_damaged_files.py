@@ -33,7 +33,7 @@ def references(files, folder):
 
 def all_commands(name, seed):
     """Those that read such a file; it is drawn only now and then, because that takes time."""
-    return ["check", "replay" if name == "crash" else "resume", *(["plot"] if seed % 7 == 0 else [])]
+    return ["check", *(["plot"] if seed % 7 == 0 else []), "replay" if name == "crash" else "resume"]
 
 
 def judged(files, references, folder, seed, commands):

@@ -77,17 +77,18 @@ class JournaledFile:
 
     def write(self, data: bytes) -> int:
         """Take bytes for the present place, in memory."""
-        data = bytes(data)
-        cut = max(0, min(len(data), self._committed - self._at))
-        if cut:
-            self._pieces.append((self._at, data[:cut]))
-        if cut < len(data):
-            first = self._at + cut - self._committed
-            self._tail.extend(bytes(max(0, first - len(self._tail))))
-            self._tail[first : first + len(data) - cut] = data[cut:]
-        self._at += len(data)
-        self.size = max(self.size, self._at)
-        return len(data)
+        with memoryview(data).cast("B") as view:
+            cut = max(0, min(len(view), self._committed - self._at))
+            if cut:
+                self._pieces.append((self._at, bytes(view[:cut])))
+            if cut < len(view):
+                first = self._at + cut - self._committed
+                if first > len(self._tail):
+                    self._tail.extend(bytes(first - len(self._tail)))
+                self._tail[first : first + len(view) - cut] = view[cut:]
+            self._at += len(view)
+            self.size = max(self.size, self._at)
+            return len(view)
 
     def truncate(self, size: int | None = None) -> int:
         """Make this the end of the file."""
@@ -107,7 +108,7 @@ class JournaledFile:
         self._check()
         is_changed = bool(self._pieces) or self.size < self._committed
         try:
-            _write_all(descriptor, bytes(self._tail), self._committed)
+            _write_all(descriptor, self._tail, self._committed)
             os.fsync(descriptor)
             if is_changed:
                 _write_journal(self._journal, self.size, self._pieces)
@@ -205,10 +206,11 @@ def _apply(descriptor: int, size: int, pieces: Pieces) -> None:
     os.fsync(descriptor)
 
 
-def _write_all(descriptor: int, data: bytes, place: int) -> None:
-    view, done = memoryview(data), 0
-    while done < len(view):
-        done += _write_at(descriptor, view[done:], place + done)
+def _write_all(descriptor: int, data: bytes | bytearray, place: int) -> None:
+    done = 0
+    with memoryview(data) as view:
+        while done < len(view):
+            done += _write_at(descriptor, view[done:], place + done)
 
 
 def _read_at(descriptor: int, n_bytes: int, place: int) -> bytes:

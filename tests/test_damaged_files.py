@@ -117,6 +117,13 @@ def test_the_same_bytes_of_another_type_are_not_what_was_written(sound, tmp_path
             verify_frames(path)
 
 
+def test_every_name_is_signed(sound, tmp_path):
+    """Also those of an item that has several."""
+    path = spoiled(sound, tmp_path / "a.h5md", lambda h5: h5.move("observables/angular_momentum/time", "observables/angular_momentum/tine"))
+    with pytest.raises(OSError, match="description is not the one that was written"):
+        verify_frames(path)
+
+
 def test_a_series_that_was_added_is_damage(sound, tmp_path):
     def added(h5):
         h5["observables/conserved_energy/value"] = np.zeros(len(h5["minimd/time"]))

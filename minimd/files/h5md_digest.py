@@ -96,14 +96,17 @@ def _digest_of_description(h5: h5py.File) -> int:
 
 def _description(h5: h5py.File) -> Iterator[bytes]:
     """Names, attributes and contents, in order."""
-    items: dict[str, h5py.HLObject] = {}
+    items: dict[str, h5py.HLObject | None] = {}  # None for a further name of an item that was visited already
     for group in FIXED:
         items[group] = h5[group]
+        h5[group].visit_links(lambda name, group=group: items.update({f"{group}/{name}": None}))
         h5[group].visititems(lambda name, item, group=group: items.update({f"{group}/{name}": item}))  # anything but None would end the visit
     for name, item in sorted(items.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
             continue
         yield name.encode()
+        if item is None:
+            continue
         for key in sorted(item.attrs):
             if key not in (DIGEST, "particles_group"):
                 yield repr((key, np.asarray(item.attrs[key]).tolist())).encode()

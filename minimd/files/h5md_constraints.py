@@ -17,12 +17,6 @@ from minimd.constraints.solver import ROUNDINGS
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 
 NAME = "constraints"
-BYTES = 24  # of a pair with its length; more than a fixed atom takes
-
-
-def n_bytes(constraints: Sequence[Constraint]) -> int:
-    """Room that constraints take in a file, at most [B]."""
-    return BYTES * sum(len(one.pairs) if isinstance(one, DistanceConstraints) else len(one.atoms) for one in constraints)
 
 
 def describe_constraints(group: h5py.Group, constraints: Sequence[Constraint]) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 
 CALLS = ("pwrite", "fsync", "ftruncate", "replace", "link", "unlink", "open")  # of os, by which minimd changes files
 
@@ -20,6 +21,19 @@ def killed_at(k, work):
         assert os.WTERMSIG(status) == signal.SIGKILL
         return None
     return os.WEXITSTATUS(status)
+
+
+def killed_after(seconds, work):
+    """Do work in a child process, and kill it after some seconds; whether it was still at work."""
+    child = os.fork()
+    if child == 0:
+        try:
+            work()
+        finally:
+            os._exit(0)
+    time.sleep(seconds)
+    os.kill(child, signal.SIGKILL)
+    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
 
 
 def _die_at(k):

@@ -2,15 +2,12 @@
 
 import os
 import random
-import subprocess
-import sys
-import time
 
 import MDAnalysis
 import numpy as np
 import pytest
 from cluster_scenes import atoms_per_domain
-from kills import killed_at
+from kills import killed_after, killed_at
 from references import liquid
 
 import minimd as md
@@ -160,33 +157,27 @@ def test_a_run_killed_at_any_write_goes_on_to_the_same_bits(scene, tmp_path, mon
     print(f"killed at {assert_survives_kills(scene, 1, tmp_path, monkeypatch)} places")
 
 
-SCRIPT = """
-import sys
-import minimd as md
-from test_kills import SCENES, method_of
-scene, method, path, end = *sys.argv[1:4], int(sys.argv[4])
-import pathlib
-if pathlib.Path(path).exists():
-    sim = md.Simulation.resume(path, SCENES[scene](method_of(method)).potentials)
-else:
-    sim = SCENES[scene](method_of(method))
-print("ready", flush=True)
-sim.run(until_step=max(end, sim.step), every=5, trajectory=path, append=pathlib.Path(path).exists())
-"""
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(20))
-def test_random_kills_while_it_runs_and_resumes(seed, tmp_path):
-    """Each run is killed five times, at any moment."""
-    draw, path, whole = random.Random(seed), tmp_path / "a.h5md", tmp_path / "whole.h5md"
-    scene, method = draw.choice(sorted(SCENES)), draw.choice(NAMES)
-    SCENES[scene](method_of(method)).run(20_000, every=5, trajectory=whole)
-    command = [sys.executable, "-c", SCRIPT, scene, method, str(path), "20000"]
-    for _ in range(5):
-        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-            process.stdout.readline()
-            time.sleep(draw.random() * 1.5)
-            process.kill()
-    subprocess.run(command, check=True)
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("seed", range(10))
+def test_random_kills_while_it_runs_and_resumes(seed, threads, tmp_path, monkeypatch):
+    """Each run is killed fifty times, at any moment, and brings all it has to the disk as often as it can."""
+    monkeypatch.setattr("minimd.files.h5md_writer.MOST_OFTEN", 0.0)
+    monkeypatch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.01)
+    monkeypatch.setattr("minimd.simulation.simulation.SECONDS_BETWEEN_CHECKPOINTS", 0.01)
+    draw, path, whole = random.Random(f"{seed} {threads}"), tmp_path / "a.h5md", tmp_path / "whole.h5md"
+    scene, method = SCENES[draw.choice(sorted(SCENES))], draw.choice(NAMES)
+
+    def go_on(end):
+        known = path.exists()
+        made = scene(method_of(method), threads=threads)
+        sim = md.Simulation.resume(path, made.potentials, threads=threads) if known else made
+        sim.run(until_step=end, every=50, trajectory=path, append=known)
+
+    with atoms_per_domain(50):
+        assert sum(killed_after(0.6 * draw.random(), lambda: go_on(10**9)) for _ in range(50)) == 50
+        end = read_file(path).step + 100
+        assert end > 1000
+        go_on(end)
+        scene(method_of(method)).run(end, every=50, trajectory=whole)
     assert_same_file(path, whole)

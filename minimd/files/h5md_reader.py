@@ -70,7 +70,14 @@ def read_file(path: str | Path) -> H5MDContents:
 
     Raises FileNotFoundError, OSError as opened, and OSError if it is damaged.  ValueError if it is not HDF5, or not written by minimd.
     """
-    with _verified(path) as h5:
+    with opened(path) as h5:
+        return contents_of(h5, path)
+
+
+def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
+    """Record, restart and description of a minimd file that is open; path is for messages.  Raises as read_file."""
+    check_description(h5, path)
+    with damage_told(path):
         n_frames, group = n_whole_frames(h5), h5["minimd"]
         restart, _, is_earlier = read_restart(h5)
         system, at = _system(group, restart), group.attrs
@@ -114,24 +121,23 @@ def verify_frames(path: str | Path) -> None:
 
 def _damage(path: str | Path) -> tuple[str, str]:
     """Frames, and restarts."""
-    with _verified(path) as h5:
-        n_frames, found = read_restart(h5)[1], n_whole_frames(h5)
-        return damaged_frames(h5) or (f"frames from {found} on" if found < n_frames else ""), damaged_restart(h5)
-
-
-@contextmanager
-def _verified(path: str | Path) -> Iterator[h5py.File]:
-    """A minimd file, opened, of which the description is the one that was written. Raises as read_file, also for what is raised inside."""
     with opened(path) as h5:
+        check_description(h5, path)
         with damage_told(path):
-            is_ours = "minimd" in h5
-        if not is_ours:
-            raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
-        with damage_told(path):
-            check_sizes(h5)
-            if not is_signed(h5):
-                raise ValueError("its description is not the one that was written")
-            yield h5
+            n_frames, found = read_restart(h5)[1], n_whole_frames(h5)
+            return damaged_frames(h5) or (f"frames from {found} on" if found < n_frames else ""), damaged_restart(h5)
+
+
+def check_description(h5: h5py.File, path: str | Path) -> None:
+    """Raise as read_file unless it is a file of minimd, and its description is the one that was written."""
+    with damage_told(path):
+        is_ours = "minimd" in h5
+    if not is_ours:
+        raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
+    with damage_told(path):
+        check_sizes(h5)
+        if not is_signed(h5):
+            raise ValueError("its description is not the one that was written")
 
 
 @contextmanager

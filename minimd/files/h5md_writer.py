@@ -21,7 +21,7 @@ from minimd.files import h5md_schema as layout
 from minimd.files.claim import Claim
 from minimd.files.h5md_constraints import difference
 from minimd.files.h5md_digest import add_block, drop_frames, sign
-from minimd.files.h5md_reader import H5MDContents, read_file
+from minimd.files.h5md_reader import H5MDContents, contents_of
 from minimd.files.h5md_restart import set_aside_damaged, write_restart
 from minimd.files.journaled_file import JournaledFile
 from minimd.files.rehearsal import rehearse
@@ -60,11 +60,16 @@ class H5MDWriter:
         Raises ValueError if the file holds another system or other constraints, no forces although store_forces, or if the simulation does not
         stand at the step of the restart.  OSError if the file cannot be written, or is damaged.
         """
-        contents = read_file(file)
-        _check_continues(Path(file), contents, engine, store_forces)
-        rehearse(file)
-        writer = cls.__new__(cls)
-        writer._begin(Claim(file, is_new=False), engine, contents.has_forces, "r+")
+        claim, writer = _claimed(file), cls.__new__(cls)
+        try:
+            rehearse(claim)
+            writer._begin(claim, engine, store_forces, "r+")
+            contents = contents_of(writer._h5, file)
+            _check_continues(Path(file), contents, engine, store_forces)
+        except BaseException:
+            claim.release()
+            raise
+        writer._store_forces = contents.has_forces
         with writer._telling("be continued"):
             writer._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
             writer._last_step = int(contents.record.step[writer._n_frames - 1])
@@ -192,12 +197,9 @@ def annotate(path: str | Path, *, title: str | None = None, scene: str | None = 
 
 def edit(path: str | Path, change: Any) -> None:
     """Change a minimd file in one commit.  change : gets the h5py.File.  Raises as annotate."""
-    layout.opened(path).close()
+    claim = _claimed(path)
     try:
-        disk = JournaledFile(Claim(path, is_new=False))
-    except OSError as error:
-        raise OSError(f"file {str(path)!r} cannot be changed: {error.strerror}") from None
-    try:
+        disk = JournaledFile(claim)
         with h5py.File(disk, "r+") as h5:
             if "minimd" not in h5:
                 raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
@@ -205,7 +207,16 @@ def edit(path: str | Path, change: Any) -> None:
             sign(h5)
         disk.commit()
     finally:
-        disk.close()
+        claim.release()
+
+
+def _claimed(path: str | Path) -> Claim:
+    """The claim on an HDF5 file that exists.  Raises as opened, and OSError if another run has it."""
+    layout.opened(path).close()
+    try:
+        return Claim(path, is_new=False)
+    except OSError as error:
+        raise OSError(f"file {str(path)!r} cannot be changed: {error.strerror}") from None
 
 
 def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_forces: bool) -> None:

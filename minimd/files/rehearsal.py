@@ -4,27 +4,27 @@ Damage that reading does not meet, such as a wrong count of links, can bring HDF
 """
 
 from functools import partial
-from pathlib import Path
 
 import h5py
 
 from minimd.files.claim import Claim
 from minimd.files.first_look import looked_at
 from minimd.files.h5md_digest import BLOCKS, add_block, drop_frames, sign
-from minimd.files.h5md_reader import damage_told
+from minimd.files.h5md_reader import contents_of, damage_told
 from minimd.files.h5md_restart import read_restart, set_aside_damaged, write_restart
 from minimd.files.journaled_file import JournaledFile
 
 
-def rehearse(path: str | Path) -> None:
-    """Raise OSError if a minimd file cannot be continued because it is damaged, or another run is writing it. Nothing is written to the disk."""
-    looked_at(path, partial(_continue_in_memory, path))
+def rehearse(claim: Claim) -> None:
+    """Raise as read_file if a minimd file that is claimed cannot be continued. Nothing is written to the disk."""
+    looked_at(claim.path, partial(_continue_in_memory, claim))
 
 
-def _continue_in_memory(path: str | Path) -> None:
+def _continue_in_memory(claim: Claim) -> None:
     """Add the last frame once more, and two restarts; all of it ends with the process, because nothing is committed."""
-    disk = JournaledFile(Claim(path, is_new=False))
-    with damage_told(path), h5py.File(disk, "r+") as h5:
+    with h5py.File(JournaledFile(claim), "r+") as h5:
+        contents_of(h5, claim.name)
+    with damage_told(claim.name), h5py.File(JournaledFile(claim), "r+") as h5:
         set_aside_damaged(h5)
         restart, n_frames, _ = read_restart(h5)
         drop_frames(h5, n_frames)

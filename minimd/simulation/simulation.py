@@ -117,8 +117,8 @@ class Simulation:
         """
         from minimd.files.h5md_reader import read_file, verify_frames  # h5py takes its time to load
 
+        verify_frames(file)  # a child process looks first
         contents = read_file(file)
-        verify_frames(file)
         if potentials is None:
             potentials = cls.potentials_of_scene(contents.scene, contents.potentials, Path(file))
         resumed = cls(contents.system, potentials, contents.integrator(), threads=threads, precision=contents.precision, skin=contents.skin)

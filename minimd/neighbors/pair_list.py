@@ -13,6 +13,7 @@ from minimd.structure.cell import Cell
 from minimd.structure.system import System, number_density
 
 MOST_PAIRS = 2**30  # 8 bytes each
+MOST_OF_AN_ATOM = 2**18  # pairs, in the mean: a reach of some 40 atoms
 MOST_IMAGES = 2**22  # 72 bytes each
 
 
@@ -91,7 +92,12 @@ def check_size(system: System, cutoff: float, skin: float) -> None:
         in_reach = 0.5 * n_atoms * number_density(system, reach) * 4.0 / 3.0 * np.pi * reach**3
         n_pairs = in_reach if cell.is_periodic else min(n_pairs, in_reach)
     n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
-    for name, number, most in (("pairs", n_pairs, MOST_PAIRS), ("images of the cell", n_images, MOST_IMAGES)):
+    sizes = {
+        "images of the cell": (n_images, MOST_IMAGES),
+        "pairs of an atom": (n_pairs / max(n_atoms, 1), MOST_OF_AN_ATOM),
+        "pairs": (n_pairs, MOST_PAIRS),
+    }
+    for name, (number, most) in sizes.items():
         if number > most:
             hint = f"reduce the cutoff ({cutoff:g})" if skin < cutoff else f"reduce the skin ({skin:g})"
             raise ValueError(f"pair lists hold up to {most:.1e} {name}, this scene needs about {number:.1e}: {hint}")

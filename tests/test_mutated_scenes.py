@@ -1,0 +1,195 @@
+"""Scene files with mistakes, drawn at random: a sentence or a right result, and soon."""
+
+import copy
+import json
+import math
+import resource
+import tomllib
+import traceback
+import warnings
+from collections import Counter
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+import pytest
+from scene_texts import scene_of
+
+import minimd as md
+
+SECONDS, KILOBYTES = 2.0, 1_000_000  # for one scene, of processor time
+MELT = """
+units = "LJ"
+structure = {lattice = "fcc", repeat = [3, 3, 3], density = 0.8}
+dynamics = {method = "langevin-baoab", timestep = 0.004, steps = 20, temperature = 1.44, relaxation_time = 2.0, seed = 3, precision = "mixed"}
+minimization = {max_steps = 2, force_tolerance = 0.1}
+equilibration = {steps = 2, rescale_every = 1}
+output = {every = 5, trajectory = ["a.h5md", "a.xtc"], plot = "a.png", forces = true}
+[[potential]]
+type = "lennard-jones"
+epsilon = 1.0
+sigma = 1.0
+cutoff = 2.5
+truncation = "shifted"
+"""
+ARGON = """
+title = "argon and krypton"
+structure = {lattice = "fcc", element = "Ar", repeat = [2, 2, 3], density_g_cm3 = 1.3}
+constraints = {fixed = [0, 3]}
+dynamics = {timestep_fs = 5.0, steps = 20, temperature_K = 90.0, seed = 3, threads = 1}
+output = {plot = true}
+[[potential]]
+type = "lennard-jones"
+species = {Ar = {epsilon_K = 120.0, sigma_A = 3.4}, Kr = {epsilon_K = 164.0, sigma_A = 3.83}}
+pairs = [{species = ["Ar", "Kr"], epsilon_K = 130.0, sigma_A = 3.6}]
+mixing = "geometric"
+cutoff_A = 8.5
+truncation = "switched"
+switch_start_A = 7.0
+"""
+DUMBBELLS = """
+units = "LJ"
+constraints = {pairs = "bonds", lengths = 1.2, tolerance = 1e-10, solver = "shake"}
+dynamics = {timestep = 0.004, steps = 20, temperature = 1.5}
+[structure]
+lattice = "bcc"
+repeat = [2, 2, 2]
+lattice_constant = 1.385640646055102
+bonds = [[0, 1], [2, 3], [4, 5], [6, 7], [8, 9], [10, 11], [12, 13], [14, 15]]
+pbc = [true, true, false]
+species = ["A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B"]
+[[potential]]
+type = "lennard-jones"
+epsilon = 1.0
+sigma = 1.0
+cutoff = 2.1
+bonded_scale = [0.0, 1.0, 1.0]
+[[potential]]
+type = "harmonic-bond"
+k = 30.0
+length = 1.3
+pairs = [[0, 2], [1, 3]]
+[[potential]]
+type = "harmonic-angle"
+k = 10.0
+angle_degree = 120.0
+triples = [[0, 1, 2]]
+"""
+SCENES = [tomllib.loads(text) for text in (MELT, ARGON, DUMBBELLS)]
+SENSELESS = [math.nan, "", "no such thing", {}, {"a": 1}, [[[]]], [{"b": []}], -(2**63), "\u0000", "1.0", ["1", "2", "3"]]  # nowhere in a scene
+STRANGE = [
+    *(True, False, 0, 1, -1, 3, 10**4, 2**62, 0.0, -0.0, 0.5, -2.5, 1e-300, 5e-324, 1e-9, 1e9, 1e300, math.inf, -math.inf),
+    *([], [0, 0, 0], "auto", "Ar", "LJ"),
+]
+LARGE_IS_NO_MISTAKE = ("steps", "repeat", "max_steps", "rescale_every", "every")
+
+
+def text_of(scene):
+    return "\n".join(f"{key} = {toml_of(value)}" for key, value in scene.items())
+
+
+def toml_of(value):
+    """A value as TOML writes it, tables inline."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(key)} = {toml_of(one)}" for key, one in value.items()) + "}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(toml_of, value))}]"
+    return json.dumps(value) if isinstance(value, str | bool) else repr(value)
+
+
+def places(value, path=()):
+    """The paths of all values in a scene, of tables and lists too."""
+    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, one in inside:
+        yield (*path, key)
+        yield from places(one, (*path, key))
+
+
+def mutated(rng):
+    """The text of a scene with one to three mistakes, what they are, and whether no sense can be made of it."""
+    scene, told, is_senseless = copy.deepcopy(SCENES[int(rng.integers(len(SCENES)))]), [], False
+    for _ in range(int(rng.integers(1, 4))):
+        *path, key = (several := list(places(scene)))[int(rng.integers(len(several)))]
+        table, way = scene, str(rng.choice(["misspelt", "gone", "twice", "sense", "value", "value", "value", "scaled", "scaled", "elsewhere"]))
+        for one in path:
+            table = table[one]
+        old = table[key]
+        if way == "misspelt" and isinstance(table, dict) and ("species" not in path or isinstance(old, float)):
+            table[f"{key}x"] = table.pop(key)
+            is_senseless = True
+        elif way == "gone":
+            del table[key]
+        elif way == "twice" and isinstance(table, list):
+            table.append(copy.deepcopy(old))
+        elif way == "sense":
+            value = SENSELESS[int(rng.integers(len(SENSELESS)))]
+            may_be_text = key in ("title", "plot", "trajectory", "species") or "species" in path or "trajectory" in path
+            is_senseless |= not (may_be_text or (value == {} and key in ("constraints", "minimization")))
+            table[key] = value
+        elif way == "value":
+            value = STRANGE[int(rng.integers(len(STRANGE)))]
+            if not (set(LARGE_IS_NO_MISTAKE) & {key, *path} and isinstance(value, int) and value > 100):
+                table[key] = value
+        elif way == "scaled" and isinstance(old, int | float) and not set(LARGE_IS_NO_MISTAKE) & {key, *path}:
+            table[key] = old * rng.choice([-1, 0, 2, 10, 1e-3, 1e3, 1e14, 1e-14]).item()
+        elif way == "elsewhere":
+            *others, last = several[int(rng.integers(len(several)))]
+            other = scene
+            for one in others:
+                other = other[one] if isinstance(other, list) or one in other else {}
+            if isinstance(other, dict) and last in other:
+                table[key] = copy.deepcopy(other[last])
+        told.append(f"{'.'.join(map(str, (*path, key)))} {way}")
+    text = text_of(scene)
+    if rng.random() < 0.2:  # and mistakes of typing
+        at, n = int(rng.integers(len(text))), int(rng.integers(1, 5))
+        text = [text[:at] + text[at + n :], text[:at] + text[at : at + n] * 2 + text[at + n :], text[:at] + "\n" + text[at:]][int(rng.integers(3))]
+        is_senseless = False
+    return text, ", ".join(told), is_senseless
+
+
+def answer_to(text, is_senseless, n_steps):
+    """The class of the answer, an identifier; other words say what is wrong with it."""
+    started, before = process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", RuntimeWarning)  # arithmetic that was not foreseen
+            scene = scene_of(text)
+            scene.plot_name(scene.trajectories())
+            simulation = scene.simulation()
+            if n_steps and len(simulation.system) < 2000:
+                simulation.run(n_steps, every=1, progress=False, crash_report=False)
+                assert np.isfinite(simulation.record.total_energy).all()
+    except (ValueError, md.NonFiniteError, md.ConstraintError, OSError) as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        if "minimd" not in Path(place.filename).parts or not place.line.startswith("raise"):
+            return f"not foreseen: {type(error).__name__} at {place.filename}:{place.lineno}: {error}"
+        kind = type(error).__name__
+    except Exception as error:
+        return f"wrong exception: {type(error).__name__}: {error}"
+    else:
+        kind = "accepted though senseless" if is_senseless else "result"
+    seconds, grown = process_time() - started, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    if grown > KILOBYTES or (seconds > SECONDS and not n_steps):  # with steps, it may compile
+        return f"{seconds:.1f} s, {grown} kB more"
+    return kind
+
+
+@pytest.mark.parametrize(
+    ("seed", "n_scenes", "n_steps"), [(1, 400, 0), *(pytest.param(seed, 1000, 2, marks=pytest.mark.slow) for seed in range(11, 21))]
+)
+def test_every_scene_with_mistakes_is_answered_with_a_sentence_or_a_right_result(seed, n_scenes, n_steps):
+    rng, found, wrong = np.random.default_rng(seed), Counter(), []
+    as_they_are = [answer_to(text_of(scene), False, n_steps) for scene in SCENES * 2]  # the first time, they compile
+    assert as_they_are[len(SCENES) :] == ["result"] * len(SCENES)
+    for _ in range(n_scenes):
+        text, told, is_senseless = mutated(rng)
+        answer = answer_to(text, is_senseless, n_steps)
+        found[answer if answer.isidentifier() else "wrong"] += 1
+        if not answer.isidentifier():
+            wrong.append(f"{told}: {answer}\n{text}\n")
+    print(dict(found))
+    assert not wrong, "\n".join(wrong[:20])
+    assert found["result"] > 0.05 * n_scenes
+    assert found["ValueError"] > 0.3 * n_scenes

@@ -147,10 +147,10 @@ def test_failing_write_leaves_the_frames_before_it(tmp_path, monkeypatch):
     path, sim = tmp_path / "a.h5md", simulation()
     series_of = h5md.layout.series_of
 
-    def failing(h5, column, frame):
-        if frame.step == 10 and column.path.endswith("position/value"):
+    def failing(h5, column, like):
+        if sim.step == 10 and column.path.endswith("position/value"):
             raise OSError(errno.EIO, "Input/output error")
-        return series_of(h5, column, frame)
+        return series_of(h5, column, like)
 
     monkeypatch.setattr(h5md.layout, "series_of", failing)
     monkeypatch.setattr(h5md, "SECONDS_BETWEEN_FLUSHES", 0.0)

@@ -175,9 +175,10 @@ def test_random_kills_while_it_runs_and_resumes(seed, threads, tmp_path, monkeyp
         sim.run(until_step=end, every=50, trajectory=path, append=known)
 
     with atoms_per_domain(50):
+        scene(method_of(method)).run(50)  # the children find kernels that are loaded
         assert sum(killed_after(0.6 * draw.random(), lambda: go_on(10**9)) for _ in range(50)) == 50
         end = read_file(path).step + 100
-        assert end > 1000
+        assert end > 300
         go_on(end)
         scene(method_of(method)).run(end, every=50, trajectory=whole)
     assert_same_file(path, whole)

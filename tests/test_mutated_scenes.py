@@ -117,6 +117,7 @@ def mutated(rng):
         if way == "misspelt" and isinstance(table, dict) and ("species" not in path or isinstance(old, float)):
             table[f"{key}x"] = table.pop(key)
             is_senseless = True
+            break
         elif way == "gone":
             del table[key]
         elif way == "twice" and isinstance(table, list):
@@ -124,8 +125,9 @@ def mutated(rng):
         elif way == "sense":
             value = SENSELESS[int(rng.integers(len(SENSELESS)))]
             may_be_text = key in ("title", "plot", "trajectory", "species") or "species" in path or "trajectory" in path
-            is_senseless |= not (may_be_text or (value == {} and key in ("constraints", "minimization")))
             table[key] = value
+            if is_senseless := not (may_be_text or (value == {} and key in ("constraints", "minimization", "output"))):
+                break
         elif way == "value":
             value = STRANGE[int(rng.integers(len(STRANGE)))]
             if not (set(LARGE_IS_NO_MISTAKE) & {key, *path} and isinstance(value, int) and value > 100):

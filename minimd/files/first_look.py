@@ -1,16 +1,20 @@
 """A first look at a file, in a child process: on damaged bytes HDF5 may crash, or never come to an end, and take its process along."""
 
+import ctypes
 import faulthandler
 import os
 import pickle
 import signal
+import sys
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 Found = TypeVar("Found")
 
+PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 SECONDS, BYTES_PER_SECOND = 10, 10_000_000  # of processor time that a look may take; reading takes a hundredth of it
 
 
@@ -21,11 +25,11 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
     """
     if not hasattr(os, "fork"):
         return look()
-    listening, telling = os.pipe()
+    parent, (listening, telling) = os.getpid(), os.pipe()
     with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of threads, which do not reach HDF5: h5py holds its lock in a fork
         child = os.fork()
     if child == 0:
-        _tell(telling, path, look)
+        _tell(parent, telling, path, look)
     os.close(telling)
     try:
         with open(listening, "rb") as pipe:
@@ -43,10 +47,11 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
     return found
 
 
-def _tell(pipe: int, path: str | Path, look: Callable[[], Any]) -> NoReturn:
+def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> NoReturn:
     """In the child: look, tell what was found or raised, and end without a word, whatever happens."""
     status = 1
     try:
+        _end_with(parent)
         faulthandler.disable()
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         _limit(SECONDS + (os.path.getsize(path) // BYTES_PER_SECOND if os.path.exists(path) else 0))
@@ -60,6 +65,15 @@ def _tell(pipe: int, path: str | Path, look: Callable[[], Any]) -> NoReturn:
         status = 0
     finally:
         os._exit(status)
+
+
+def _end_with(parent: int) -> None:
+    """On Linux, be killed when the parent is: the locks that it held would live on in its child."""
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            os._exit(1)
 
 
 def _limit(seconds: int) -> None:

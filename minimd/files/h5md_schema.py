@@ -71,18 +71,17 @@ def has_edges(cell: Cell) -> bool:
     return cell.is_periodic and np.linalg.matrix_rank(cell.vectors) == 3
 
 
-def chunk_rows(entry: Any) -> int:
+def chunk_rows(entry: np.ndarray) -> int:
     """Entries that one chunk of a series holds."""
-    return int(np.clip(CHUNK_BYTES // np.asarray(entry).nbytes, 1, CHUNK_ROWS))
+    return int(np.clip(CHUNK_BYTES // entry.nbytes, 1, CHUNK_ROWS))
 
 
-def series_of(h5: h5py.File, column: Column, frame: Frame) -> h5py.Dataset:
-    """The series of a column, made empty if it is not there yet; those of H5MD share one step and one time."""
+def series_of(h5: h5py.File, column: Column, like: np.ndarray) -> h5py.Dataset:
+    """The series of a column, made empty if it is not there yet, for entries like this one; those of H5MD share one step and one time."""
     if column.path in h5:
         return h5[column.path]
-    entry = np.asarray(column.entry(frame))
-    growing = {"maxshape": (None, *entry.shape), "chunks": (chunk_rows(entry), *entry.shape)}
-    series = h5.create_dataset(column.path, (0, *entry.shape), entry.dtype, **growing)
+    growing = {"maxshape": (None, *like.shape), "chunks": (chunk_rows(like), *like.shape)}
+    series = h5.create_dataset(column.path, (0, *like.shape), like.dtype, **growing)
     if column.unit:
         series.attrs["unit"] = column.unit
     if column.path.endswith("/value") and "step" not in series.parent:

@@ -19,6 +19,7 @@ from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files import h5md_schema as layout
 from minimd.files.claim import Claim
+from minimd.files.frame_block import FrameBlock
 from minimd.files.h5md_constraints import difference
 from minimd.files.h5md_digest import add_block, drop_frames, sign
 from minimd.files.h5md_reader import H5MDContents, contents_of
@@ -28,7 +29,6 @@ from minimd.files.rehearsal import rehearse
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 MOST_OFTEN = 50.0  # times as long as a flush takes, while there is memory for frames
-BUFFER_BYTES = 32 * 1024**2  # of frames kept in memory between two flushes
 
 
 class H5MDWriter:
@@ -44,7 +44,8 @@ class H5MDWriter:
     _last_step: int
     _next_flush: float
     _n_frames: int
-    _pending: list[Frame]
+    _pending: FrameBlock | None
+    _columns: list[layout.Column]
 
     def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
         self._begin(claim, engine, store_forces, "w")
@@ -88,25 +89,30 @@ class H5MDWriter:
             raise ValueError(f"trajectory {self._claim.name!r} is closed; it takes no frame of step {frame.step}")
         if frame.step == self._last_step:
             return
-        copies = {name: getattr(frame, name).copy() for name in ("positions", "velocities", "forces")}
-        self._pending.append(frame._replace(**copies))
+        if self._pending is None:
+            self._columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces)
+            self._pending = FrameBlock(self._columns, frame)
+        self._pending.take(frame)
         self._last_step = frame.step
-        is_full = 3 * frame.positions.nbytes * len(self._pending) > BUFFER_BYTES
-        if is_full or monotonic() >= self._next_flush:
+        if self._pending.is_full or monotonic() >= self._next_flush:
             self.checkpoint()
 
     def checkpoint(self) -> None:
         """Bring all frames, and the present state of the engine as the restart, to the disk.  Raises OSError as write."""
-        if not self._h5 or (self._n_frames == 0 and not self._pending):
+        pending = self._pending.entries() if self._pending else {}
+        n_frames = self._n_frames + len(pending.get(layout.STEPS, ()))
+        if not self._h5 or n_frames == 0:
             return
-        started, step = monotonic(), self._pending[0].step if self._pending else self._engine.step
+        started, step = monotonic(), pending[layout.STEPS][0] if n_frames > self._n_frames else self._engine.step
         with self._telling(f"take the frame of step {step}"), uninterrupted():
-            self._add_pending()
+            if n_frames > self._n_frames:
+                self._add(pending, n_frames)
             if self._engine.is_whole or self._n_frames == 0:
-                write_restart(self._h5, self._engine.checkpoint(), self._n_frames + len(self._pending))
+                write_restart(self._h5, self._engine.checkpoint(), n_frames)
             self._commit()
-            self._n_frames += len(self._pending)
-            self._pending = []
+            self._n_frames = n_frames
+            if self._pending:
+                self._pending.clear()
         now = monotonic()
         self._next_flush = now + SECONDS_BETWEEN_FLUSHES * max(1.0, MOST_OFTEN * (now - started))
 
@@ -124,22 +130,16 @@ class H5MDWriter:
         self._claim, self._engine, self._store_forces = claim, engine, store_forces
         self._disk = JournaledFile(claim)
         self._h5 = h5py.File(self._disk, mode)
-        self._pending, self._n_frames = [], 0  # not yet in the file, and in it
+        self._pending, self._n_frames = None, 0  # frames that are not yet in the file, and how many are
         self._last_step, self._next_flush = -1, -np.inf  # that was taken; when [s]
 
-    def _add_pending(self) -> None:
+    def _add(self, pending: dict[str, np.ndarray], n_frames: int) -> None:
         """The series and their digest, with the pending frames; done again after an error, it leaves the same."""
-        frames = self._pending
-        if not frames:
-            return
-        table = layout.columns(self._engine.system, list(frames[0].observables), self._store_forces)
-        entries = {column.path: np.array([column.entry(frame) for frame in frames]) for column in table}
-        n_frames = self._n_frames + len(frames)
-        for column in table:
-            series = layout.series_of(self._h5, column, frames[0])
+        for column in self._columns:
+            series = layout.series_of(self._h5, column, pending[column.path][0])
             series.resize(n_frames, axis=0)
-            series[self._n_frames :] = entries[column.path]
-        add_block(self._h5, n_frames, entries)
+            series[self._n_frames :] = pending[column.path]
+        add_block(self._h5, n_frames, pending)
         if self._n_frames == 0:
             sign(self._h5)  # the series are there now
 
@@ -153,7 +153,7 @@ class H5MDWriter:
         try:
             yield
         except (OSError, RuntimeError) as error:
-            self._pending = []
+            self._pending = None
             self._give_up()
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
             raise OSError(f"trajectory {self._claim.name!r} could not {what}: {reason}; its {self._n_frames} frames before that are valid") from error

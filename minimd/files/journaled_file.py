@@ -37,7 +37,7 @@ class JournaledFile:
         if existing >= 0:
             _finish(self._journal, existing)
         self._committed = self.size = os.fstat(claim.descriptor).st_size
-        self._tail = bytearray()  # what lies behind the committed end
+        self._tail, self._n_tail = bytearray(), 0  # what lies behind the committed end: the first bytes of memory that is used again and again
         self._pieces: Pieces = []  # what replaces committed bytes, in order
         self._at = 0
 
@@ -65,7 +65,7 @@ class JournaledFile:
             found[: len(old)] = old
         if end > self._committed:
             first = max(start, self._committed)
-            new = self._tail[first - self._committed : end - self._committed]
+            new = self._tail[first - self._committed : min(end - self._committed, self._n_tail)]
             found[first - start : first - start + len(new)] = new
         for place, piece in self._pieces:
             low, high = max(place, start), min(place + len(piece), end)
@@ -83,9 +83,13 @@ class JournaledFile:
                 self._pieces.append((self._at, bytes(view[:cut])))
             if cut < len(view):
                 first = self._at + cut - self._committed
-                if first > len(self._tail):
-                    self._tail.extend(bytes(first - len(self._tail)))
-                self._tail[first : first + len(view) - cut] = view[cut:]
+                last = first + len(view) - cut
+                if last > len(self._tail):
+                    self._tail.extend(bytes(last - len(self._tail)))
+                if first > self._n_tail:
+                    self._tail[self._n_tail : first] = bytes(first - self._n_tail)
+                self._tail[first:last] = view[cut:]
+                self._n_tail = max(self._n_tail, last)
             self._at += len(view)
             self.size = max(self.size, self._at)
             return len(view)
@@ -93,7 +97,7 @@ class JournaledFile:
     def truncate(self, size: int | None = None) -> int:
         """Make this the end of the file."""
         self.size = self._at if size is None else size
-        del self._tail[max(0, self.size - self._committed) :]
+        self._n_tail = min(self._n_tail, max(0, self.size - self._committed))
         return self.size
 
     def flush(self) -> None:
@@ -108,7 +112,8 @@ class JournaledFile:
         self._check()
         is_changed = bool(self._pieces) or self.size < self._committed
         try:
-            _write_all(descriptor, self._tail, self._committed)
+            with memoryview(self._tail) as tail:
+                _write_all(descriptor, tail[: self._n_tail], self._committed)
             os.fsync(descriptor)
             if is_changed:
                 _write_journal(self._journal, self.size, self._pieces)
@@ -124,7 +129,7 @@ class JournaledFile:
         if self._claim.place != self._claim.path:
             self._journal.unlink(missing_ok=True)  # of a file that was there before
             self._claim.appear()
-        self._committed, self._tail, self._pieces = self.size, bytearray(), []
+        self._committed, self._n_tail, self._pieces = self.size, 0, []
 
     def close(self) -> None:
         """Give the file free, as it was at the last commit. A new file without a commit leaves nothing."""
@@ -206,7 +211,7 @@ def _apply(descriptor: int, size: int, pieces: Pieces) -> None:
     os.fsync(descriptor)
 
 
-def _write_all(descriptor: int, data: bytes | bytearray, place: int) -> None:
+def _write_all(descriptor: int, data: bytes | memoryview, place: int) -> None:
     done = 0
     with memoryview(data) as view:
         while done < len(view):

@@ -92,8 +92,8 @@ def check_size(system: System, cutoff: float, skin: float) -> None:
         in_reach = 0.5 * n_atoms * number_density(system, reach) * 4.0 / 3.0 * np.pi * reach**3
         n_pairs = in_reach if cell.is_periodic else min(n_pairs, in_reach)
     n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
-    sizes = {
-        "images of the cell": (n_images, MOST_IMAGES),
+    sizes: dict[str, tuple[float, int]] = {
+        "images of the cell": (float(n_images), MOST_IMAGES),
         "pairs of an atom": (n_pairs / max(n_atoms, 1), MOST_OF_AN_ATOM),
         "pairs": (n_pairs, MOST_PAIRS),
     }

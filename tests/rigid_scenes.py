@@ -4,6 +4,8 @@ from itertools import combinations
 
 import numpy as np
 
+import minimd as md
+
 
 def masses_for(n_atoms, seed=1):
     return np.random.default_rng(seed).uniform(1.0, 3.0, n_atoms)
@@ -63,3 +65,12 @@ SCENES = {
     "rod": (*rod(), np.array([16.0, 12.0, 16.0])),
     "sheet": (*sheet(20), masses_for(400)),
 }
+
+
+def described(constraints):
+    """Constraints as plain values, to be compared."""
+    fixed = [one.atoms.tolist() for one in constraints if isinstance(one, md.FixedAtoms)]
+    lengths = [
+        (one.pairs.tolist(), one.lengths.tolist(), one.tolerance, one.solver) for one in constraints if isinstance(one, md.DistanceConstraints)
+    ]
+    return fixed, lengths

@@ -11,32 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_texts import SMOOTH
 
 import minimd as md
 from minimd.commands import main as cli
 from minimd.files.h5md_reader import read_file
 from minimd.scene import load_scene
 
-SCENE = """
-title = "A small melt"
-units = "LJ"
-[structure]
-lattice = "fcc"
-repeat = [4, 4, 4]
-density = 0.8442
-[[potential]]
-type = "lennard-jones"
-epsilon = 1.0
-sigma = 1.0
-cutoff = 2.5
-truncation = "force-shifted"
-[dynamics]
-timestep = 0.004
-temperature = 1.44
-steps = 40
-[output]
-every = 10
-"""
+SCENE = f'title = "A small melt"\n{SMOOTH}'
 
 
 REPOSITORY = Path(__file__).parent.parent

@@ -7,7 +7,8 @@ from collections import Counter
 import h5py
 import numpy as np
 import pytest
-from damages import CRASH, FAILED, PASSED, RESTARTS, SENTENCE, TRACEBACK, WAYS, damaged, make_files, numbers, outcome
+from damages import CRASH, FAILED, PASSED, SENTENCE, TRACEBACK, damaged, make_files, numbers, outcome
+from ways_of_damage import RESTARTS, WAYS
 
 from minimd.files import first_look
 from minimd.files.first_look import looked_at

@@ -7,7 +7,7 @@ import pytest
 from scene_texts import ARGON, REDUCED, scene_of
 
 import minimd as md
-from minimd.files.h5md_writer import read_file
+from minimd.files.h5md_reader import read_file
 from minimd.integrators import THERMOSTATS, LangevinBAOAB
 from minimd.integrators.splitting.thermostats import Thermostat
 from minimd.scene import load_scene, run_scene

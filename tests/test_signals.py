@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from references import liquid
+from scene_texts import SMOOTH
 from test_kills import assert_same_file
 
 import minimd as md
@@ -22,25 +23,7 @@ from minimd.structure.console import SIGNALS, Terminated, stop_on_signals
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
 REPOSITORY = Path(__file__).parent.parent
-SCENE = """
-units = "LJ"
-[structure]
-lattice = "fcc"
-repeat = [4, 4, 4]
-density = 0.8442
-[[potential]]
-type = "lennard-jones"
-epsilon = 1.0
-sigma = 1.0
-cutoff = 2.5
-truncation = "force-shifted"
-[dynamics]
-timestep = 0.004
-temperature = 1.44
-steps = 3000
-[output]
-every = 10
-"""
+SCENE = SMOOTH.replace("steps = 40", "steps = 3000")
 READY = "import os, minimd_command; os.write(1, b'!'); minimd_command.main()"  # the first lines of minimd are behind it
 PROGRESS = ("running: step", "minimd: compiling kernels")
 END = 3000

@@ -1,0 +1,292 @@
+"""Ways to damage the file of a run."""
+
+import contextlib
+import struct
+import zlib
+
+import h5py
+import numpy as np
+
+RESTARTS = ("minimd/restart", "minimd/earlier_restart")
+
+
+def _place(content, rng, length=1):
+    return int(rng.integers(len(content) - length))
+
+
+def _table(content, rng):
+    """A byte that is no number of a dataset, as far as one can see: it lies beside a signature or a name."""
+    signs = [b"OHDR", b"TREE", b"HEAP", b"SNOD", b"GCOL", b"\x89HDF", b"value", b"restart", b"\x01\x00\x0c\x00", b"\x08\x00\x18\x00", b"\x03\x00"]
+    places = [k for sign in signs for k in _all(bytes(content), sign)]
+    return min(len(content) - 1, int(rng.choice(places)) + int(rng.integers(64)))
+
+
+def _all(content, sign):
+    place = content.find(sign)
+    while place >= 0:
+        yield place
+        place = content.find(sign, place + 1)
+
+
+def flip_bit(content, rng):
+    content[_place(content, rng)] ^= 1 << int(rng.integers(8))
+    return content
+
+
+def flip_bit_in_a_table(content, rng):
+    content[_table(content, rng)] ^= 1 << int(rng.integers(8))
+    return content
+
+
+def replace_byte_in_a_table(content, rng):
+    content[_table(content, rng)] = int(rng.integers(256))
+    return content
+
+
+def replace_bytes_in_tables(content, rng):
+    for _ in range(8):
+        content[_table(content, rng)] = int(rng.choice([0, 1, 255, 128, int(rng.integers(256))]))
+    return content
+
+
+def replace_bytes(content, rng):
+    for _ in range(16):
+        content[_place(content, rng)] = int(rng.integers(256))
+    return content
+
+
+def flip_bit_at_the_start(content, rng):
+    content[int(rng.integers(2048))] ^= 1 << int(rng.integers(8))
+    return content
+
+
+def _length(rng):
+    return int(2 ** rng.uniform(2, 12))
+
+
+def clear_block(content, rng):
+    n = _length(rng)
+    place = _place(content, rng, n)
+    content[place : place + n] = bytes(n)
+    return content
+
+
+def overwrite_block(content, rng):
+    n = _length(rng)
+    place = _place(content, rng, n)
+    content[place : place + n] = rng.bytes(n)
+    return content
+
+
+def swap_blocks(content, rng):
+    n = _length(rng)
+    one, other = _place(content, rng, n), _place(content, rng, n)
+    first, second = content[one : one + n], content[other : other + n]
+    content[other : other + n] = first
+    content[one : one + n] = second
+    return content
+
+
+def truncate(content, rng):
+    return content[: _place(content, rng)]
+
+
+def append(content, rng):
+    return content + rng.bytes(_length(rng))
+
+
+def insert(content, rng):
+    place = _place(content, rng)
+    return content[:place] + rng.bytes(_length(rng)) + content[place:]
+
+
+def _datasets(h5):
+    found = []
+    h5.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) and item.size and item.dtype.kind != "O" else None)
+    return found
+
+
+def _objects(h5):
+    found = []
+    h5.visit(found.append)
+    return found
+
+
+def change_number(h5, rng):
+    series = h5[str(rng.choice(_datasets(h5)))]
+    values = series[()]
+    flat = np.atleast_1d(values).reshape(-1)
+    k = int(rng.integers(flat.size))
+    if flat.dtype.kind == "f":
+        flat[k] = rng.choice([np.nan, np.inf, -flat[k], np.nextafter(flat[k], np.inf), flat[k] * (1 + 1e-9), 0.0, 1e300])
+    else:
+        flat[k] += rng.choice([1, -1, 1000])
+    series[...] = flat.reshape(values.shape)
+
+
+def swap_numbers(h5, rng):
+    series = h5[str(rng.choice(_datasets(h5)))]
+    values = series[()]
+    series[...] = values[::-1] if values.ndim else values + 1
+
+
+def change_attribute(h5, rng):
+    owners = [name for name in _objects(h5) if any(key != "particles_group" for key in h5[name].attrs)]
+    at = h5[str(rng.choice(owners))].attrs
+    key = str(rng.choice([key for key in at if key != "particles_group"]))
+    value = np.asarray(at[key])
+    if value.dtype.kind in "fiub":
+        flat = np.atleast_1d(value).reshape(-1).copy()
+        if flat.size:
+            k = int(rng.integers(flat.size))
+            flat[k] = rng.choice([np.nan, 0.0, -1.0, np.nextafter(flat[k], np.inf)]) if flat.dtype.kind == "f" else flat[k] ^ 1
+        at.modify(key, flat.reshape(value.shape))
+    else:
+        at[key] = "LJ" if rng.random() < 0.5 else "other"
+
+
+def remove(h5, rng):
+    del h5[str(rng.choice(_objects(h5)))]
+
+
+def remove_attribute(h5, rng):
+    owners = [name for name in _objects(h5) if len(h5[name].attrs)]
+    at = h5[str(rng.choice(owners))].attrs
+    del at[str(rng.choice(list(at)))]
+
+
+def rename(h5, rng):
+    name = str(rng.choice(_objects(h5)))
+    h5.move(name, f"{name}_" if rng.random() < 0.5 else "elsewhere")
+
+
+def retype(h5, rng):
+    """The same bytes, or the same values, of another type or shape."""
+    name = str(rng.choice(_datasets(h5)))
+    values, at, grows = h5[name][()], dict(h5[name].attrs), h5[name].maxshape[:1] == (None,)
+    values = np.asarray(values)
+    bits = {"f": np.int64, "i": np.float64}.get(values.dtype.kind if values.itemsize == 8 else "", values.dtype)
+    others = [values.view(values.dtype.newbyteorder(">")), values.view(bits), values.astype(np.float32), np.array("text", "S4")]
+    others += [values.reshape(-1), values.T, values[:-1] if values.ndim else values + 1]
+    other = others[int(rng.integers(len(others)))]
+    del h5[name]
+    h5.create_dataset(name, data=other, maxshape=(None, *other.shape[1:]) if grows and other.ndim else None)
+    h5[name].attrs.update({key: value for key, value in at.items() if key != "particles_group"})
+
+
+def resize(h5, rng):
+    names = [name for name in _datasets(h5) if h5[name].maxshape[:1] == (None,)]
+    chosen = names if rng.random() < 0.3 else [str(rng.choice(names))]
+    for name in chosen:
+        h5[name].resize(max(0, len(h5[name]) + int(rng.choice([-3, -1, 1, 100]))), axis=0)
+
+
+def resize_all_with_their_checksums(h5, rng):
+    blocks, n = h5["minimd/blocks"], int(h5["minimd/blocks"][0, 0])
+    for name in blocks.attrs["series"]:
+        h5[name].resize(n, axis=0)
+    blocks.resize(1, axis=0)
+
+
+def add_series(h5, rng):
+    name = str(rng.choice(["conserved_energy", "constraint_violation", "shadow_energy", "stranger"]))
+    if f"observables/{name}" in h5:
+        del h5[f"observables/{name}"]
+    h5[f"observables/{name}/value"] = np.zeros(len(h5["minimd/time"]))
+
+
+def link_elsewhere(h5, rng):
+    name = str(rng.choice(_objects(h5)))
+    del h5[name]
+    elsewhere = [h5py.SoftLink("/nowhere"), h5py.SoftLink("/minimd/time"), h5py.ExternalLink("b.h5", "/x"), h5py.SoftLink(f"/{name}")]
+    h5[name] = elsewhere[int(rng.integers(4))]
+
+
+def exchange(h5, rng):
+    one, other = (str(name) for name in rng.choice(_datasets(h5), 2))
+    with contextlib.suppress(ValueError, KeyError, RuntimeError):
+        h5.move(one, "between")
+        h5.move(other, one)
+        h5.move("between", other)
+
+
+def damage_both_restarts(h5, rng):
+    for name in RESTARTS:
+        if name in h5:
+            positions = h5[f"{name}/{rng.choice(['positions', 'velocities'])}"]
+            positions[3, 1] = rng.choice([np.nan, np.nextafter(positions[3, 1], 9.0)])
+
+
+def damage_a_restart(h5, rng):
+    group = h5[str(rng.choice([name for name in RESTARTS if name in h5]))]
+    key = str(rng.choice(["step", "time", "reservoir_energy", "clock_step", "digest"]))
+    value = group.attrs[key]
+    group.attrs.modify(key, np.asarray(np.nan if rng.random() < 0.5 and key in ("time", "reservoir_energy") else value + 1, dtype=value.dtype))
+
+
+def _journal(size, place, data):
+    body = struct.pack("<qq", place, len(data)) + data
+    return bytearray(b"minimd journal 1\n" + struct.pack("<qqI", size, 1, zlib.crc32(body, zlib.crc32(struct.pack("<qq", size, 1)))) + body)
+
+
+def interrupted_commit(file, journal, rng):
+    """A piece of the file is half replaced; the journal has it."""
+    content, n = bytearray(file.read_bytes()), _length(rng)
+    place = _place(content, rng, n)
+    journal.write_bytes(_journal(len(content), place, bytes(content[place : place + n])))
+    content[place : place + n // 2] = rng.bytes(n // 2)
+    file.write_bytes(content)
+
+
+def interrupted_commit_with_a_damaged_journal(file, journal, rng):
+    interrupted_commit(file, journal, rng)
+    content = bytearray(journal.read_bytes())
+    how = int(rng.integers(4))
+    if how == 0:
+        content = content[: _place(content, rng)]
+    elif how == 1:
+        content[_place(content, rng)] ^= 1 << int(rng.integers(8))
+    elif how == 2:
+        content = bytearray(rng.bytes(len(content)))
+    journal.write_bytes(content)
+
+
+def strange_journal(file, journal, rng):
+    if rng.random() < 0.2:
+        journal.mkdir(exist_ok=True)
+    else:
+        journal.write_bytes(rng.bytes(_length(rng)))
+
+
+IN_BYTES = (
+    flip_bit,
+    flip_bit_in_a_table,
+    replace_byte_in_a_table,
+    replace_bytes_in_tables,
+    replace_bytes,
+    flip_bit_at_the_start,
+    clear_block,
+    overwrite_block,
+    swap_blocks,
+    truncate,
+    append,
+    insert,
+)
+IN_NUMBERS = (
+    change_number,
+    swap_numbers,
+    change_attribute,
+    remove,
+    remove_attribute,
+    rename,
+    retype,
+    resize,
+    resize_all_with_their_checksums,
+    add_series,
+    link_elsewhere,
+    exchange,
+    damage_both_restarts,
+    damage_a_restart,
+)
+IN_JOURNALS = (interrupted_commit, interrupted_commit_with_a_damaged_journal, strange_journal)
+WAYS = IN_BYTES + IN_NUMBERS + IN_JOURNALS + (flip_bit_in_a_table, replace_byte_in_a_table, change_number)

@@ -29,6 +29,8 @@ def add_field(positions, masses, g, epsilon, with_energy, forces, energies):
 
 
 class Field(Term):
+    acts_from_outside = True  # the total momentum is no constant
+
     def bind(self, system):
         return self  # nothing to prepare: the potential is its own term
 
@@ -37,6 +39,8 @@ class Field(Term):
 
 
 class Spring(Term):
+    acts_from_outside = True
+
     def bind(self, system):
         return self
 

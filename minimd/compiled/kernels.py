@@ -194,7 +194,7 @@ class CompileClock(event.Listener):
 
     def __init__(self) -> None:
         self.seconds = 0.0
-        self.is_to_tell = False
+        self.is_to_tell = self.was_told = False
         self._depth, self._started = 0, 0.0
         self._timer: threading.Timer | None = None
 
@@ -217,7 +217,7 @@ class CompileClock(event.Listener):
                 self._timer.cancel()
 
     def _tell(self) -> None:
-        self.is_to_tell = False
+        self.is_to_tell, self.was_told = False, True
         print("minimd: compiling kernels (once) ...", file=sys.stderr, flush=True)
 
 
@@ -227,8 +227,8 @@ event.register("numba:compile", compile_clock)
 
 @contextmanager
 def announce_compilation() -> Iterator[None]:
-    """Within this context tell once, on standard error, when a compilation takes more than a second."""
-    compile_clock.is_to_tell = True
+    """Within this context tell, on standard error and once in a process, when a compilation takes more than a second."""
+    compile_clock.is_to_tell = not compile_clock.was_told
     try:
         yield
     finally:

@@ -84,6 +84,10 @@ class ThreadPool:
                 self._task = ()
                 self._counters[OPEN] = (self._n_tasks + 1) * PHASES - 1  # nobody waits for this task, even if it has failed
 
+    def compile(self, kernel: Callable, *arguments: object, calls: DirectCalls) -> None:
+        """Compile a kernel as run would do."""
+        calls.code(kernel, self._worker, 0, *arguments)
+
     def _keep_off_callers_core(self) -> None:
         """Linux likes to wake a thread on the core of the one that wakes it, where it would wait for the end of the task."""
         core = _current_core()

@@ -45,6 +45,9 @@ class Drift:
     slope: float
     error: float
 
+    def __str__(self) -> str:
+        return f"{self.slope:+.2e}" + ("" if np.isinf(self.error) else f" ± {self.error:.1e}")
+
     @property
     def is_significant(self) -> bool:
         """True if the slope differs from zero by more than three standard errors, or is no number."""
@@ -194,11 +197,11 @@ class Report:
         def tell(name: str, words: str) -> None:
             lines.append(f"{name:<14} {words}")
 
-        tell("E - reservoir" if self.has_bath else "total energy", f"drift {slope.slope:+.2e} ± {slope.error:.1e} {per} per {time}")
+        tell("E - reservoir" if self.has_bath else "total energy", f"drift {slope} {per} per {time}")
         tell("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)")
         if shadow is not None:
             said = {None: "too few frames to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
-            tell("shadow energy", f"drift {shadow.slope:+.2e} ± {shadow.error:.1e} {per} per {time}: {said}")
+            tell("shadow energy", f"drift {shadow} {per} per {time}: {said}")
             tell("", f"oscillation {self.shadow_oscillation:.2e} {per}")
         if self.momentum_change is not None:
             tell("momentum", f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}")

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from minimd.compiled.kernels import compile_clock
 from minimd.diagnosis.crash_report import Failure, examine
 from minimd.diagnosis.faults import RUNAWAY, fault_at_start, fault_of, runaway
-from minimd.diagnosis.hessian import unstable_bond
+from minimd.diagnosis.first_hints import hints
 from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.observation import observe
 from minimd.engine.record import Frame
@@ -70,15 +70,16 @@ class RunGuard:
         goes_on = engine.is_as_left
         if not goes_on:
             engine.begin()
-        if self._checked_timestep != engine.method.timestep:
-            self._checked_timestep = engine.method.timestep
-            if warning := unstable_bond(engine):
-                warnings.warn(warning, stacklevel=outside_minimd())
         if not goes_on:
             engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
+        engine.interactions.prepare()
         engine.evaluate()
         if not goes_on:
             engine.leave()
+        if self._checked_timestep != engine.method.timestep:
+            self._checked_timestep = engine.method.timestep
+            for hint in hints(engine):
+                warnings.warn(hint, stacklevel=outside_minimd())
         if fault := fault_at_start(engine):
             raise self._failure(fault, engine.step)
 
@@ -190,13 +191,13 @@ class RunGuard:
         try:
             engine.interactions.compute(PER_ATOM)
         except Exception as broken:  # whatever a term of the user's own raises
-            why = f"There is no crash report: {type(broken).__name__}: {broken}"
+            why = f"there is no crash report: {type(broken).__name__}: {broken}"
         else:
             failure = Failure(fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step)
             report = examine(engine, failure)
-            why = f"Likely cause: {report.cause}; {report.advice}"
+            why = f"likely cause: {report.cause}; {report.advice}"
         pair = closest_pair(engine.system)
         near = f"; the closest pair before it is {pair}" if pair else ""
-        error = kind(f"{fault}, at step {step}{near}. {why}. The system holds the last good state, that of step {engine.step}")
+        error = kind(f"{why}\nat step {step}: {fault}{near}; the system holds the last good state, that of step {engine.step}")
         error.crash_report = report
         return error

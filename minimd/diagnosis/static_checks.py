@@ -16,6 +16,7 @@ from minimd.structure.system import System
 CONTINUOUS = 1e-9  # of what the law is at INSIDE r_c: a jump below is rounding
 INSIDE = 0.9
 FEW_STEPS = 3.0  # that a list lasts: it is rebuilt so often that a wider skin is cheaper
+ROOM = 0.99  # of the widest skin: from there on it cannot be wider
 TURNING = 1e-8  # of the speed, along a rigid bond
 
 
@@ -58,11 +59,12 @@ def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float
 def list_lines(engine: Engine) -> Iterator[Line]:
     """How many steps of the fastest atom each list with a skin lasts."""
     stride, length = longest(engine.velocities)[1] * abs(engine.method.timestep), engine.system.units.length
-    for skin in engine.interactions.skins:
+    for skin, widest in zip(engine.interactions.skins, engine.interactions.widest_skins, strict=True):
         steps = 0.5 * skin / stride if stride > 0.0 else np.inf
         words = f"skin/2 {0.5 * skin:.3g} {length}, fastest atom {stride:.2g} {length} a step: lasts {steps:.3g} steps"
         often = steps < FEW_STEPS
-        verdict = "rebuilt in time" + (", but at nearly every step; a wider skin or a shorter time step is cheaper" if often else "")
+        cure = "a wider skin" if skin < ROOM * widest else "the cell has no room for a wider skin: a shorter cutoff"
+        verdict = "rebuilt in time" + (f", but at nearly every step; {cure} or a shorter time step is cheaper" if often else "")
         yield Line("list margin", words, verdict, not often)
 
 

@@ -233,7 +233,7 @@ class Engine:
 
     @method.setter
     def method(self, method: Splitting) -> None:
-        self.constraint_set.degrees_of_freedom(_checked(method).conserves_momentum)
+        self.constraint_set.degrees_of_freedom(_checked(method).conserves_momentum and not self.interactions.act_from_outside)
         if type(method) is not type(self._method) or method.parameters != self._method.parameters:
             self._clock = self.step, self.time
             self.turned()
@@ -248,12 +248,12 @@ class Engine:
     @property
     def n_dof(self) -> int:
         """Degrees of freedom that share the kinetic energy."""
-        return self.constraint_set.degrees_of_freedom(self.method.conserves_momentum)
+        return self.constraint_set.degrees_of_freedom(self.conserves_momentum)
 
     @property
     def conserves_momentum(self) -> bool:
-        """Whether the total momentum is a constant: no atom is held fixed, and no bath acts on atoms one by one."""
-        return self.method.conserves_momentum and not self.constraint_set.n_fixed
+        """Whether the total momentum is a constant: nothing acts from outside, no atom is held fixed, and no bath acts on atoms one by one."""
+        return self.method.conserves_momentum and not self.interactions.act_from_outside and not self.constraint_set.n_fixed
 
     @property
     def reservoir_energy(self) -> float:

@@ -11,7 +11,7 @@ from minimd.compiled.threads import thread_pool
 from minimd.forces.cluster_kernel import Motion, Rest, evaluate_clusters
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums
 from minimd.forces.options import Options
-from minimd.forces.pair_laws import PairLaws, skin_for
+from minimd.forces.pair_laws import PairLaws, skin_for, widest_skin
 from minimd.integrators.splitting.state import State
 from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
@@ -40,7 +40,7 @@ class ClusterTerm(Term):
             laws.check_single_precision()
         skin = skin_for(system, laws, options, displacement)
         self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, self._is_mixed, self._pool)
-        self._pair_laws = laws
+        self._pair_laws, self.widest_skin = laws, widest_skin(system, laws)
         are_recognized = all(is_recognized(one.law) for one in laws.members)
         self._evaluate = evaluate_clusters if are_recognized else without_cache(evaluate_clusters)
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
@@ -59,6 +59,12 @@ class ClusterTerm(Term):
             virials[0] += sums.virials.sum(axis=0)
         elif detail == PER_ATOM:
             self._add_each(sums, energies, virials)
+
+    def prepare(self, system: System, forces: NDArray) -> None:
+        """See Term."""
+        self._update(system)
+        arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, forces, AT_REST)
+        self._pool.compile(self._evaluate, *arguments, calls=self._calls[FORCES])
 
     def march(self, system: System, state: State, durations: NDArray, n: int) -> int:
         """See Term. Between two list builds all threads stay in one kernel; only so many atoms move in a call that Ctrl-C is answered soon."""

@@ -64,6 +64,9 @@ class Forces:
         for term in self._bound:
             if term.warning:
                 warnings.warn(term.warning, stacklevel=outside_minimd())
+        if self.options.skin is not None and self.options.skin > (widest := min(self.widest_skins, default=np.inf)):
+            why = "where bonded pairs are left out or scaled, cutoff + skin can be half the height of the cell"
+            warnings.warn(f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used: {why}", stacklevel=outside_minimd())
         self.forces = np.zeros_like(system.positions)
         self._energies, self._virials, self._detail = np.zeros(0), np.zeros((0, 6)), FORCES
 
@@ -139,6 +142,13 @@ class Forces:
         self._detail = detail
         return self.forces
 
+    def prepare(self) -> None:
+        """Compile all that steps need, before the first of them.  Raises as compute."""
+        if FORCES not in self._compiled and self.system.cell.same_as(self._planned_for):
+            with self._compiling(FORCES):
+                for term in self.terms:
+                    term.prepare(self.system, self.forces)
+
     def march(self, state: State, durations: NDArray[np.float64], n: int) -> int:
         """See March in integrators.splitting; for scenes with one term that can.  Raises as compute."""
         if len(self.terms) != 1 or not self.terms[0].marches or not self.system.cell.same_as(self._planned_for):
@@ -209,6 +219,11 @@ class Forces:
         return max((term.cutoff for term in self._bound if np.isfinite(term.cutoff)), default=np.inf)
 
     @property
+    def act_from_outside(self) -> bool:
+        """Whether a term acts from outside, so that the total momentum is no constant."""
+        return any(term.acts_from_outside for term in self._bound)
+
+    @property
     def n_builds(self) -> int:
         """Number of list builds since the last reset_counts."""
         return self._builds_before + _n_builds(self.terms)
@@ -217,6 +232,11 @@ class Forces:
     def skins(self) -> list[float]:
         """Skins of all lists that are rebuilt as atoms move [length]."""
         return [one.skin for one in _lists(self.terms) if np.isfinite(one.cutoff)]
+
+    @property
+    def widest_skins(self) -> list[float]:
+        """What each of them could be in this cell [length]."""
+        return [term.widest_skin for term in self.terms if term.list is not None and np.isfinite(term.list.cutoff)]
 
     @property
     def pair_search(self) -> str:

@@ -59,16 +59,18 @@ class PairLaws:
 
 
 def skin_for(system: System, laws: PairLaws, options: Options, displacement: float) -> float:
-    """The skin that the user gave, or the best one that fits into the cell [length].
+    """The skin that the user gave, or the best one, but not more than fits into the cell [length].
 
-    displacement : of the fastest atom in a step [length], 0 if unknown. The skin is 0 if the nearest image of a pair in
-    laws.excluded could change while the list is in use.
+    displacement : of the fastest atom in a step [length], 0 if unknown.
     """
-    cutoff, cell = laws.cutoff, system.cell
-    safe = float(np.sqrt(cell.safe_distance2)) if len(laws.excluded) else np.inf
-    skin = options.skin
+    cutoff, cell, widest, skin = laws.cutoff, system.cell, widest_skin(system, laws), options.skin
     if skin is None:
         skin = best_skin(cutoff, number_density(system, cutoff), displacement, len(system))
-        for room in (safe - cutoff, cell.heights[cell.pbc].min(initial=np.inf) - cutoff):
-            skin = min(skin, ROUNDED_DOWN * room) if room > LEAST_SKIN * cutoff else skin
-    return 0.0 if cutoff + skin > safe else skin
+        room = ROUNDED_DOWN * (cell.heights[cell.pbc].min(initial=np.inf) - cutoff)
+        skin = min(skin, room) if room > LEAST_SKIN * cutoff else skin
+    return min(skin, widest)
+
+
+def widest_skin(system: System, laws: PairLaws) -> float:
+    """With a wider one the nearest image of a pair in laws.excluded could change while the list is in use [length]; infinite without such pairs."""
+    return max(0.0, ROUNDED_DOWN * (float(np.sqrt(system.cell.safe_distance2)) - laws.cutoff)) if len(laws.excluded) else np.inf

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel
 from minimd.forces.options import Options
-from minimd.forces.pair_laws import PairLaws, skin_for
+from minimd.forces.pair_laws import PairLaws, skin_for, widest_skin
 from minimd.neighbors.pair_list import PairList, check_size
 from minimd.potentials.pair_loop import by_species, pair_loop_for
 from minimd.potentials.term import FORCES, Term
@@ -29,7 +29,7 @@ class PairListTerm(Term):
         check_size(system, cutoff, skin)
         self._in_users_order = cutoff == np.inf
         self.summary = "all pairs" if self._in_users_order else f"pair list (skin {skin:.3g})"
-        self.list = PairList(n, cutoff, skin, laws.excluded)
+        self.list, self.widest_skin = PairList(n, cutoff, skin, laws.excluded), widest_skin(system, laws)
         self._laws, self._loops = laws, [pair_loop_for(one.law) for one in laws.members]
         self._parameters_of = 0  # which build of the list
         self._positions, self._sums = np.empty((n, 3)), (np.empty((n, 3)), np.empty(n), np.empty((n, 6)))

@@ -37,6 +37,8 @@ class Term:
                 return Weight(system.masses)
 
         class Weight(Term):                                 # F = −m g e_z, U = Σ m g z
+            acts_from_outside = True
+
             def __init__(self, masses):
                 self.weights = 9.81 * masses
 
@@ -54,8 +56,9 @@ class Term:
     pair_law : a PairLaw for the planner to run on a list of neighbors; None for a term that adds its forces itself.
     cutoff : an atom that moves farther in one step may pass another without interacting [length].
     shortest_length : beside which rounding errors of separations must be small [length].
-    list : the list of neighbors, if the term keeps one.  summary : that list, for the report.
+    list : the list of neighbors, if the term keeps one.  widest_skin : that it can have [length].  summary : that list, for the report.
     ingredient : name of what this term adds to a scene; the report lists it where absent.  warning : for the user, given once.
+    acts_from_outside : whether its forces need not add up to zero, as those of fields and walls: the total momentum is then no constant.
     needs_one_accumulator : whether add with TOTALS adds to the first elements of energies and virials only.
     marches : whether march does anything.
     """
@@ -64,9 +67,11 @@ class Term:
     cutoff: float = inf
     shortest_length: float = inf
     list: VerletList | None = None
+    widest_skin: float = inf
     summary: str = ""
     ingredient: str = ""
     warning: str = ""
+    acts_from_outside: bool = False
     needs_one_accumulator: bool = False
     marches: bool = False
 
@@ -76,6 +81,9 @@ class Term:
         With TOTALS only the sums of energies and virials over all atoms must be right, with PER_ATOM each atom's share.
         """
         raise NotImplementedError(f"{type(self).__name__} has no add")
+
+    def prepare(self, system: System, forces: NDArray) -> None:
+        """Compile what steps need and looks do not: kernels of add with FORCES, and of march. Nothing is added."""
 
     def march(self, system: System, state: Any, durations: NDArray, n: int) -> int:
         """What a March does, see integrators.splitting, for a term that is the only one of its scene."""
@@ -104,7 +112,7 @@ class Potential(Protocol):
     """What a Simulation takes: minimd's potentials, and any object of the user's with bind."""
 
     def bind(self, system: System) -> Any:
-        """The Term for this system; an object that is no Term, with add and perhaps skipped, will do."""
+        """The Term for this system; an object that is no Term, with add and perhaps skipped and acts_from_outside, will do."""
 
 
 def bound(potential: Any, system: System) -> Term:
@@ -121,7 +129,7 @@ def bound(potential: Any, system: System) -> Term:
         wanted = "an object with add(system, detail, forces, energies, virials)"
         raise TypeError(f"bind must return a term, {wanted}; that of {shown(potential)} is {shown(term)}")
     completed = Term()  # the defaults of a Term beside what the object has
-    completed.__dict__.update({name: getattr(term, name) for name in ("add", "skipped") if hasattr(term, name)})
+    completed.__dict__.update({name: getattr(term, name) for name in ("add", "skipped", "acts_from_outside") if hasattr(term, name)})
     return completed
 
 

@@ -68,7 +68,7 @@ class Simulation:
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")
     forces = EngineAttribute[Array]("(N, 3) [energy/length], of the last evaluation.")
     n_dof = EngineAttribute[int]("Degrees of freedom that share the kinetic energy.")
-    conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant: nothing is fixed, no bath acts on atoms one by one.")
+    conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant; see Engine.")
     constraints = EngineAttribute[tuple[Constraint, ...]]("What is held fixed, with the lengths that are kept; also those of system.")
     rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds")
     potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.", "interactions.potentials")

@@ -3,6 +3,8 @@
 import errno
 import os
 
+from h5md_runs import bring_to_disk_every
+
 
 def fill_the_disk(monkeypatch, after):
     """After so many calls of fsync, two for the first frame and three for each other flush, the disk is full."""
@@ -15,4 +17,4 @@ def fill_the_disk(monkeypatch, after):
 
     fsync = os.fsync
     monkeypatch.setattr(os, "fsync", lambda descriptor: (full(), fsync(descriptor)))
-    monkeypatch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
+    bring_to_disk_every(0.0, monkeypatch)

@@ -60,3 +60,9 @@ def limited(n_bytes):
             resource.setrlimit(resource.RLIMIT_FSIZE, self.before)
 
     return Limit()
+
+
+def bring_to_disk_every(seconds, monkeypatch):
+    """Frames do not wait longer than this for the disk; with zero each is brought there when it comes."""
+    monkeypatch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", seconds)
+    monkeypatch.setattr("minimd.files.h5md_writer.MOST_OFTEN", 0.0)

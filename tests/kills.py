@@ -3,7 +3,9 @@
 import os
 import signal
 import time
+import traceback
 
+TOO_MANY, FAILED = 254, 255  # exit codes of the child
 CALLS = ("pwrite", "fsync", "ftruncate", "replace", "link", "unlink", "open")  # of os, by which minimd changes files
 
 
@@ -11,15 +13,19 @@ def killed_at(k, work):
     """Do work in a child process that dies, as by kill -9, before its k-th change of a file; how many it made if it lives to the end, else None."""
     child = os.fork()
     if child == 0:
-        n_changes = _die_at(k)
+        n_changes, status = _die_at(k), FAILED
         try:
             work()
+            status = min(n_changes[0], TOO_MANY)
+        except Exception:
+            traceback.print_exc()
         finally:
-            os._exit(n_changes[0] if n_changes[0] < 256 else 255)
+            os._exit(status)
     _, status = os.waitpid(child, 0)
     if os.WIFSIGNALED(status):
         assert os.WTERMSIG(status) == signal.SIGKILL
         return None
+    assert os.WEXITSTATUS(status) < TOO_MANY, "it failed, or made too many changes to count"
     return os.WEXITSTATUS(status)
 
 
@@ -29,6 +35,8 @@ def killed_after(seconds, work):
     if child == 0:
         try:
             work()
+        except Exception:
+            traceback.print_exc()
         finally:
             os._exit(0)
     time.sleep(seconds)

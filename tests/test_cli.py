@@ -249,10 +249,12 @@ def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsy
     Path("melt.toml").write_text(SCENE.replace("timestep = 0.004", "timestep = 0.025").replace("1.44", "50.0").replace("steps = 40", "steps = 4000"))
     assert cli.main(["run", "melt.toml"]) == 3
     err = capsys.readouterr().err
-    (line,) = [line for line in err.splitlines() if line.startswith("minimd: error:")]
-    assert "at step" in line
-    assert "timestep 0.025 τ too large" in line
-    assert "kept in melt.h5md" in line
+    note, cause, seen = [line for line in err.splitlines() if line.startswith("minimd: ") and "compiling" not in line]
+    assert note.startswith("minimd: note: timestep 0.025 τ is long for Lennard-Jones atoms")
+    assert cause.startswith("minimd: error: Likely cause:")
+    assert "timestep 0.025 τ too large" in cause
+    assert seen.startswith("minimd: error: At step")
+    assert "kept in melt.h5md" in seen
     assert "Traceback" not in err
     assert read_file("melt.h5md").n_frames > 0
 

@@ -8,7 +8,7 @@ from h5md_runs import CELLS, opened, resumed, simulation
 import minimd as md
 from minimd.engine.record import SERIES
 from minimd.files.h5md_reader import read_file
-from minimd.files.h5md_writer import annotate
+from minimd.files.h5md_writer import edit
 
 PER_PICOSECOND, KJ_PER_MOL = 98.22694788464064, 96.48533288249877  # of ASE's units, as their documentation has them
 
@@ -114,8 +114,9 @@ def test_appended_run_continues_on_the_grid_of_the_first_one(tmp_path, n_steps):
 def test_a_title_and_a_scene_can_be_stored(tmp_path):
     path = tmp_path / "a.h5md"
     text = "structure = 'ä'\n" * 10_000
-    simulation().run(4, every=2, trajectory=path)
-    annotate(path, title="two species", scene=text)
+    sim = simulation()
+    sim.engine.notes.update(title="two species", scene=text)
+    sim.run(4, every=2, trajectory=path)
     contents = read_file(path)
     assert (contents.title, contents.scene, contents.n_frames) == ("two species", text, 3)
     resumed(path).run(4, every=2, trajectory=path, append=True)
@@ -127,7 +128,7 @@ def test_a_file_that_is_being_written_is_not_changed_by_others(tmp_path):
 
     def meddle(_sim):
         with pytest.raises(OSError, match="another run is writing it") as failure:
-            annotate(path, title="mine")
+            edit(path, lambda h5: h5["minimd"].attrs.update(title="mine"))
         told.append(str(failure.value))
 
     simulation().run(4, every=2, trajectory=path, observers=[meddle])

@@ -8,7 +8,7 @@ import signal
 import h5py
 import numpy as np
 import pytest
-from h5md_runs import limited, opened, simulation
+from h5md_runs import bring_to_disk_every, limited, opened, simulation
 
 import minimd as md
 from minimd.files import h5md_writer as h5md
@@ -61,7 +61,7 @@ def test_interrupted_run_restarts_where_it_stopped(tmp_path):
 
 def test_an_error_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypatch):
     path, sim = tmp_path / "a.h5md", simulation()
-    monkeypatch.setattr(h5md, "SECONDS_BETWEEN_FLUSHES", 0.0)
+    bring_to_disk_every(0.0, monkeypatch)
     writer = H5MDWriter(Claim(path), sim.engine, False)
     writer.write(sim.frame())
     sim.run(5)
@@ -84,7 +84,7 @@ def test_an_error_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypatch)
 
 def test_file_of_a_killed_run_is_valid(tmp_path, monkeypatch):
     path, sim = tmp_path / "a.h5md", simulation()
-    monkeypatch.setattr(h5md, "SECONDS_BETWEEN_FLUSHES", 0.0)
+    bring_to_disk_every(0.0, monkeypatch)
     copies = []
 
     def copy(sim):
@@ -115,7 +115,7 @@ def test_frames_are_flushed_once_a_second(tmp_path, monkeypatch):
 @pytest.mark.parametrize("way", ["limit", "patched"])
 def test_full_disk_is_told_once_and_spoils_nothing(tmp_path, monkeypatch, way):
     path, sim = tmp_path / "a.h5md", simulation()
-    monkeypatch.setattr(h5md, "SECONDS_BETWEEN_FLUSHES", 0.0)
+    bring_to_disk_every(0.0, monkeypatch)
     writer = H5MDWriter(Claim(path), sim.engine, True)
     written = 0
 
@@ -153,7 +153,7 @@ def test_failing_write_leaves_the_frames_before_it(tmp_path, monkeypatch):
         return series_of(h5, column, like)
 
     monkeypatch.setattr(h5md.layout, "series_of", failing)
-    monkeypatch.setattr(h5md, "SECONDS_BETWEEN_FLUSHES", 0.0)
+    bring_to_disk_every(0.0, monkeypatch)
     with pytest.raises(OSError, match="frame of step 10: Input/output error; its 2 frames"):
         sim.run(50, every=5, trajectory=path)
     assert read_file(path).record.step.tolist() == [0, 5]

@@ -172,7 +172,7 @@ def answer_to(call, arguments, is_senseless):
             call(**arguments)
     except SENTENCES as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
-        if "\n" in str(error) and call is not scene_with:
+        if str(error).count("\n") > isinstance(error, md.NonFiniteError | md.ConstraintError) and call is not scene_with:
             return f"more than a sentence: {error}"
         if "minimd" not in Path(place.filename).parts or not place.line.startswith("raise"):
             return f"not foreseen: {type(error).__name__} at {place.filename}:{place.lineno}: {error}"

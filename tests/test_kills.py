@@ -7,6 +7,7 @@ import MDAnalysis
 import numpy as np
 import pytest
 from cluster_scenes import atoms_per_domain
+from h5md_runs import bring_to_disk_every
 from kills import killed_after, killed_at
 from references import liquid
 
@@ -108,7 +109,7 @@ def large(method=None, **options):
 
 def assert_survives_kills(scene, every_kth, folder, monkeypatch):
     """Start, flushes with new chunks, checkpoints between two frames, and the close; then the resumed run is killed likewise."""
-    monkeypatch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
+    bring_to_disk_every(0.0, monkeypatch)
     monkeypatch.setattr("minimd.files.h5md_schema.CHUNK_BYTES", 6000)  # two frames
     monkeypatch.setattr("minimd.simulation.simulation.SECONDS_BETWEEN_CHECKPOINTS", 0.0)
     monkeypatch.setattr("minimd.simulation.simulation.BLOCK", 4)
@@ -126,7 +127,7 @@ def assert_survives_kills(scene, every_kth, folder, monkeypatch):
     n_changes = killed_at(0, begin)
     assert n_changes > 40
     path.unlink()
-    n_lost = 0
+    n_lost = n_killed = 0
     for k in range(1, n_changes + 1, every_kth):
         assert killed_at(k, begin) is None
         if path.exists():
@@ -135,7 +136,7 @@ def assert_survives_kills(scene, every_kth, folder, monkeypatch):
                 assert len(universe.trajectory) >= 1
                 universe.trajectory.close()
             if read_file(path).step < n_steps:
-                killed_at(1 + k % 17, go_on)
+                n_killed += killed_at(1 + k % 17, go_on) is None
                 go_on()
         else:
             n_lost += 1
@@ -143,6 +144,7 @@ def assert_survives_kills(scene, every_kth, folder, monkeypatch):
         assert_same_file(path, whole)
         path.unlink()
     assert n_lost * every_kth < 60  # kills before the first frame was there
+    assert n_killed * every_kth > 50
     assert sorted(os.listdir(folder)) == ["whole.h5md"]
     return n_changes
 
@@ -162,8 +164,7 @@ def test_a_run_killed_at_any_write_goes_on_to_the_same_bits(scene, tmp_path, mon
 @pytest.mark.parametrize("seed", range(10))
 def test_random_kills_while_it_runs_and_resumes(seed, threads, tmp_path, monkeypatch):
     """Each run is killed fifty times, at any moment, and brings all it has to the disk as often as it can."""
-    monkeypatch.setattr("minimd.files.h5md_writer.MOST_OFTEN", 0.0)
-    monkeypatch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.01)
+    bring_to_disk_every(0.01, monkeypatch)
     monkeypatch.setattr("minimd.simulation.simulation.SECONDS_BETWEEN_CHECKPOINTS", 0.01)
     draw, path, whole = random.Random(f"{seed} {threads}"), tmp_path / "a.h5md", tmp_path / "whole.h5md"
     scene, method = SCENES[draw.choice(sorted(SCENES))], draw.choice(NAMES)

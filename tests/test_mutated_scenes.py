@@ -3,7 +3,7 @@
 import copy
 import json
 import math
-import resource
+import re
 import tomllib
 import traceback
 import warnings
@@ -17,6 +17,7 @@ from scene_texts import scene_of
 
 import minimd as md
 
+STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 SECONDS, KILOBYTES = 2.0, 1_000_000  # for one scene, of processor time
 MELT = """
 units = "LJ"
@@ -84,6 +85,11 @@ STRANGE = [
 LARGE_IS_NO_MISTAKE = ("steps", "repeat", "max_steps", "rescale_every", "every")
 
 
+def peak():
+    """Most memory that this process had at once [kB], on Linux; 0 elsewhere."""
+    return int(re.search(r"VmHWM:\s*(\d+)", STATUS.read_text())[1]) if STATUS.exists() else 0
+
+
 def text_of(scene):
     return "\n".join(f"{key} = {toml_of(value)}" for key, value in scene.items())
 
@@ -117,7 +123,6 @@ def mutated(rng):
         if way == "misspelt" and isinstance(table, dict) and ("species" not in path or isinstance(old, float)):
             table[f"{key}x"] = table.pop(key)
             is_senseless = True
-            break
         elif way == "gone":
             del table[key]
         elif way == "twice" and isinstance(table, list):
@@ -126,8 +131,7 @@ def mutated(rng):
             value = SENSELESS[int(rng.integers(len(SENSELESS)))]
             may_be_text = key in ("title", "plot", "trajectory", "species") or "species" in path or "trajectory" in path
             table[key] = value
-            if is_senseless := not (may_be_text or (value == {} and key in ("constraints", "minimization", "output"))):
-                break
+            is_senseless = not (may_be_text or (value == {} and key in ("constraints", "minimization", "output")))
         elif way == "value":
             value = STRANGE[int(rng.integers(len(STRANGE)))]
             if not (set(LARGE_IS_NO_MISTAKE) & {key, *path} and isinstance(value, int) and value > 100):
@@ -142,6 +146,8 @@ def mutated(rng):
             if isinstance(other, dict) and last in other:
                 table[key] = copy.deepcopy(other[last])
         told.append(f"{'.'.join(map(str, (*path, key)))} {way}")
+        if is_senseless:
+            break  # before another mistake takes it away
     text = text_of(scene)
     if rng.random() < 0.2:  # and mistakes of typing
         at, n = int(rng.integers(len(text))), int(rng.integers(1, 5))
@@ -152,7 +158,9 @@ def mutated(rng):
 
 def answer_to(text, is_senseless, n_steps):
     """The class of the answer, an identifier; other words say what is wrong with it."""
-    started, before = process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    if STATUS.exists():
+        CLEAR.write_text("5")  # the peak is counted anew
+    started, before = process_time(), peak()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -172,7 +180,7 @@ def answer_to(text, is_senseless, n_steps):
         return f"wrong exception: {type(error).__name__}: {error}"
     else:
         kind = "accepted though senseless" if is_senseless else "result"
-    seconds, grown = process_time() - started, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    seconds, grown = process_time() - started, peak() - before
     if grown > KILOBYTES or (seconds > SECONDS and not n_steps):  # with steps, it may compile
         return f"{seconds:.1f} s, {grown} kB more"
     return kind

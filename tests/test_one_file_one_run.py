@@ -5,7 +5,7 @@ import threading
 
 import numpy as np
 import pytest
-from h5md_runs import resumed, simulation
+from h5md_runs import bring_to_disk_every, resumed, simulation
 
 from minimd.files.claim import Claim
 from minimd.files.h5md_reader import read_file
@@ -95,7 +95,7 @@ def test_a_pipe_is_no_trajectory(name, tmp_path):
 
 @pytest.mark.parametrize("fate", ["removed", "replaced", "cut"])
 def test_a_file_that_is_lost_under_the_run_is_told(fate, tmp_path, monkeypatch):
-    monkeypatch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
+    bring_to_disk_every(0.0, monkeypatch)
     path = tmp_path / "a.h5md"
 
     def meddle(sim):

@@ -2,8 +2,10 @@
 
 import argparse
 import sys
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Any
 
 from minimd.bench.outcome import DisagreementError
 from minimd.commands import bench, check, doctor, plot, replay, resume, run
@@ -32,7 +34,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return OK
     try:
-        passed = arguments.command(arguments)  # None of a command that judges nothing
+        with warnings.catch_warnings():
+            warnings.showwarning = _note
+            passed = arguments.command(arguments)  # None of a command that judges nothing
         return OK if passed is None or passed else FAILED
     except tuple(CODES) as error:
         with suppress(OSError):  # nobody reads it any more
@@ -43,6 +47,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Terminated as error:
         print(f"minimd: error: {error}", file=sys.stderr)
         return int(error.code or FAILED)
+
+
+def _note(message: Warning | str, *_where: Any, **_more: Any) -> None:
+    """What a script is warned of, with the place of the call, is a note to who gives a command."""
+    print(f"minimd: note: {message}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -103,6 +103,7 @@ class RunGuard:
         self._before = before = engine.snapshot()
         if is_due:
             self._snapshots.append(before)
+        is_whole, engine.is_whole = engine.is_whole, False  # until the steps are counted
         started, compiled, self._reason = perf_counter(), compile_clock.seconds, None
         try:
             done = engine.advance(n_steps, with_energy)
@@ -115,7 +116,9 @@ class RunGuard:
         if fault_of(engine):
             self._replay(before, n_steps)
         self._count(done)
+        engine.is_whole = is_whole
         if engine.surroundings.stop_requested:
+            engine.leave()
             raise KeyboardInterrupt(f"stopped after step {engine.step}")
 
     def _replay(self, before: Snapshot, n_steps: int) -> NoReturn:
@@ -191,13 +194,13 @@ class RunGuard:
         try:
             engine.interactions.compute(PER_ATOM)
         except Exception as broken:  # whatever a term of the user's own raises
-            why = f"there is no crash report: {type(broken).__name__}: {broken}"
+            why = f"There is no crash report: {type(broken).__name__}: {broken}"
         else:
             failure = Failure(fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step)
             report = examine(engine, failure)
-            why = f"likely cause: {report.cause}; {report.advice}"
+            why = f"Likely cause: {report.cause}; {report.advice}"
         pair = closest_pair(engine.system)
         near = f"; the closest pair before it is {pair}" if pair else ""
-        error = kind(f"{why}\nat step {step}: {fault}{near}; the system holds the last good state, that of step {engine.step}")
+        error = kind(f"{why}\nAt step {step}: {fault}{near}. The system holds the last good state, that of step {engine.step}")
         error.crash_report = report
         return error

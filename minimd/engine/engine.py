@@ -167,9 +167,10 @@ class Engine:
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot."""
         self.moved()
-        self._step, _, self.positions[:], self.velocities[:], self.reservoir_energy, self.surroundings.open_end, clock = snapshot
-        self._clock = clock or (snapshot.step, snapshot.time)
-        self.is_whole = False
+        self._step, time, self.positions[:], self.velocities[:], self.reservoir_energy, self.surroundings.open_end, clock = snapshot
+        self._clock, self.is_whole = clock or (snapshot.step, time), False
+        if self.time != time:  # counted with the time step of another method
+            self.time = time
 
     def checkpoint(self) -> Checkpoint:
         """A copy of all that decides the bits of the steps to come, for go_on_from."""

@@ -31,25 +31,23 @@ class Claim:
 
     def __init__(self, path: str | Path, is_new: bool = True, overwrite: bool = False) -> None:
         self.name, self.path = str(path), Path(os.path.realpath(path))
-        self.replaced, self._overwrite, self._is_new = -1, overwrite, is_new
+        self.replaced, self._is_new = -1, is_new
         self.place = self.path.with_name(f"{self.path.name}.begun") if is_new else self.path
-        if is_new and self.path.exists():
-            if not overwrite:
-                raise FileExistsError(errno.EEXIST, "it exists; choose another name, or pass overwrite=True")
-            self.replaced = locked(self.path)
+        if is_new and self.path.exists() and not overwrite:
+            raise FileExistsError(errno.EEXIST, "it exists; choose another name, or pass overwrite=True")
+        self.descriptor = _begun(self.place) if is_new else locked(self.place)
         try:
-            self.descriptor = locked(self.place, create=is_new)  # what a killed run left under this name is nobody's
+            if is_new and self.path.exists():
+                self.replaced = locked(self.path)
         except OSError:
-            self._release_replaced()
+            self.release()
             raise
-        if is_new:
-            os.ftruncate(self.descriptor, 0)
 
     def appear(self) -> None:
         """A new file gets its name, if it has not got it yet.  Raises FileExistsError if another file has it meanwhile, and may not be replaced."""
         if not self._is_new:
             return
-        if self._overwrite:
+        if self.replaced >= 0:
             os.replace(self.place, self.path)
         else:
             _rename(self.place, self.path)
@@ -104,6 +102,17 @@ def locked(path: Path, create: bool = False) -> int:
         if error.errno not in UNLOCKABLE:
             os.close(descriptor)
             raise
+    return descriptor
+
+
+def _begun(place: Path) -> int:
+    """The descriptor of an empty file, locked. What a killed run left under this name is nobody's, unless it has another name: that file is whole."""
+    descriptor = locked(place, create=True)
+    if os.fstat(descriptor).st_nlink > 1:
+        os.close(descriptor)
+        place.unlink()
+        descriptor = locked(place, create=True)
+    os.ftruncate(descriptor, 0)
     return descriptor
 
 

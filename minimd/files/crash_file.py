@@ -97,8 +97,9 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     part = path.with_name(f"{path.name}.part")  # a crash report that is half written never has the final name
     engine, last = guard.engine, guard.engine.checkpoint()
     start = guard.failed_from or last.state
+    claim = Claim(part, overwrite=True)
     try:
-        writer = H5MDWriter(Claim(part, overwrite=True), engine, store_forces=True)
+        writer = H5MDWriter(claim, engine, store_forces=True)
         try:
             for snapshot in (start, last.state):
                 engine.restore(snapshot)
@@ -117,6 +118,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
         edit(part, add)
         os.replace(part, path)
     finally:
+        claim.release()
         part.unlink(missing_ok=True)
 
 

@@ -26,8 +26,13 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
     if not hasattr(os, "fork"):
         return look()
     parent, (listening, telling) = os.getpid(), os.pipe()
-    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of threads, which do not reach HDF5: h5py holds its lock in a fork
-        child = os.fork()
+    try:
+        with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of threads: h5py holds its lock in a fork
+            child = os.fork()
+    except OSError:
+        os.close(listening)
+        os.close(telling)
+        raise
     if child == 0:
         _tell(parent, telling, path, look)
     os.close(telling)
@@ -38,13 +43,21 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
         os.kill(child, signal.SIGKILL)
         raise
     finally:
-        _, status = os.waitpid(child, 0)
+        status = _status_of(child)
     if status or not answer:
         raise OSError(f"file {str(path)!r} is damaged: HDF5 crashes on it; copy it again, or run again")
     found, error = pickle.loads(answer)
     if error is not None:
         raise error
     return found
+
+
+def _status_of(child: int) -> int:
+    """How a child has ended; 0 where nobody can know, because the process was told to ignore the ends of its children."""
+    try:
+        return os.waitpid(child, 0)[1]
+    except ChildProcessError:
+        return 0
 
 
 def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> NoReturn:
@@ -81,4 +94,5 @@ def _limit(seconds: int) -> None:
     import resource  # where there is no fork, there is no such module
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.getrlimit(resource.RLIMIT_CPU)[1]))
+    hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds if hard == resource.RLIM_INFINITY else min(seconds, hard), hard))

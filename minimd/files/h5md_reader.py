@@ -145,6 +145,8 @@ def damage_told(path: str | Path) -> Iterator[None]:
     """Turn whatever goes wrong while a file is read into a sentence."""
     try:
         yield
+    except MemoryError:
+        raise
     except Exception as error:  # HDF5 and h5py raise almost anything for bytes they do not expect
         reason = " ".join(str(error).split()) or type(error).__name__
         raise OSError(f"file {str(path)!r} is damaged: {reason}; copy it again, or run again") from error

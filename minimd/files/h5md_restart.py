@@ -100,6 +100,8 @@ def _whole(h5: h5py.File, name: str) -> tuple[Checkpoint, int] | None:
     try:
         arrays, numbers = read_group(h5[name])
         return unflattened(arrays, numbers), int(numbers["n_frames"])
+    except MemoryError:
+        raise
     except Exception:  # HDF5 and h5py raise almost anything for bytes they do not expect
         return None
 

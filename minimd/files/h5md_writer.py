@@ -1,7 +1,8 @@
 """One float64 file for a run: trajectory, observables and restart, laid out as H5MD; see h5md_schema.
 
-Frames are collected in memory for up to a second. Then they, and the state from which the run can go on, are brought to the disk in one commit
-of the journaled file: whenever the process is killed, the file holds the frames up to a commit, and the restart of that commit.
+Frames are collected in memory for a second, or longer where bringing them to the disk takes more than 2 % of the time. Then they, and the state
+from which the run can go on, are brought to the disk in one commit of the journaled file: whenever the process is killed, the file holds the
+frames up to a commit, and the restart of that commit.
 """
 
 import signal
@@ -22,13 +23,13 @@ from minimd.files.claim import Claim
 from minimd.files.frame_block import FrameBlock
 from minimd.files.h5md_constraints import difference
 from minimd.files.h5md_digest import add_block, drop_frames, sign
-from minimd.files.h5md_reader import H5MDContents, contents_of
+from minimd.files.h5md_reader import H5MDContents, check_description, contents_of
 from minimd.files.h5md_restart import set_aside_damaged, write_restart
 from minimd.files.journaled_file import JournaledFile
 from minimd.files.rehearsal import rehearse
 
 SECONDS_BETWEEN_FLUSHES = 1.0
-MOST_OFTEN = 50.0  # times as long as a flush takes, while there is memory for frames
+MOST_OFTEN = 50.0  # times as long as a flush takes, which then takes no more than 2 % of the time; sooner if there is no memory for more frames
 
 
 class H5MDWriter:
@@ -41,7 +42,9 @@ class H5MDWriter:
     Raises OSError if the file cannot be created or has no room.
     """
 
+    _h5: h5py.File
     _last_step: int
+    _store_forces: bool
     _next_flush: float
     _n_frames: int
     _pending: FrameBlock | None
@@ -65,20 +68,27 @@ class H5MDWriter:
         try:
             rehearse(claim)
             writer._begin(claim, engine, store_forces, "r+")
-            contents = contents_of(writer._h5, file)
-            _check_continues(Path(file), contents, engine, store_forces)
         except BaseException:
             claim.release()
             raise
-        writer._store_forces = contents.has_forces
-        with writer._telling("be continued"):
-            writer._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
-            writer._last_step = int(contents.record.step[writer._n_frames - 1])
-            set_aside_damaged(writer._h5)
-            drop_frames(writer._h5, writer._n_frames)
-            layout.describe_method(writer._h5["minimd"], engine)
-            sign(writer._h5)
+        try:
+            writer._continue(file)
+        except BaseException:
+            writer._give_up()
+            raise
         return writer
+
+    def _continue(self, file: str | Path) -> None:
+        """Take up the file where its restart is.  Raises as append_to."""
+        contents = contents_of(self._h5, file)
+        _check_continues(Path(file), contents, self._engine, self._store_forces)
+        self._store_forces = contents.has_forces
+        with self._telling("be continued"):
+            self._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
+            self._last_step = int(contents.record.step[self._n_frames - 1])
+            set_aside_damaged(self._h5)
+            drop_frames(self._h5, self._n_frames)
+            self._describe_method()
 
     def write(self, frame: Frame) -> None:
         """Take one frame, of the present step of the engine; a second one of the same step is passed over.
@@ -107,6 +117,8 @@ class H5MDWriter:
         with self._telling(f"take the frame of step {step}"), uninterrupted():
             if n_frames > self._n_frames:
                 self._add(pending, n_frames)
+            if self._method is not self._engine.method:
+                self._describe_method()
             if self._engine.is_whole or self._n_frames == 0:
                 write_restart(self._h5, self._engine.checkpoint(), n_frames)
             self._commit()
@@ -114,7 +126,7 @@ class H5MDWriter:
             if self._pending:
                 self._pending.clear()
         now = monotonic()
-        self._next_flush = now + SECONDS_BETWEEN_FLUSHES * max(1.0, MOST_OFTEN * (now - started))
+        self._next_flush = now + max(SECONDS_BETWEEN_FLUSHES, MOST_OFTEN * (now - started))
 
     def close(self) -> None:
         """Write what is left, make the present state of the engine the restart, and close the file; do nothing if it is closed or has failed.
@@ -127,7 +139,7 @@ class H5MDWriter:
             self._shut()
 
     def _begin(self, claim: Claim, engine: Engine, store_forces: bool, mode: Any) -> None:
-        self._claim, self._engine, self._store_forces = claim, engine, store_forces
+        self._claim, self._engine, self._method, self._store_forces = claim, engine, engine.method, store_forces
         self._disk = JournaledFile(claim)
         self._h5 = h5py.File(self._disk, mode)
         self._pending, self._n_frames = None, 0  # frames that are not yet in the file, and how many are
@@ -142,6 +154,12 @@ class H5MDWriter:
         add_block(self._h5, n_frames, pending)
         if self._n_frames == 0:
             sign(self._h5)  # the series are there now
+
+    def _describe_method(self) -> None:
+        """It may have been replaced since the file was described."""
+        layout.describe_method(self._h5["minimd"], self._engine)
+        sign(self._h5)
+        self._method = self._engine.method
 
     def _commit(self) -> None:
         self._h5.flush()
@@ -167,10 +185,12 @@ class H5MDWriter:
         if not self._h5:
             return
         with self._telling("be closed"), uninterrupted():
-            self._h5.close()
-            if self._n_frames:
-                self._disk.commit()
-            self._disk.close()
+            try:
+                self._h5.close()
+                if self._n_frames:
+                    self._disk.commit()
+            finally:
+                self._disk.close()
 
 
 @contextmanager
@@ -186,23 +206,16 @@ def uninterrupted() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def annotate(path: str | Path, *, title: str | None = None, scene: str | None = None) -> None:
-    """Store a title, or the text of a scene file, in a minimd file.
-
-    Raises FileNotFoundError, OSError, ValueError if there is no such file, or a run is writing it.
-    """
-    notes = {name: text for name, text in (("title", title), ("scene", scene)) if text is not None}
-    edit(path, lambda h5: h5["minimd"].attrs.update(notes))
-
-
 def edit(path: str | Path, change: Any) -> None:
-    """Change a minimd file in one commit.  change : gets the h5py.File.  Raises as annotate."""
+    """Change a minimd file in one commit.  change : gets the h5py.File.
+
+    Raises as read_file, and OSError if a run is writing the file.
+    """
     claim = _claimed(path)
     try:
         disk = JournaledFile(claim)
         with h5py.File(disk, "r+") as h5:
-            if "minimd" not in h5:
-                raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
+            check_description(h5, path)
             change(h5)
             sign(h5)
         disk.commit()

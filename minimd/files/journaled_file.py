@@ -8,7 +8,8 @@ into memory, and a commit brings that to the disk:
     3  these bytes are replaced
     4  the journal is removed
 
-A file with a whole journal is repaired by doing 3 and 4 again; a journal that is not whole is worth nothing, and the file is as it was.
+A file with a whole journal is repaired by doing 3 and 4 again; a journal that is not whole is worth nothing, and the file is as it was. Nor is
+one that was made for another file: its witness is the checksum of the last bytes of the file, as they are when 3 is done.
 J. Gray, A. Reuter, Transaction Processing (1993), chapter 9.
 """
 
@@ -22,7 +23,8 @@ from pathlib import Path
 from minimd.files.claim import Claim, locked
 
 MAGIC = b"minimd journal 1\n"
-HEAD = struct.Struct("<qqI")  # size of the file afterwards, number of pieces, CRC-32 of both and of all that follows
+HEAD = struct.Struct("<qqII")  # size of the file afterwards, number of pieces, its witness, CRC-32 of these and of all that follows
+WITNESS = 64 * 1024  # bytes
 PIECE = struct.Struct("<qq")  # where it goes, number of bytes
 
 Pieces = list[tuple[int, bytes]]  # place in the file and what comes there
@@ -67,10 +69,7 @@ class JournaledFile:
             first = max(start, self._committed)
             new = self._tail[first - self._committed : min(end - self._committed, self._n_tail)]
             found[first - start : first - start + len(new)] = new
-        for place, piece in self._pieces:
-            low, high = max(place, start), min(place + len(piece), end)
-            if low < high:
-                found[low - start : high - start] = piece[low - place : high - place]
+        _lay_over(found, start, self._pieces)
         view[: len(found)] = found
         self._at = end
         return len(found)
@@ -116,7 +115,7 @@ class JournaledFile:
                 _write_all(descriptor, tail[: self._n_tail], self._committed)
             os.fsync(descriptor)
             if is_changed:
-                _write_journal(self._journal, self.size, self._pieces)
+                _write_journal(self._journal, descriptor, self.size, self._pieces)
         except OSError:
             with suppress(OSError):
                 self._journal.unlink(missing_ok=True)
@@ -165,7 +164,7 @@ def repair(path: str | Path) -> bool:
 def _finish(journal: Path, descriptor: int) -> bool:
     """Do what a journal says, if it is whole, and remove it; True if it was."""
     try:
-        found = _read_journal(journal)
+        found = _read_journal(journal, descriptor)
     except FileNotFoundError:
         return False
     if found is not None:
@@ -174,34 +173,52 @@ def _finish(journal: Path, descriptor: int) -> bool:
     return found is not None
 
 
-def _write_journal(path: Path, size: int, pieces: Pieces) -> None:
+def _write_journal(path: Path, file: int, size: int, pieces: Pieces) -> None:
+    head = size, len(pieces), _witness(file, size, pieces)
     body = b"".join([PIECE.pack(place, len(data)) + data for place, data in pieces])
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
     try:
-        _write_all(descriptor, MAGIC + HEAD.pack(size, len(pieces), _checksum(size, len(pieces), body)) + body, 0)
+        _write_all(descriptor, MAGIC + HEAD.pack(*head, _checksum(head, body)) + body, 0)
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
 
 
-def _read_journal(path: Path) -> tuple[int, Pieces] | None:
-    """Size and pieces; None if it is not whole."""
+def _read_journal(path: Path, file: int) -> tuple[int, Pieces] | None:
+    """Size and pieces; None if it is not whole, or not of this file."""
     text, start = path.read_bytes(), len(MAGIC) + HEAD.size
     if len(text) < start or not text.startswith(MAGIC):
         return None
-    size, n_pieces, checksum = HEAD.unpack_from(text, len(MAGIC))
-    if _checksum(size, n_pieces, text[start:]) != checksum:
+    *head, checksum = HEAD.unpack_from(text, len(MAGIC))
+    if _checksum(tuple(head), text[start:]) != checksum:
         return None
+    size, n_pieces, witness = head
     pieces = []
     for _ in range(n_pieces):
         place, n_bytes = PIECE.unpack_from(text, start)
         start += PIECE.size + n_bytes
         pieces.append((place, text[start - n_bytes : start]))
-    return size, pieces
+    return (size, pieces) if _witness(file, size, pieces) == witness else None
 
 
-def _checksum(size: int, n_pieces: int, body: bytes) -> int:
-    return zlib.crc32(body, zlib.crc32(PIECE.pack(size, n_pieces)))
+def _checksum(head: tuple[int, ...], body: bytes) -> int:
+    return zlib.crc32(body, zlib.crc32(HEAD.pack(*head, 0)))
+
+
+def _witness(file: int, size: int, pieces: Pieces) -> int:
+    """CRC-32 of the last bytes of a file, as they are when the pieces are in it; the same before, while and after they are written."""
+    first = max(0, size - WITNESS)
+    content = bytearray(_read_at(file, size - first, first).ljust(size - first, b"\0"))
+    _lay_over(content, first, pieces)
+    return zlib.crc32(content)
+
+
+def _lay_over(content: bytearray, first: int, pieces: Pieces) -> None:
+    """Replace what pieces replace in the bytes of a file from a place on."""
+    for place, piece in pieces:
+        low, high = max(place, first), min(place + len(piece), first + len(content))
+        if low < high:
+            content[low - first : high - first] = piece[low - place : high - place]
 
 
 def _apply(descriptor: int, size: int, pieces: Pieces) -> None:
@@ -219,6 +236,15 @@ def _write_all(descriptor: int, data: bytes | memoryview, place: int) -> None:
 
 
 def _read_at(descriptor: int, n_bytes: int, place: int) -> bytes:
+    """Up to so many bytes: the system gives 2 GB in a call at most."""
+    found = []
+    while n_bytes > 0 and (part := _read_some(descriptor, n_bytes, place)):
+        found.append(part)
+        n_bytes, place = n_bytes - len(part), place + len(part)
+    return b"".join(found)
+
+
+def _read_some(descriptor: int, n_bytes: int, place: int) -> bytes:
     if hasattr(os, "pread"):
         return os.pread(descriptor, n_bytes, place)
     os.lseek(descriptor, place, os.SEEK_SET)  # Windows has no pread

@@ -105,7 +105,6 @@ def resume_run(
     simulation = scene.simulation(contents.system)
     simulation.engine.go_on_from(contents.restart)
     if (simulation.method.name, simulation.method.parameters) != (contents.method, contents.parameters):
-        simulation.step, simulation.time = contents.step, contents.time
         simulation.engine.moved()
     for line in description(scene, simulation, end - contents.step):
         tell(line)

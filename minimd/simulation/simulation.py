@@ -59,7 +59,7 @@ class Simulation:
 
     potentials_of_scene: ClassVar[Callable[[str, Sequence[str], Path], list[Potential]]]  # scenes are a floor above; minimd/__init__ sets it
     system = EngineAttribute[System]("The state; its arrays can be changed, not replaced by those of another system.")
-    method = EngineAttribute[Splitting]("The integrator with its time step; another one takes over from the next run on. See Engine.method.")
+    method = EngineAttribute[Splitting]("The integrator with its time step; another one takes over with the next step. See Engine.method.")
     step = EngineAttribute[int]("Steps made so far; set it when a run is resumed.")
     time = EngineAttribute[float]("[time] since the start; set it when a run is resumed.")
     reservoir_energy = EngineAttribute[float]("Given by a thermostat since the start [energy]; set it when a run is resumed.")
@@ -214,6 +214,8 @@ class Simulation:
             finally:
                 if not engine.is_as_left:
                     engine.moved()
+            if self.record is not None and ("conserved_energy" in self.record) != engine.method.is_thermostat:
+                raise ValueError(f"a run has a bath from its first step to its last, or none; {engine.method.name} can only take over in a new run")
             if not engine.is_as_left:
                 self.guard.forget()
                 engine.begin()
@@ -222,7 +224,7 @@ class Simulation:
         """Make steps without observations.  Raises ValueError for a negative count, and as run."""
         n_steps = checked_count("n_steps", n_steps, 0)
         if not self.engine.is_as_left:
-            self.engine.moved()
+            self.engine.begin()
         self.guard.make_steps(n_steps)
 
     def equilibrate(
@@ -253,7 +255,7 @@ class Simulation:
             thermal = engine.n_dof * self.system.units.k_B * temperature
             most = RUNAWAY * (engine.kinetic_energy + abs(engine.interactions.potential_energy) + thermal)
             for done in range(every, n_steps + every, every):
-                guard.advance(min(every, n_steps - done + every), with_energy=False)
+                guard.make_steps(min(every, n_steps - done + every))
                 guard.check_kinetic_energy(most)
                 self.rescale_temperature(temperature)
                 guard.drop_snapshots()  # a replay does not rescale

@@ -1,0 +1,112 @@
+"""Hints before the first step: a skin that does not fit, units that do not match, a time step that is too long, forces from outside."""
+
+import warnings
+
+import numpy as np
+import pytest
+from references import liquid
+
+import minimd as md
+from minimd.compiled.kernels import compile_clock
+from minimd.potentials.term import Term
+from minimd.structure.lattice import crystal
+
+LAW = md.LennardJones(1.0, 1.0, 1.8)
+
+
+def hints_of(system, potentials, timestep=0.004, method=md.VelocityVerlet, **options):
+    """The warnings of a run of one step."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        md.Simulation(system, potentials, method(timestep), **options).run(1)
+    return [str(one.message) for one in told]
+
+
+def bonded_liquid():
+    system = liquid(3)
+    return md.System(system.positions, cell=system.cell, bonds=np.arange(len(system)).reshape(-1, 2))
+
+
+def test_a_sound_scene_gets_no_hint():
+    assert hints_of(liquid(3), LAW) == []
+
+
+def test_a_skin_that_does_not_fit_is_clamped_and_said():
+    system, law = bonded_liquid(), md.LennardJones(1.0, 1.0, 1.8, bonded_scale=(0.0, 1.0, 1.0))
+    room = 0.5 * system.cell.heights.min() - 1.8
+    (hint,) = hints_of(system, law, skin=room + 0.5)
+    assert hint.startswith(f"skin {room + 0.5:g} σ does not fit, {room:.3g} is used")
+    with pytest.warns(UserWarning, match="does not fit"):
+        sim = md.Simulation(system, law, md.VelocityVerlet(0.004), skin=room + 0.5)
+    assert sim.skins == pytest.approx([room])
+    assert hints_of(system, law, skin=0.9 * room) == []
+
+
+def test_no_wider_skin_is_advised_than_the_cell_can_hold():
+    system, law = bonded_liquid(), md.LennardJones(1.0, 1.0, 1.8, bonded_scale=(0.0, 1.0, 1.0))
+    for skin, words in ((0.5 * system.cell.heights.min() - 1.8 - 1e-8, "the cell has no room for a wider skin"), (0.01, "a wider skin or a shorter")):
+        sim = md.Simulation(system, law, md.VelocityVerlet(0.004), skin=skin)
+        sim.velocities[:, 0] = np.tile([40.0, -40.0], len(system) // 2)
+        sim.run(0)
+        assert words in str(sim.report())
+
+
+def test_lengths_in_different_units_are_pointed_out():
+    positions, edges = crystal("fcc", (3, 3, 3), 5.4)
+    (hint,) = hints_of(md.System(positions, cell=edges), LAW)
+    assert hint.startswith("no two atoms are within the cutoff, 1.8 σ: the closest,")
+    assert "3.82 σ apart" in hint
+    assert hints_of(md.System([[0.0, 0.0, 0.0]]), LAW) == []
+
+
+@pytest.mark.parametrize(("timestep", "is_long"), [(0.018, False), (0.022, True)])
+def test_a_long_time_step_is_pointed_out(timestep, is_long):
+    told = hints_of(liquid(3), LAW, timestep)
+    assert len(told) == is_long
+    assert all("conserves the energy well up to 0.009799 τ" in one for one in told)
+    assert hints_of(md.System(liquid(3).positions, cell=liquid(3).cell, masses=4.0), LAW, timestep) == []
+
+
+class Weight(Term):
+    """Gravity, on all atoms alike."""
+
+    acts_from_outside = True
+
+    def bind(self, _system):
+        return self
+
+    def add(self, system, detail, forces, energies, virials):
+        forces[:, 2] -= system.masses
+        if detail:
+            energies += system.masses * system.positions[:, 2]
+
+
+@pytest.mark.parametrize("is_term", [True, False])
+def test_a_force_from_outside_that_is_declared_is_no_fault(is_term):
+    class Other:
+        add, acts_from_outside = Weight.add, True
+
+        def bind(self, _system):
+            return self
+
+    sim = md.Simulation(liquid(3), [LAW, Weight() if is_term else Other()], md.VelocityVerlet(0.002))
+    sim.set_temperature(0.5, seed=1)
+    sim.run(20, every=2)
+    assert sim.n_dof == 3 * len(sim.system)
+    assert "momentum is not a constant here" in sim.report().verdict
+
+
+def test_too_few_frames_have_no_error_bar():
+    sim = md.Simulation(liquid(3), LAW, md.VelocityVerlet(0.004))
+    sim.run(20, every=10)
+    assert "±" not in str(sim.report()).splitlines()[0]
+    sim.run(40, every=10)
+    assert "±" in str(sim.report()).splitlines()[0]
+
+
+def test_the_first_step_compiles_all_that_the_next_ones_need():
+    sim = md.Simulation(liquid(3), LAW, md.VelocityVerlet(0.004))
+    sim.run(1)
+    before = compile_clock.seconds
+    sim.run(50, every=10)
+    assert compile_clock.seconds == before

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -247,7 +248,9 @@ def test_plot_writes_a_picture_and_says_so(folder, capsys):
 
 def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsys):
     Path("melt.toml").write_text(SCENE.replace("timestep = 0.004", "timestep = 0.025").replace("1.44", "50.0").replace("steps = 40", "steps = 4000"))
-    assert cli.main(["run", "melt.toml"]) == 3
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert cli.main(["run", "melt.toml"]) == 3
     err = capsys.readouterr().err
     note, cause, seen = [line for line in err.splitlines() if line.startswith("minimd: ") and "compiling" not in line]
     assert note.startswith("minimd: note: timestep 0.025 τ is long for Lennard-Jones atoms")

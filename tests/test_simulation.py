@@ -186,7 +186,7 @@ def test_blow_up_says_at_which_step_which_atoms_and_keeps_the_last_good_state():
     with pytest.raises(md.NonFiniteError) as caught:
         simulation.run(1000, every=100)
     message = str(caught.value)
-    assert f"at step {simulation.step + 1}" in message
+    assert f"At step {simulation.step + 1}:" in message
     assert "atoms 0 and 1" in message
     assert "timestep 0.05 τ too large" in message
     assert 0 < simulation.step < 20

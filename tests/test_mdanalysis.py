@@ -2,14 +2,18 @@
 
 import warnings
 
+import h5py
 import MDAnalysis
 import numpy as np
 import pytest
+from h5md_runs import opened
 
 import minimd as md
 from minimd.analysis.check import liquid, recompute
 from minimd.files import mdanalysis_writer
 from minimd.files.claim import Claim
+from minimd.files.h5md_digest import digest_of_block, sign
+from minimd.files.h5md_reader import damage
 from minimd.files.h5md_writer import H5MDWriter
 from minimd.mdanalysis import diffusion_coefficient, mean_square_displacement, radial_distribution, universe, universes
 
@@ -61,6 +65,66 @@ def test_universe_knows_the_system(tmp_path):
     assert made.atoms.types.tolist() == made.atoms.names.tolist() == made.atoms.elements.tolist() == sim.system.species.tolist()
     assert len(made.trajectory) == 3
     np.testing.assert_array_equal(made.trajectory[-1].positions, sim.positions.astype(np.float32))
+
+
+@pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
+@pytest.mark.parametrize("who", ["universe", "the user", "the user, in memory"])
+def test_dt_is_the_time_between_frames(tmp_path, units, who):
+    """Also for those who open the file themselves, and from its first frame on, which is written before the second is known."""
+    record = simulation(system(units=units)).run(20, every=5, trajectory=tmp_path / "a.h5md")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made = universe(tmp_path / "a.h5md") if who == "universe" else opened(tmp_path / "a.h5md", 24)
+        if who == "the user, in memory":
+            made.transfer_to_memory()
+        trajectory, times = made.trajectory, record.time / (PER_PICOSECOND if units is md.units.ASE else 1.0)
+        assert trajectory.dt == pytest.approx(times[1], rel=1e-14)
+        assert trajectory.totaltime == pytest.approx(times[-1], rel=1e-14)
+        np.testing.assert_allclose([ts.time for ts in trajectory], times, rtol=1e-14)
+
+
+def test_dt_of_one_frame_is_that_of_the_run(tmp_path):
+    simulation(system(units=md.units.LJ)).run(3, every=5, trajectory=tmp_path / "a.h5md")
+    assert universe(tmp_path / "a.h5md").trajectory.dt == 2.0
+    assert universe(tmp_path / "a.h5md").trajectory.totaltime == 0.0
+
+
+def test_dt_of_a_file_that_does_not_hold_it_is_found_in_its_times(tmp_path):
+    """As those of minimd 0.1.0; they can be continued too."""
+    path, sim = tmp_path / "a.h5md", simulation(system(units=md.units.LJ))
+    sim.run(20, every=5, trajectory=path)
+    without_spacing(path)
+    with opened(path, 24).trajectory as trajectory:
+        assert "dt" not in trajectory.ts.data
+    with universe(path).trajectory as trajectory:
+        assert trajectory.dt == 2.0
+    md.Simulation.resume(path, sim.potentials).run(20, every=5, trajectory=path, append=True)
+    made = universe(path)
+    assert (made.trajectory.dt, len(made.trajectory), made.trajectory.totaltime) == (2.0, 9, 16.0)
+    assert not damage(path)
+
+
+def without_spacing(path):
+    """Make of a file one as minimd 0.1.0 wrote it, without the time between frames."""
+    with h5py.File(path, "r+") as h5:
+        del h5["observables/dt"]
+        blocks = h5["minimd/blocks"]
+        series, first = [name for name in blocks.attrs["series"] if "/dt/" not in name], 0
+        for row, (last, _) in enumerate(blocks[:].tolist()):
+            blocks[row] = last, digest_of_block({name: h5[name][first:last] for name in series})
+            first = last
+        blocks.attrs["series"] = series
+        sign(h5)
+
+
+def test_uneven_frames_are_told(tmp_path):
+    path, sim = tmp_path / "a.h5md", simulation()
+    sim.run(3)
+    sim.run(17, every=5, trajectory=path)
+    with pytest.warns(UserWarning, match="lie 2 to 5 steps apart") as caught:
+        made = universe(path)
+    assert caught[0].filename == __file__
+    assert made.trajectory.dt == pytest.approx(5 * 0.4 / PER_PICOSECOND)
 
 
 def test_labels_that_are_no_symbols_are_no_elements(tmp_path):

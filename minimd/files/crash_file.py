@@ -98,7 +98,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     engine, last = guard.engine, guard.engine.checkpoint()
     start = guard.failed_from or last.state
     try:
-        writer = H5MDWriter(Claim(part, overwrite=True), engine, store_forces=True)
+        writer = H5MDWriter(Claim(part, overwrite=True), engine, store_forces=True, every=max(1, last.state.step - start.step))
         try:
             for snapshot in (start, last.state):
                 engine.restore(snapshot)

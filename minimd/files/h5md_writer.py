@@ -36,7 +36,7 @@ class H5MDWriter:
 
     Its restart is the state of the engine at the last flush, checkpoint or close.
 
-    claim : on the file.  engine : whose frames will come.  store_forces : also write forces.
+    claim : on the file.  engine : whose frames will come.  store_forces : also write forces.  every : steps between two frames.
 
     Raises OSError if the file cannot be created or has no room.
     """
@@ -46,14 +46,16 @@ class H5MDWriter:
     _n_frames: int
     _pending: FrameBlock | None
     _columns: list[layout.Column]
+    _every: int | None  # None where a file that is continued does not hold it
 
-    def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
+    def __init__(self, claim: Claim, engine: Engine, store_forces: bool, every: int = 1) -> None:
         self._begin(claim, engine, store_forces, "w")
+        self._every = every
         with self._telling("begin"):
             layout.describe(self._h5, engine)
 
     @classmethod
-    def append_to(cls, file: str | Path, engine: Engine, store_forces: bool = False) -> "H5MDWriter":
+    def append_to(cls, file: str | Path, engine: Engine, store_forces: bool = False, every: int = 1) -> "H5MDWriter":
         """A writer that continues a file from its restart; frames behind the restart are dropped.
 
         Forces are written if the file has them. A frame at the step of the restart is not doubled.
@@ -70,7 +72,7 @@ class H5MDWriter:
         except BaseException:
             claim.release()
             raise
-        writer._store_forces = contents.has_forces
+        writer._store_forces, writer._every = contents.has_forces, every if f"observables/{layout.SPACING}" in writer._h5 else None
         with writer._telling("be continued"):
             writer._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
             writer._last_step = int(contents.record.step[writer._n_frames - 1])
@@ -90,7 +92,8 @@ class H5MDWriter:
         if frame.step == self._last_step:
             return
         if self._pending is None:
-            self._columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces)
+            spacing = None if self._every is None else self._every * self._engine.method.timestep
+            self._columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces, spacing)
             self._pending = FrameBlock(self._columns, frame)
         self._pending.take(frame)
         self._last_step = frame.step

@@ -4,6 +4,7 @@ MDAnalysis holds positions and velocities in float32, in Å and Å/ps, and knows
 pass unchanged, 1 σ as 1 Å and 1 τ as 1 ps.
 """
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.mdanalysis_writer import quiet
+from minimd.structure.console import outside_minimd
 from minimd.structure.units import ASE
 
 __all__ = ["Diffusion", "RadialDistribution", "RunUniverse", "diffusion_coefficient", "mean_square_displacement", "radial_distribution", "universe"]
@@ -30,6 +32,7 @@ VERSION = MDAnalysis.__version__
 RDF_FRAMES, RDF_DISTANCES = 50, 1e7  # at most, so that g(r) takes half a second
 MSD_FRAMES, MSD_ATOMS = 200, 400  # at most
 FIT_FROM, FIT_TO = 0.1, 0.5  # of the duration: after the ballistic start, before few pairs of frames are left
+UNEVEN = 1e-6  # of a spacing between frames: times are rounded
 CM2_PER_S = 1e-4  # per Å²/ps
 
 
@@ -50,12 +53,14 @@ def universe(path: str | Path, contents: H5MDContents | None = None) -> RunUnive
 
     contents : of the file, if they have been read.
 
+    Warns where frames are not evenly spaced, because MDAnalysis' dt is one number.
+
     Raises
     ------
     FileNotFoundError, OSError, ValueError : as minimd.files.h5md_reader.read_file.
     """
     contents = contents or read_file(path)
-    system, labels = contents.system, [str(label) for label in contents.system.species]
+    system, labels, spacing = contents.system, [str(label) for label in contents.system.species], _spacing(path, contents)
     with quiet():
         made = RunUniverse.empty(len(system), trajectory=False)
         made.contents = contents
@@ -66,14 +71,31 @@ def universe(path: str | Path, contents: H5MDContents | None = None) -> RunUnive
             made.add_TopologyAttr("elements", [label if label in SYMB2Z else "" for label in labels])
         if len(system.bonds):
             made.add_TopologyAttr("bonds", [tuple(bond) for bond in system.bonds.tolist()])
-        made.load_new(str(path), format="H5MD")
+        made.load_new(str(path), format="H5MD", **spacing)
     return made
+
+
+def _spacing(path: str | Path, contents: H5MDContents) -> dict[str, float]:
+    """dt [ps] for MDAnalysis, which knows one spacing of frames; that of most frames, with a warning, where there are several."""
+    spacings = np.diff(contents.record.time) * contents.system.units.to_picosecond
+    if not len(spacings):
+        return {}
+    spacing = float(np.median(spacings))
+    if np.ptp(spacings) > UNEVEN * spacing:
+        least, most = np.diff(contents.record.step)[[spacings.argmin(), spacings.argmax()]]
+        warnings.warn(
+            f"the frames of {str(path)!r} lie {least} to {most} steps apart, so that trajectory.dt and totaltime do not hold for all of them; "
+            "take the time of each frame, ts.time",
+            stacklevel=outside_minimd(),
+        )
+    return {"dt": spacing}
 
 
 @contextmanager
 def universe_of(run: Run) -> Iterator[RunUniverse]:
     """The universe of a run: one that is given stays open, that of a file is closed at the end.  Raises as universe."""
-    made = run if isinstance(run, RunUniverse) else universe(run)
+    with quiet():  # the analyses here take the time of each frame
+        made = run if isinstance(run, RunUniverse) else universe(run)
     try:
         yield made
     finally:

@@ -160,6 +160,7 @@ def _system(group: h5py.Group, restart: Checkpoint) -> System:
         cell=Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
         species=np.array(labels.tolist())[group["species_index"][:]],
         bonds=group["bonds"][:],
+        angles=group["angles"][:] if "angles" in group else None,
         units=SYSTEMS[group.attrs["units"]],
         constraints=read_constraints(group),
     )

@@ -1,7 +1,7 @@
 """Where everything lies in a minimd file, laid out as H5MD.
 
     particles/trajectory    box/edges, position, velocity, force [Å, Å/ps, kJ/mol/Å; times in ps], species, mass
-    connectivity/bonds      pairs of bonded atoms
+    connectivity/bonds      pairs of bonded atoms; connectivity/angles, triples of atoms, if there are any
     observables/<name>      the numbers of the record, to the last bit, in the units of the simulation
     observables/dt          the time between observations [ps], beside each frame: MDAnalysis looks nowhere else for it
     minimd                  what H5MD has no place for: units, cell, pbc, timestep, method, constraints, exact times, restarts, digests
@@ -109,7 +109,8 @@ def describe(h5: h5py.File, engine: Engine) -> None:
     names = system.species_names
     group["species_names"] = np.array(names, dtype=h5py.string_dtype() if isinstance(names[0], str) else np.int64)
     group["cell"], group["species_index"] = system.cell.vectors, system.species_index
-    group["masses"], group["bonds"] = h5[f"{TRAJECTORY}/mass"], h5["connectivity/bonds"]
+    group["masses"] = h5[f"{TRAJECTORY}/mass"]
+    group.update({name: h5[f"connectivity/{name}"] for name in h5["connectivity"]})
 
 
 def describe_method(group: h5py.Group, engine: Engine) -> None:
@@ -135,8 +136,10 @@ def _describe_standard(h5: h5py.File, system: System) -> None:
     particles.create_dataset("species", data=system.species_index, dtype=kind)
     particles["mass"] = system.masses
     particles["mass"].attrs["unit"] = "u"
-    h5["connectivity/bonds"] = system.bonds
-    h5["connectivity/bonds"].attrs["particles_group"] = particles.ref
+    for name, groups in (("bonds", system.bonds), ("angles", system.angles)):
+        if len(groups) or name == "bonds":
+            h5[f"connectivity/{name}"] = groups
+            h5[f"connectivity/{name}"].attrs["particles_group"] = particles.ref
 
 
 def opened(path: str | Path) -> h5py.File:

@@ -79,9 +79,9 @@ def numbers(file, leave_out=()):
     found = {}
 
     def opened(group, key):
-        with contextlib.suppress(KeyError):
+        with contextlib.suppress(KeyError, RuntimeError):
             return group[key]
-        return None  # a link that leads nowhere
+        return None  # a link that leads nowhere, or to itself
 
     def look(name, item, depth=0):
         if name.startswith(leave_out) or depth > 6:

@@ -39,9 +39,12 @@ STRANGERS = {("minimd.integrators", "minimd.potentials"), ("minimd.potentials", 
 BRIDGES = {  # modules that may import ase or MDAnalysis when they are imported
     "structure/ase_atoms.py",
     "structure/ase_constraints.py",
+    "structure/mdanalysis_atoms.py",
     "files/ase_writer.py",
     "files/structure_file.py",
     "files/mdanalysis_writer.py",
+    "mdanalysis/memory.py",
+    "mdanalysis/topology.py",
     "mdanalysis/universes.py",
 }
 

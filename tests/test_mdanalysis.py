@@ -2,16 +2,22 @@
 
 import warnings
 
+import h5py
 import MDAnalysis
 import numpy as np
 import pytest
+from h5md_runs import opened
+from MDAnalysis.analysis.msd import EinsteinMSD
+from scipy.stats import linregress
 
 import minimd as md
 from minimd.analysis.check import liquid, recompute
 from minimd.files import mdanalysis_writer
 from minimd.files.claim import Claim
+from minimd.files.h5md_digest import digest_of_block, sign
+from minimd.files.h5md_reader import damage
 from minimd.files.h5md_writer import H5MDWriter
-from minimd.mdanalysis import diffusion_coefficient, mean_square_displacement, radial_distribution, universe, universes
+from minimd.mdanalysis import Frames, diffusion_coefficient, mean_square_displacement, radial_distribution, universe, universes
 
 PER_PICOSECOND = 98.22694788464064  # of ASE's time unit
 FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]
@@ -61,6 +67,146 @@ def test_universe_knows_the_system(tmp_path):
     assert made.atoms.types.tolist() == made.atoms.names.tolist() == made.atoms.elements.tolist() == sim.system.species.tolist()
     assert len(made.trajectory) == 3
     np.testing.assert_array_equal(made.trajectory[-1].positions, sim.positions.astype(np.float32))
+
+
+@pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
+@pytest.mark.parametrize("who", ["universe", "the user", "the user, in memory"])
+def test_dt_is_the_time_between_frames(tmp_path, units, who):
+    """Also for those who open the file themselves, and from its first frame on, which is written before the second is known."""
+    record = simulation(system(units=units)).run(20, every=5, trajectory=tmp_path / "a.h5md")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made = universe(tmp_path / "a.h5md") if who == "universe" else opened(tmp_path / "a.h5md", 24)
+        if who == "the user, in memory":
+            made.transfer_to_memory()
+        trajectory, times = made.trajectory, record.time / (PER_PICOSECOND if units is md.units.ASE else 1.0)
+        assert trajectory.dt == pytest.approx(times[1], rel=1e-14)
+        assert trajectory.totaltime == pytest.approx(times[-1], rel=1e-14)
+        np.testing.assert_allclose([ts.time for ts in trajectory], times, rtol=1e-14)
+
+
+def test_dt_of_one_frame_is_that_of_the_run(tmp_path):
+    simulation(system(units=md.units.LJ)).run(3, every=5, trajectory=tmp_path / "a.h5md")
+    assert universe(tmp_path / "a.h5md").trajectory.dt == 2.0
+    assert universe(tmp_path / "a.h5md").trajectory.totaltime == 0.0
+
+
+def test_dt_of_a_file_that_does_not_hold_it_is_found_in_its_times(tmp_path):
+    """As those of minimd 0.1.0; they can be continued too."""
+    path, sim = tmp_path / "a.h5md", simulation(system(units=md.units.LJ))
+    sim.run(20, every=5, trajectory=path)
+    without_spacing(path)
+    with opened(path, 24).trajectory as trajectory:
+        assert "dt" not in trajectory.ts.data
+    with universe(path).trajectory as trajectory:
+        assert trajectory.dt == 2.0
+    md.Simulation.resume(path, sim.potentials).run(20, every=5, trajectory=path, append=True)
+    made = universe(path)
+    assert (made.trajectory.dt, len(made.trajectory), made.trajectory.totaltime) == (2.0, 9, 16.0)
+    assert not damage(path)
+
+
+def without_spacing(path):
+    """Make of a file one as minimd 0.1.0 wrote it, without the time between frames."""
+    with h5py.File(path, "r+") as h5:
+        del h5["observables/dt"]
+        blocks = h5["minimd/blocks"]
+        series, first = [name for name in blocks.attrs["series"] if "/dt/" not in name], 0
+        for row, (last, _) in enumerate(blocks[:].tolist()):
+            blocks[row] = last, digest_of_block({name: h5[name][first:last] for name in series})
+            first = last
+        blocks.attrs["series"] = series
+        sign(h5)
+
+
+def test_uneven_frames_are_told(tmp_path):
+    path, sim = tmp_path / "a.h5md", simulation()
+    sim.run(3)
+    sim.run(17, every=5, trajectory=path)
+    with pytest.warns(UserWarning, match="lie 2 to 5 steps apart") as caught:
+        made = universe(path)
+    assert caught[0].filename == __file__
+    assert made.trajectory.dt == pytest.approx(5 * 0.4 / PER_PICOSECOND)
+
+
+def polymers(units=md.units.LJ):
+    """Two chains of three beads, a diatomic molecule held rigid, and an atom; numbered across each other."""
+    rng = np.random.default_rng(5)
+    return md.System(
+        3.0 * rng.permutation(np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3))[:9].astype(float),
+        masses=np.arange(1.0, 10.0),
+        cell=20.0,
+        species=["C", "H", "N", "H", "N", "C", "H", "H", "Ar"],
+        bonds=[[0, 1], [0, 3], [5, 6], [5, 7]],
+        angles=[[1, 0, 3], [6, 5, 7]],
+        constraints=[md.DistanceConstraints([[2, 4]])],
+        units=units,
+    )
+
+
+def test_molecules_are_residues(tmp_path):
+    """By bonds and by lengths that are held; their name is the formula, by Hill's order."""
+    simulation(polymers()).run(0, trajectory=tmp_path / "a.h5md")
+    made = universe(tmp_path / "a.h5md")
+    assert made.atoms.resids.tolist() == [1, 1, 2, 1, 2, 3, 3, 3, 4]
+    assert made.residues.resnames.tolist() == ["CH2", "N2", "CH2", "Ar"]
+    assert made.select_atoms("resid 3").indices.tolist() == [5, 6, 7]
+    assert made.select_atoms("resname CH2 and name H").indices.tolist() == [1, 3, 6, 7]
+    assert made.select_atoms("bonded index 5").indices.tolist() == [6, 7]
+    assert made.atoms.angles.indices.tolist() == [[1, 0, 3], [6, 5, 7]]
+    labelled = md.System(polymers().positions, species=["A", "B", "A"] * 3, bonds=[[0, 1]])
+    simulation(labelled).run(0, trajectory=tmp_path / "b.h5md")
+    assert universe(tmp_path / "b.h5md").residues.resnames.tolist() == ["MOL", "A", "A", "B", "A", "A", "B", "A"]
+
+
+@pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
+def test_universe_in_memory_is_that_of_the_file(tmp_path, units):
+    """Frames, times, cell and topology; observables in ts.data have the engine's bits."""
+    sim, frames = simulation(polymers(units)), Frames()
+    record = sim.run(10, every=5, trajectory=tmp_path / "a.h5md", observers=[frames])
+    second = sim.run(10, every=5, trajectory=tmp_path / "a.h5md", append=True, observers=[frames])
+    kept, stored = universe(frames), universe(tmp_path / "a.h5md")
+    assert len(kept.trajectory) == len(stored.trajectory) == len(frames) == 5
+    assert kept.trajectory.dt == pytest.approx(stored.trajectory.dt, rel=1e-12)
+    assert kept.trajectory.totaltime == pytest.approx(stored.trajectory.totaltime, rel=1e-12)
+    for ours, theirs in zip(kept.trajectory, stored.trajectory, strict=True):
+        for name in ("positions", "velocities", "dimensions"):
+            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+        assert ours.time == theirs.time
+        assert set(ours.data) == set(theirs.data)
+        for name in theirs.data.keys() - {"dt"}:
+            np.testing.assert_array_equal(ours.data[name], theirs.data[name])
+    energies = [ts.data["total_energy"] for ts in kept.trajectory]
+    np.testing.assert_array_equal(energies, [*record.total_energy, *second.total_energy[1:]])
+    assert kept.atoms.resids.tolist() == stored.atoms.resids.tolist()
+    assert len(radial_distribution(frames, 20).r) == 19
+    assert diffusion_coefficient(frames, (0.0, 1e9)).coefficient == diffusion_coefficient(stored, (0.0, 1e9)).coefficient
+
+
+def test_simulation_as_a_universe_is_its_present_state():
+    sim = simulation(polymers())
+    sim.run(3, every=3)
+    made = universe(sim)
+    np.testing.assert_array_equal(made.atoms.positions, sim.positions.astype(np.float32))
+    np.testing.assert_array_equal(made.atoms.velocities, sim.velocities.astype(np.float32))
+    assert made.trajectory.ts.data["total_energy"] == sim.frame().observables["total_energy"]
+    assert (made.trajectory.time, made.trajectory.ts.data["step"], made.trajectory.totaltime) == (pytest.approx(1.2), 3, 0.0)
+    with pytest.raises(ValueError, match="these Frames are empty"):
+        universe(Frames())
+
+
+def test_d_by_the_usual_lines_is_that_of_minimd(tmp_path):
+    """Lags from trajectory.dt, as everybody writes it."""
+    rng = np.random.default_rng(6)
+    walk = np.cumsum(rng.normal(0.0, 0.3, (40, 50, 3)), axis=0)
+    path = written(tmp_path / "a.h5md", md.System(walk[0], masses=1.0, cell=9.0, units=md.units.ASE), walk)
+    made = universe(path)
+    msd = EinsteinMSD(made, msd_type="xyz", fft=False).run()
+    lags = np.arange(msd.n_frames) * made.trajectory.dt
+    chosen = slice(4, 20)
+    usual = linregress(lags[chosen], msd.results.timeseries[chosen]).slope / 6.0
+    ours = diffusion_coefficient(path, (3.5 * made.trajectory.dt, 19.5 * made.trajectory.dt)).coefficient
+    assert usual == pytest.approx(ours, rel=1e-6)
 
 
 def test_labels_that_are_no_symbols_are_no_elements(tmp_path):

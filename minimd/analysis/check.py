@@ -76,7 +76,7 @@ def check_file(path: str | Path) -> FileCheck:
     """
     sums = Comparison("checksums", float(bool(which := damage(path))), EXACT, f"{which or 'no frames'} are not those that were written")
     with damage_told(path) if which else nullcontext(), universe_of(path) as made:
-        contents, moved, system = made.contents, recompute(made), made.contents.system
+        contents, moved, system = made.contents, recompute(made), made.system
         record, is_free = Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}), contents.conserves_momentum
         report = conservation_report(record, linear=is_free, angular=is_free and not system.cell.is_periodic)
         frames = f"{contents.n_frames} frames, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, {system.units.name} units"
@@ -107,7 +107,7 @@ def recompute(run: str | Path | RunUniverse) -> Recomputed:
     run : a file, or its universe.  Raises as universe.
     """
     with universe_of(run) as made:
-        system, masses, rows = made.contents.system.copy(), made.atoms.masses, []
+        system, masses, rows = made.system.copy(), made.atoms.masses, []
         units, names = system.units, [name for name in OBSERVED if name in made.trajectory.ts.data]
         for ts in made.trajectory:
             v = ts.velocities * np.float64(units.to_picosecond / units.to_angstrom)

@@ -19,7 +19,7 @@ class ASEWriter:
     claim : on the file, which appears with its first frame.
     """
 
-    def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
+    def __init__(self, claim: Claim, engine: Engine, store_forces: bool, _every: int = 1) -> None:
         self._claim, self._template, self._store_forces = claim, atoms_from_system(engine.system), store_forces
         is_binary = claim.path.suffix.lower() == ".traj"
         self._output = TrajectoryWriter(claim.place, "w") if is_binary else claim.place.open("w", encoding="utf-8")

@@ -99,7 +99,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     start = guard.failed_from or last.state
     claim = Claim(part, overwrite=True)
     try:
-        writer = H5MDWriter(claim, engine, store_forces=True)
+        writer = H5MDWriter(claim, engine, store_forces=True, every=max(1, last.state.step - start.step))
         try:
             for snapshot in (start, last.state):
                 engine.restore(snapshot)

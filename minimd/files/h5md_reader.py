@@ -18,7 +18,7 @@ from minimd.files.first_look import looked_at
 from minimd.files.h5md_constraints import read_constraints
 from minimd.files.h5md_digest import check_sizes, damaged_frames, is_signed, n_whole_frames
 from minimd.files.h5md_restart import damaged_restart, read_restart
-from minimd.files.h5md_schema import STEPS, TRAJECTORY, opened
+from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, opened
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.structure.cell import Cell
@@ -162,6 +162,7 @@ def _system(group: h5py.Group, restart: Checkpoint) -> System:
         cell=Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
         species=np.array(labels.tolist())[group["species_index"][:]],
         bonds=group["bonds"][:],
+        angles=group["angles"][:] if "angles" in group else None,
         units=SYSTEMS[group.attrs["units"]],
         constraints=read_constraints(group),
     )
@@ -169,7 +170,7 @@ def _system(group: h5py.Group, restart: Checkpoint) -> System:
 
 def _record(h5: h5py.File, system: System, n_frames: int) -> Record:
     known = [name for name in SERIES if name in h5["observables"]]
-    names = known + [name for name in h5["observables"] if name not in SERIES]
+    names = known + [name for name in h5["observables"] if name not in SERIES and name != SPACING]
     series: dict[str, NDArray[Any]] = {"step": h5[STEPS][:n_frames], "time": h5["minimd/time"][:n_frames]}
     series.update({name: h5[f"observables/{name}/value"][:n_frames] for name in names})
     return Record.of(system.units, len(system), series)

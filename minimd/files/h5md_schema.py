@@ -1,8 +1,9 @@
 """Where everything lies in a minimd file, laid out as H5MD.
 
     particles/trajectory    box/edges, position, velocity, force [Å, Å/ps, kJ/mol/Å; times in ps], species, mass
-    connectivity/bonds      pairs of bonded atoms
+    connectivity/bonds      pairs of bonded atoms; connectivity/angles, triples of atoms, if there are any
     observables/<name>      the numbers of the record, to the last bit, in the units of the simulation
+    observables/dt          the time between observations [ps], beside each frame: MDAnalysis looks nowhere else for it
     minimd                  what H5MD has no place for: units, cell, pbc, timestep, method, constraints, exact times, restarts, digests
 
 Reduced numbers are written unchanged under the same labels, because MDAnalysis refuses a file without units; the group
@@ -34,6 +35,7 @@ CHUNK_ROWS = 512  # at most
 LARGEST_ENUMERATION = 1000  # labels that fit into the header of a dataset, 64 KiB
 TRAJECTORY = "particles/trajectory"
 STEPS, TIMES = f"{TRAJECTORY}/position/step", f"{TRAJECTORY}/position/time"
+SPACING = "dt"  # the name in Timestep.data that MDAnalysis' Timestep.dt reads first; its H5MD reader fills data from observables
 
 
 class Column(NamedTuple):
@@ -44,8 +46,11 @@ class Column(NamedTuple):
     entry: Callable[[Frame], Any]
 
 
-def columns(system: System, observables: list[str], store_forces: bool) -> list[Column]:
-    """All series of a file, positions last: their length is the number of frames to MDAnalysis."""
+def columns(system: System, observables: list[str], store_forces: bool, spacing: float | None) -> list[Column]:
+    """All series of a file, positions last: their length is the number of frames to MDAnalysis.
+
+    spacing : time between observations [time]; None for a file that does not hold it.
+    """
     units = system.units
     per_time, force = units.to_angstrom / units.to_picosecond, units.to_kj_per_mol / units.to_angstrom
     edges = system.cell.vectors * units.to_angstrom
@@ -54,6 +59,7 @@ def columns(system: System, observables: list[str], store_forces: bool) -> list[
         Column(STEPS, "", lambda frame: frame.step),
         Column(TIMES, "ps", lambda frame: frame.time * units.to_picosecond),
         *(Column(f"observables/{name}/value", getattr(units, SERIES.get(name) or "", ""), partial(observable, name)) for name in observables),
+        *([Column(f"observables/{SPACING}/value", "ps", lambda _: spacing * units.to_picosecond)] if spacing is not None else []),
         *([Column(f"{TRAJECTORY}/box/edges/value", "Angstrom", lambda _: edges)] if has_edges(system.cell) else []),
         Column(f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda frame: frame.velocities * per_time),
         *([Column(f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", lambda frame: frame.forces * force)] if store_forces else []),
@@ -103,7 +109,8 @@ def describe(h5: h5py.File, engine: Engine) -> None:
     names = system.species_names
     group["species_names"] = np.array(names, dtype=h5py.string_dtype() if isinstance(names[0], str) else np.int64)
     group["cell"], group["species_index"] = system.cell.vectors, system.species_index
-    group["masses"], group["bonds"] = h5[f"{TRAJECTORY}/mass"], h5["connectivity/bonds"]
+    group["masses"] = h5[f"{TRAJECTORY}/mass"]
+    group.update({name: h5[f"connectivity/{name}"] for name in h5["connectivity"]})
 
 
 def describe_method(group: h5py.Group, engine: Engine) -> None:
@@ -129,8 +136,10 @@ def _describe_standard(h5: h5py.File, system: System) -> None:
     particles.create_dataset("species", data=system.species_index, dtype=kind)
     particles["mass"] = system.masses
     particles["mass"].attrs["unit"] = "u"
-    h5["connectivity/bonds"] = system.bonds
-    h5["connectivity/bonds"].attrs["particles_group"] = particles.ref
+    for name, groups in (("bonds", system.bonds), ("angles", system.angles)):
+        if len(groups) or name == "bonds":
+            h5[f"connectivity/{name}"] = groups
+            h5[f"connectivity/{name}"].attrs["particles_group"] = particles.ref
 
 
 def opened(path: str | Path) -> h5py.File:

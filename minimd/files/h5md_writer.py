@@ -37,7 +37,7 @@ class H5MDWriter:
 
     Its restart is the state of the engine at the last flush, checkpoint or close.
 
-    claim : on the file.  engine : whose frames will come.  store_forces : also write forces.
+    claim : on the file.  engine : whose frames will come.  store_forces : also write forces.  every : steps between two frames.
 
     Raises OSError if the file cannot be created or has no room.
     """
@@ -49,14 +49,16 @@ class H5MDWriter:
     _n_frames: int
     _pending: FrameBlock | None
     _columns: list[layout.Column]
+    _every: int | None  # None where a file that is continued does not hold it
 
-    def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
+    def __init__(self, claim: Claim, engine: Engine, store_forces: bool, every: int = 1) -> None:
         self._begin(claim, engine, store_forces, "w")
+        self._every = every
         with self._telling("begin"):
             layout.describe(self._h5, engine)
 
     @classmethod
-    def append_to(cls, file: str | Path, engine: Engine, store_forces: bool = False) -> "H5MDWriter":
+    def append_to(cls, file: str | Path, engine: Engine, store_forces: bool = False, every: int = 1) -> "H5MDWriter":
         """A writer that continues a file from its restart; frames behind the restart are dropped.
 
         Forces are written if the file has them. A frame at the step of the restart is not doubled.
@@ -72,17 +74,17 @@ class H5MDWriter:
             claim.release()
             raise
         try:
-            writer._continue(file)
+            writer._continue(file, every)
         except BaseException:
             writer._give_up()
             raise
         return writer
 
-    def _continue(self, file: str | Path) -> None:
+    def _continue(self, file: str | Path, every: int) -> None:
         """Take up the file where its restart is.  Raises as append_to."""
         contents = contents_of(self._h5, file)
         _check_continues(Path(file), contents, self._engine, self._store_forces)
-        self._store_forces = contents.has_forces
+        self._store_forces, self._every = contents.has_forces, every if f"observables/{layout.SPACING}" in self._h5 else None
         with self._telling("be continued"):
             self._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
             self._last_step = int(contents.record.step[self._n_frames - 1])
@@ -100,7 +102,8 @@ class H5MDWriter:
         if frame.step == self._last_step:
             return
         if self._pending is None:
-            self._columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces)
+            spacing = None if self._every is None else self._every * self._engine.method.timestep
+            self._columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces, spacing)
             self._pending = FrameBlock(self._columns, frame)
         self._pending.take(frame)
         self._last_step = frame.step
@@ -241,6 +244,7 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
         "masses": np.array_equal(ours.masses, theirs.masses),
         "species": np.array_equal(ours.species, theirs.species),
         "bonds": np.array_equal(ours.bonds, theirs.bonds),
+        "angles": np.array_equal(ours.angles, theirs.angles),
         "the cell": ours.cell.same_as(theirs.cell),
     }
     for name, is_same in same.items():

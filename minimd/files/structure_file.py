@@ -1,39 +1,186 @@
-"""Structures from files that ASE reads, and masses of chemical elements."""
+"""Structures, and the bonds in them, from files that ASE or MDAnalysis reads; masses of chemical elements."""
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import ase.io
+import numpy as np
 from ase import Atoms
 from ase.data import atomic_masses, atomic_numbers
-from numpy.typing import ArrayLike
+from ase.io.formats import UnknownFileTypeError, ioformats
+from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure.cell import Cell
+from minimd.structure.console import outside_minimd
+from minimd.structure.joined import Joined, joined_in
 from minimd.structure.system import System
+from minimd.structure.units import ASE, LJ, UnitSystem
+
+LAMMPS = "lammps-data"
+SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS}  # that ASE does not know
+NAMES_BONDS = ("PDB", "ENT", "MOL2", "PSF", "GSD", "TXYZ", "ARC", "DMS", "XML", "TOP", "PRMTOP", "PARM7", "ITP", "TPR")  # to MDAnalysis
+NEAR = 2e-3  # Å, between the same positions read by ASE and by MDAnalysis
 
 
-def system_from_file(file: Path, cell: ArrayLike | None = None, pbc: ArrayLike | None = None) -> System:
-    """The last structure in a file of any format that ASE reads, in ASE's units.
+def system_from_file(
+    file: str | Path,
+    cell: ArrayLike | None = None,
+    pbc: ArrayLike | None = None,
+    *,
+    format: str | None = None,
+    units: UnitSystem = ASE,
+    bonds: ArrayLike | str | Path | None = "file",
+) -> System:
+    """The last structure in a file of any format that ASE or MDAnalysis reads, with its bonds and angles.
 
+    Parameters
+    ----------
     cell, pbc : instead of those of the file, as for System; with another cell the directions in which it is given are periodic.
+    format : ASE's name of the format ("lammps-data"), or one of MDAnalysis ("GRO"); the suffix and the content tell it if not given.
+    units : minimd.units.ASE; or minimd.units.LJ, whose numbers are taken as they stand. Masses are then those of the file where it states
+        them (LAMMPS data), else 1.
+    bonds : "file" for those that the file names, with its angles; another file, such as a PSF, that names them for the same atoms; pairs;
+        or None for none, with a warning if the file names some.
+
+    Species of LAMMPS data are its types, unless its masses are those of as many chemical elements and units are ASE's.
 
     Raises
     ------
-    ValueError : if the file does not exist, or ASE cannot read it; whatever its readers raise becomes one sentence. And as System does.
+    ValueError : if a file does not exist, or cannot be read; whatever readers raise becomes one sentence. And as System does.
     """
-    if not file.is_file():
-        raise ValueError(f"file {str(file)!r} does not exist")
+    path = Path(file)
+    form = format or SUFFIXES.get(path.suffix.lower())
+    with _read_as(path, "a structure", form):
+        source = _source(path, form, units)
+        system = _system(source, units, form)
+    if cell is not None or pbc is not None:
+        placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
+        if isinstance(source, Atoms):  # lengths of constraints are then measured in this cell
+            source.cell[:], source.pbc = placed.vectors, placed.pbc
+            system = _system(source, units, form)
+        else:
+            system.cell = placed
+    if bonds is not None and not isinstance(bonds, str | Path):
+        return changed(system, bonds=bonds, angles=None)
+    if bonds is None:
+        with suppress(ValueError):  # nobody has asked for them
+            _tell_unused(path, _joined(path, form, system, source))
+        return changed(system, bonds=None, angles=None)
+    found = _joined(path, form, system, source) if bonds == "file" else _joined(path.parent / bonds, None, system)
+    if found.n_types > 1:
+        words = f"the bonds of {str(path)!r} are of {found.n_types} types, which a bond potential does not tell apart; give it pairs, or arrays"
+        warnings.warn(words, stacklevel=outside_minimd())
+    return changed(system, bonds=found.bonds, angles=found.angles)
+
+
+def changed(system: System, **changes: Any) -> System:
+    """A copy of a system with other arguments."""
+    names = ("masses", "velocities", "cell", "species", "bonds", "angles", "units", "constraints")
+    return System(system.positions, **{name: changes[name] if name in changes else getattr(system, name) for name in names})
+
+
+def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
+    """ASE's atoms; a universe where the format is one of MDAnalysis. Of LAMMPS data, which do not name their units, numbers as they stand for LJ."""
+    if form is not None and form not in ioformats:
+        return _universe(path, form)
+    options: dict[str, Any] = {"units": "ASE" if units is LJ else "metal"} if form == LAMMPS else {}
+    read = ase.io.read(path, format=form, **options)
+    atoms = read if isinstance(read, Atoms) else read[-1]
+    if "id" in atoms.arrays:
+        atoms.arrays["id"] = np.arange(1, len(atoms) + 1)  # nobody has cut or sorted them, whatever their numbers are
+    return atoms
+
+
+def _universe(path: Path, form: str | None, topology_only: bool = False) -> Any:
+    import MDAnalysis
+
+    with warnings.catch_warnings(action="ignore"):
+        formats = () if form is None else ("topology_format",) if topology_only else ("topology_format", "format")
+        made = MDAnalysis.Universe(str(path), **dict.fromkeys(formats, str(form).upper()))
+        if not topology_only:
+            made.trajectory[-1]
+        return made
+
+
+def _system(source: Any, units: UnitSystem, form: str | None) -> System:
+    if not isinstance(source, Atoms):
+        return System.from_mdanalysis(source, units=units)
+    system = System.from_ase(source)
+    types = _types(source) if form == LAMMPS else None
+    if units is LJ:
+        own: dict[str, Any] = {"masses": None, "velocities": None}
+        if types is not None:
+            own = {"masses": system.masses, "velocities": system.velocities}
+        return changed(system, units=LJ, species=types or system.species, **own)
+    symbols = set(source.symbols)
+    are_told = types is None or ("X" not in symbols and len(symbols) == len(set(types)))
+    return system if are_told else changed(system, species=types)
+
+
+def _types(atoms: Atoms) -> list[str]:
+    return [str(kind) for kind in atoms.arrays["type"].tolist()]
+
+
+def _joined(path: Path, form: str | None, system: System, source: Any = None) -> Joined:
+    """The bonds that a file names for the atoms of a system.  source : what was read from it.
+
+    Raises ValueError if it cannot be read, or its atoms are others.
+    """
+    theirs = {"proteindatabank": "PDB"}.get(form or "", form or path.suffix[1:]).upper()
+    with _read_as(path, "bonds", form):
+        if source is not None and not isinstance(source, Atoms):
+            return Joined(system.bonds, system.angles)
+        if source is not None and (theirs not in NAMES_BONDS or "bonds" in source.arrays):
+            return joined_in(source)
+        if source is None and path.suffix.lower() in SUFFIXES:
+            made, found = _source(path, LAMMPS, system.units), None
+            found = joined_in(made)
+            n_atoms, positions = len(made), made.positions
+        else:
+            made = _universe(path, theirs, topology_only=source is None)
+            n_atoms, positions = len(made.atoms), _positions(made) if source is not None else None
+            found = Joined(_indices(made, "bonds", 2), _indices(made, "angles", 3))
+    if n_atoms != len(system):
+        raise ValueError(f"file {str(path)!r} names bonds of {n_atoms} atoms; the structure has {len(system)}")
+    if source is not None and positions is not None and np.abs(positions - source.positions).max() > NEAR:
+        raise ValueError(f"file {str(path)!r} is read in another order by MDAnalysis than by ASE; list its bonds as pairs")
+    return found
+
+
+def _positions(universe: Any) -> NDArray[np.float64]:
+    return np.asarray(universe.atoms.positions, dtype=np.float64)
+
+
+def _indices(universe: Any, name: str, size: int) -> NDArray[np.int64]:
+    groups = getattr(universe, name, None)  # an attribute that the file does not have
+    return np.asarray([] if groups is None else groups.indices, dtype=np.int64).reshape(-1, size)
+
+
+def _tell_unused(path: Path, found: Joined) -> None:
+    if found:
+        warnings.warn(
+            f'file {str(path)!r} names {found}, which are not used; take them with bonds = "file", in a scene under [structure], '
+            "or leave them out with bonds = []",
+            stacklevel=outside_minimd(),
+        )
+
+
+@contextmanager
+def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
+    """Turn whatever a reader raises into a sentence."""
+    if not path.is_file():
+        raise ValueError(f"file {str(path)!r} does not exist")
     try:
-        read = ase.io.read(file)
-        atoms = read if isinstance(read, Atoms) else read[-1]
-        system = System.from_ase(atoms)
+        yield
     except Exception as error:
-        reason = " ".join(str(error).split()) or "ASE gives no reason"
-        raise ValueError(f"file {str(file)!r} cannot be read as a structure: {type(error).__name__}: {reason}") from None
-    if cell is None and pbc is None:
-        return system
-    placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
-    atoms.cell[:], atoms.pbc = placed.vectors, placed.pbc
-    return System.from_ase(atoms)  # with lengths of constraints that are measured in this cell
+        if form is None and isinstance(error, StopIteration | UnknownFileTypeError):
+            reason = "its suffix and content tell no format; name it as format, such as 'lammps-data'"
+        else:
+            reason = f"{type(error).__name__}: {' '.join(str(error).split()) or 'the reader gives no reason'}"
+        raise ValueError(f"file {str(path)!r} cannot be read as {what}: {reason}") from None
 
 
 def atomic_mass(element: str) -> float:

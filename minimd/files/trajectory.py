@@ -27,7 +27,7 @@ class Writer(Protocol):
         """Finish the file; it is valid afterwards, however many frames it got."""
 
 
-FORMATS = {  # suffix: module and class of its writer, loaded when needed and called with claim, engine and store_forces
+FORMATS = {  # suffix: module and class of its writer, loaded when needed and called with claim, engine, store_forces and every
     ".h5md": ("minimd.files.h5md_writer", "H5MDWriter"),
     **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter")),
     **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter")),
@@ -36,10 +36,11 @@ FORMATS = {  # suffix: module and class of its writer, loaded when needed and ca
 
 @contextmanager
 def open_trajectories(
-    paths: str | Path | Sequence[str | Path], engine: Engine, *, store_forces: bool, overwrite: bool, append: bool = False
+    paths: str | Path | Sequence[str | Path], engine: Engine, *, store_forces: bool, overwrite: bool, append: bool = False, every: int = 1
 ) -> Iterator[list[Writer]]:
     """Writers for some files, all checked before the first is opened, all closed at the end; if one cannot be opened, none is left.
 
+    every : steps between two frames.
     Raises ValueError for a suffix that no writer knows, a file that is named twice, or one that cannot be appended to.  FileExistsError for a
     file that exists, unless overwrite.  FileNotFoundError, PermissionError for a folder that does not exist or cannot be written.
     OSError if another run writes the file, or it is no regular file.
@@ -50,29 +51,29 @@ def open_trajectories(
     with ExitStack() as closing:
         writers: list[Writer] = []
         for file in files:
-            writers.append(_continued(file, engine, store_forces) if append else _new(file, engine, store_forces, overwrite))
+            writers.append(_continued(file, engine, store_forces, every) if append else _new(file, engine, store_forces, every, overwrite))
             closing.callback(writers[-1].close)
         yield writers
 
 
-def _new(file: Path, engine: Engine, store_forces: bool, overwrite: bool) -> Writer:
+def _new(file: Path, engine: Engine, store_forces: bool, every: int, overwrite: bool) -> Writer:
     module, name = FORMATS[file.suffix.lower()]
     try:
         claim = Claim(file, overwrite=overwrite)
     except OSError as error:
         raise type(error)(f"output {str(file)!r} cannot be written: {error.strerror}") from None
     try:
-        writer: Writer = getattr(import_module(module), name)(claim, engine, store_forces)
+        writer: Writer = getattr(import_module(module), name)(claim, engine, store_forces, every)
     except BaseException:
         claim.release()
         raise
     return writer
 
 
-def _continued(file: Path, engine: Engine, store_forces: bool) -> Writer:
+def _continued(file: Path, engine: Engine, store_forces: bool, every: int) -> Writer:
     from minimd.files.h5md_writer import H5MDWriter
 
-    return H5MDWriter.append_to(file, engine, store_forces)
+    return H5MDWriter.append_to(file, engine, store_forces, every)
 
 
 def _appendable(file: Path) -> Path:

@@ -1,9 +1,10 @@
-"""minimd files as universes of MDAnalysis, and its analyses.
+"""Runs as universes of MDAnalysis, and its analyses.
 
 MDAnalysis holds positions and velocities in float32, in Å and Å/ps, and knows a cell by lengths and angles alone. Reduced numbers
 pass unchanged, 1 σ as 1 Å and 1 τ as 1 ps.
 """
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,65 +16,113 @@ import MDAnalysis
 import numpy as np
 from MDAnalysis.analysis.msd import EinsteinMSD
 from MDAnalysis.analysis.rdf import InterRDF
-from MDAnalysis.guesser.tables import SYMB2Z
 from MDAnalysis.lib.mdamath import triclinic_box, triclinic_vectors
 from numpy.typing import NDArray
 
 from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.mdanalysis_writer import quiet
+from minimd.mdanalysis.memory import Frames, RecordedReader
+from minimd.mdanalysis.topology import bare_universe
+from minimd.simulation.simulation import Simulation
+from minimd.structure.console import outside_minimd
+from minimd.structure.system import System
 from minimd.structure.units import ASE
 
-__all__ = ["Diffusion", "RadialDistribution", "RunUniverse", "diffusion_coefficient", "mean_square_displacement", "radial_distribution", "universe"]
+__all__ = [
+    "Diffusion",
+    "Frames",
+    "RadialDistribution",
+    "RunUniverse",
+    "diffusion_coefficient",
+    "mean_square_displacement",
+    "radial_distribution",
+    "universe",
+]
 
 Array = NDArray[np.float64]
 VERSION = MDAnalysis.__version__
 RDF_FRAMES, RDF_DISTANCES = 50, 1e7  # at most, so that g(r) takes half a second
 MSD_FRAMES, MSD_ATOMS = 200, 400  # at most
 FIT_FROM, FIT_TO = 0.1, 0.5  # of the duration: after the ballistic start, before few pairs of frames are left
+UNEVEN = 1e-6  # of a spacing between frames: times are rounded
 CM2_PER_S = 1e-4  # per Å²/ps
 
 
 class RunUniverse(MDAnalysis.Universe):
-    """The universe of a minimd file.  contents : what the file holds apart from its frames."""
+    """The universe of a run.  system : System.  contents : what its file holds apart from its frames; a universe in memory has none."""
 
+    system: System
     contents: H5MDContents
 
 
-Run = str | Path | RunUniverse
+Run = str | Path | Simulation | Frames | RunUniverse
 
 
-def universe(path: str | Path, contents: H5MDContents | None = None) -> RunUniverse:
-    """A minimd file as an MDAnalysis universe: masses, types, names, elements where labels are symbols, bonds, all frames.
+def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | None = None) -> RunUniverse:
+    """A minimd file as an MDAnalysis universe: masses, types, names, elements where labels are symbols, bonds, angles, residues, all frames.
+
+    Each molecule is a residue: atoms that bonds or fixed lengths connect. Observables stand in ts.data.
 
     MDAnalysis places a cell with its first vector along x and the second in the xy plane. Where the cell of the file lies
     otherwise, its periodic distances are wrong until positions are turned likewise, as radial_distribution does.
 
+    run : a file; or, in memory, a simulation as it is now, or the Frames that it has filled.
     contents : of the file, if they have been read.
+
+    Warns where frames are not evenly spaced, because MDAnalysis' dt is one number.
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as minimd.files.h5md_reader.read_file.
+    FileNotFoundError, OSError, ValueError : as minimd.files.h5md_reader.read_file.  ValueError : for Frames that are empty.
     """
-    contents = contents or read_file(path)
-    system, labels = contents.system, [str(label) for label in contents.system.species]
+    if isinstance(run, Simulation):
+        frames = Frames()
+        frames(run)
+        return _in_memory(frames, run.method.timestep * run.system.units.to_picosecond)
+    if isinstance(run, Frames):
+        return _in_memory(run)
+    contents = contents or read_file(run)
+    spacing = _spacing(f"the frames of {str(run)!r}", contents.record.step, contents.record.time * contents.system.units.to_picosecond)
     with quiet():
-        made = RunUniverse.empty(len(system), trajectory=False)
-        made.contents = contents
-        made.add_TopologyAttr("masses", system.masses)
-        made.add_TopologyAttr("types", labels)
-        made.add_TopologyAttr("names", labels)
-        if any(label in SYMB2Z for label in labels):
-            made.add_TopologyAttr("elements", [label if label in SYMB2Z else "" for label in labels])
-        if len(system.bonds):
-            made.add_TopologyAttr("bonds", [tuple(bond) for bond in system.bonds.tolist()])
-        made.load_new(str(path), format="H5MD")
+        made = bare_universe(RunUniverse, contents.system)
+        made.contents, made.system = contents, contents.system
+        made.load_new(str(run), format="H5MD", **({} if spacing is None else {"dt": spacing}))
     return made
+
+
+def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
+    """timestep : taken for the time between frames if there is only one [ps, or τ]."""
+    if frames.system is None:
+        raise ValueError("these Frames are empty; pass them to a run: observers=[frames]")
+    spacing = _spacing("the frames in memory", frames.series("step"), frames.series("time")) or timestep
+    with quiet():
+        made = bare_universe(RunUniverse, frames.system)
+        made.system = frames.system
+        made.trajectory = RecordedReader(**frames.reader_arguments(spacing))
+    return made
+
+
+def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
+    """dt [ps] for MDAnalysis, which knows one spacing of frames; that of most frames, with a warning, where there are several; None of one frame."""
+    spacings = np.diff(times)
+    if not len(spacings):
+        return None
+    spacing = float(np.median(spacings))
+    if np.ptp(spacings) > UNEVEN * spacing:
+        least, most = np.diff(steps)[[spacings.argmin(), spacings.argmax()]]
+        warnings.warn(
+            f"{what} lie {least} to {most} steps apart, so that trajectory.dt and totaltime do not hold for all of them; "
+            "take the time of each frame, ts.time",
+            stacklevel=outside_minimd(),
+        )
+    return spacing
 
 
 @contextmanager
 def universe_of(run: Run) -> Iterator[RunUniverse]:
-    """The universe of a run: one that is given stays open, that of a file is closed at the end.  Raises as universe."""
-    made = run if isinstance(run, RunUniverse) else universe(run)
+    """The universe of a run: one that is given stays open, any other is closed at the end.  Raises as universe."""
+    with quiet():  # the analyses here take the time of each frame
+        made = run if isinstance(run, RunUniverse) else universe(run)
     try:
         yield made
     finally:
@@ -92,16 +141,16 @@ def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
     """g(r) by MDAnalysis' InterRDF, up to half the smallest height of the cell, from evenly chosen frames and atoms.
 
     Bonded pairs count like all others. If distances between all atoms would take too long, they are measured from some of them to all.
-    run : a file, or its universe.
+    run : what universe takes, or a universe of it.
 
     Raises
     ------
     ValueError : if the cell is not periodic in all directions, or there is one atom only.  And as universe.
     """
     with universe_of(run) as made, quiet():
-        system = made.contents.system
+        system = made.system
         if not system.cell.pbc.all() or len(system) < 2:
-            raise ValueError(f"g(r) needs two atoms and a cell periodic in all directions; {made.trajectory.filename!r} holds {system!r}")
+            raise ValueError(f"g(r) needs two atoms and a cell periodic in all directions; {_name(made)} holds {system!r}")
         r_max = float(system.cell.heights.min() / 2.0) * system.units.to_angstrom
         stride = ceil(len(made.trajectory) / RDF_FRAMES)
         some = _every(made, RDF_DISTANCES * stride / len(made.trajectory) / len(system))
@@ -115,7 +164,7 @@ class _TurnedRDF(InterRDF):
 
     def _prepare(self) -> None:
         super()._prepare()
-        system = self.g2.universe.contents.system
+        system = self.g2.universe.system
         self._dimensions = triclinic_box(*(system.cell.lattice * system.units.to_angstrom))
         self._vectors, self._inverse = triclinic_vectors(self._dimensions, dtype=np.float64), system.cell.inverse / system.units.to_angstrom
 
@@ -129,6 +178,10 @@ class _TurnedRDF(InterRDF):
 def _every(made: MDAnalysis.Universe, n_atoms: float) -> MDAnalysis.AtomGroup:
     """About so many atoms, evenly chosen."""
     return made.atoms[:: max(1, ceil(len(made.atoms) / max(1.0, n_atoms)))]
+
+
+def _name(made: RunUniverse) -> str:
+    return repr(made.trajectory.filename) if hasattr(made, "contents") else "this run"
 
 
 @dataclass(frozen=True)
@@ -156,7 +209,7 @@ class Diffusion:
 def mean_square_displacement(run: Run) -> tuple[Array, Array]:
     """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
 
-    Frames and atoms are evenly chosen where there are many.  run : a file, or its universe.
+    Frames and atoms are evenly chosen where there are many.  run : what universe takes, or a universe of it.
 
     Raises
     ------
@@ -164,7 +217,7 @@ def mean_square_displacement(run: Run) -> tuple[Array, Array]:
     """
     with universe_of(run) as made, quiet():
         if len(made.trajectory) < 2:
-            raise ValueError(f"a displacement needs at least 2 frames; {made.trajectory.filename!r} holds {len(made.trajectory)}")
+            raise ValueError(f"a displacement needs at least 2 frames; {_name(made)} holds {len(made.trajectory)}")
         result = EinsteinMSD(_every(made, MSD_ATOMS), fft=False).run(step=ceil(len(made.trajectory) / MSD_FRAMES)).results
     return np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.timeseries)
 
@@ -172,14 +225,14 @@ def mean_square_displacement(run: Run) -> tuple[Array, Array]:
 def diffusion_coefficient(run: Run, window: tuple[float, float] | None = None) -> Diffusion:
     """D from the mean-square displacement, a straight line fitted within a window of lags.
 
-    run : a file, or its universe.  window : [ps, or τ]; from a tenth to half of the duration if not given.
+    run : what universe takes, or a universe of it.  window : [ps, or τ]; from a tenth to half of the duration if not given.
 
     Raises
     ------
     ValueError : if the window holds fewer than three lags.  And as mean_square_displacement.
     """
     with universe_of(run) as made:
-        (lags, squares), units = mean_square_displacement(made), made.contents.system.units
+        (lags, squares), units = mean_square_displacement(made), made.system.units
     start, end = window or (FIT_FROM * lags[-1], FIT_TO * lags[-1])
     chosen = (lags >= start) & (lags <= end)
     if chosen.sum() < 3:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.kernels import kernel
-from minimd.potentials.term import FORCES, PER_ATOM, Term
+from minimd.potentials.term import FORCES, PER_ATOM, NoTerm, Term, no_bonds
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.checks import checked_numbers, shown
@@ -23,33 +23,39 @@ class HarmonicAngle:
     ----------
     k : stiffness [energy/rad²], one number or one for each angle.
     angle : θ₀ [rad], between 0 and π, one number or one for each angle.
-    triples : (A, 3) int, atoms i, j, k with j in the middle.
+    triples : (A, 3) int, atoms i, j, k with j in the middle; system.angles if not given.
 
     Raises
     ------
     ValueError : if a number is not finite or out of range, or shapes do not fit.
     """
 
-    def __init__(self, k: ArrayLike, angle: ArrayLike, triples: ArrayLike) -> None:
-        self.triples = checked_groups("triples", triples, 3)
-        self.k = _one_each("k", k, len(self.triples))
-        self.angle = _one_each("angle", angle, len(self.triples))
+    def __init__(self, k: ArrayLike, angle: ArrayLike, triples: ArrayLike | None = None) -> None:
+        self.triples = None if triples is None else checked_groups("triples", triples, 3)
+        n_angles = None if self.triples is None else len(self.triples)
+        self.k, self.angle = _one_each("k", k, n_angles), _one_each("angle", angle, n_angles)
         if np.any(self.k < 0.0):
             raise ValueError(f"k of a harmonic angle must not be negative; k = {shown(self.k.tolist())}")
         if np.any((self.angle < 0.0) | (self.angle > pi)):
             raise ValueError(f"angle must lie between 0 and pi (radians); angle = {shown(self.angle.tolist())}")
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({shown(self.k.tolist())}, {shown(self.angle.tolist())}, {len(self.triples)} triples)"
+        which = "" if self.triples is None else f", {len(self.triples)} triples"
+        return f"{type(self).__name__}({shown(self.k.tolist())}, {shown(self.angle.tolist())}{which})"
 
-    def bind(self, system: System) -> "AngleTerm":
+    def bind(self, system: System) -> Term:
         """The term of these angles in a system.
 
         Raises
         ------
-        ValueError : if a triple names a missing atom.
+        ValueError : if a triple names a missing atom, or an array of k or angle has another length than the list of angles.
         """
-        return AngleTerm(self, checked_groups("triples", self.triples, 3, len(system)))
+        triples = system.angles if self.triples is None else checked_groups("triples", self.triples, 3, len(system))
+        each = (_one_each(*one, len(triples)) for one in (("k", self.k), ("angle", self.angle)))
+        k, angle = (np.ascontiguousarray(np.broadcast_to(values, len(triples))) for values in each)
+        if len(triples) == 0 and self.triples is None:
+            return NoTerm(no_bonds(repr(self), "angles"))
+        return AngleTerm(triples, k, angle)
 
 
 class Angles(namedtuple("Angles", "first middle last first_translations last_translations k angle")):
@@ -104,10 +110,10 @@ def add_angle_forces(positions, angles, detail, sums):
 class AngleTerm(Term):
     """Harmonic angles, each arm taken at its nearest image."""
 
-    def __init__(self, potential: HarmonicAngle, triples: NDArray[np.int64]) -> None:
+    def __init__(self, triples: NDArray[np.int64], k: NDArray[np.float64], angle: NDArray[np.float64]) -> None:
         first, middle, last = (np.ascontiguousarray(triples[:, k]) for k in range(3))
         translations = np.zeros((2, len(triples), 3))
-        self._angles = Angles(first, middle, last, translations[0], translations[1], potential.k, potential.angle)
+        self._angles = Angles(first, middle, last, translations[0], translations[1], k, angle)
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See Term."""
@@ -119,10 +125,11 @@ class AngleTerm(Term):
         add_angle_forces(system.positions, angles, detail, (forces, energies, virials))
 
 
-def _one_each(name: str, values: ArrayLike, n: int) -> NDArray[np.float64]:
+def _one_each(name: str, values: ArrayLike, n: int | None) -> NDArray[np.float64]:
+    """One number, or n, or any number of them if n is not known."""
     array = checked_numbers(name, values, "one number, or one for each angle")
-    if array.shape not in ((), (n,)):
+    if array.ndim and array.shape != (array.size if n is None else n,):
         raise ValueError(f"{name} must be one number or {n}, one for each angle; its shape is {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite; {name} = {shown(array.tolist())}")
-    return np.ascontiguousarray(np.broadcast_to(array, n))
+    return array

@@ -133,6 +133,8 @@ def bound(potential: Any, system: System) -> Term:
     return completed
 
 
-def no_bonds(what: str) -> str:
-    """The warning that something meant for bonds finds none."""
-    return f"{what} has no effect: the system has no bonds; give them as System(bonds=...) or System.from_ase(atoms, bonds=...)"
+def no_bonds(what: str, groups: str = "bonds") -> str:
+    """The warning that something meant for bonds, or for angles, finds none."""
+    key = "structure.bonds" if groups == "bonds" else "triples"
+    places = f"System({groups}=...) or System.from_ase(atoms, {groups}=...), in a scene file as {key}"
+    return f"{what} has no effect: the system has no {groups}; give them as {places}"

@@ -109,7 +109,7 @@ class Scene:
         section = self.sections.constraints
         if section is not None:
             with _blamed_on(f"{self.path}: constraints"):
-                system.constraints = section.constraints(self.sections.structure.bonds, system.constraints)
+                system.constraints = section.constraints(system.bonds.tolist(), system.constraints)
         return system
 
     def _from_lattice(self) -> System:
@@ -125,13 +125,12 @@ class Scene:
         return System(positions, masses=mass, cell=edges, pbc=structure.pbc, species=species, bonds=structure.bonds, units=self.units)
 
     def _from_file(self) -> System:
-        from minimd.files.structure_file import system_from_file
+        from minimd.files.structure_file import changed, system_from_file
 
         structure = self.sections.structure
-        read = system_from_file(self.path.parent / (structure.file or ""), structure.cell, structure.pbc)
-        masses, velocities = (None, None) if self.units is units.LJ else (read.masses, read.velocities)
-        kept: dict[str, Any] = {"cell": read.cell, "species": structure.species or read.species, "constraints": read.constraints}
-        return System(read.positions, masses=masses, velocities=velocities, bonds=structure.bonds, units=self.units, **kept)
+        named: dict[str, Any] = {"format": structure.format, "bonds": structure.bonds, "units": self.units}
+        read = system_from_file(self.path.parent / (structure.file or ""), structure.cell, structure.pbc, **named)
+        return changed(read, species=structure.species) if structure.species else read
 
 
 def h5md_files(files: Iterable[Path]) -> list[Path]:

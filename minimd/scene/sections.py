@@ -26,7 +26,11 @@ TripleOfAtoms = Annotated[list[int], Three]
 
 
 class StructureSection(Section):
-    """[structure]: a file that ASE reads, or a block of a cubic crystal."""
+    """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
+
+    format : name of the format, for a file whose suffix does not tell it.  bonds : pairs; "file" for those that the file names, with its angles;
+    or another file that names them.
+    """
 
     file: str | None = None
     lattice: Annotated[str, one_of(BASES)] | None = None
@@ -37,16 +41,19 @@ class StructureSection(Section):
     cell: Annotated[Annotated[list[NotNegative], Three] | None, Dimension("length")] = None
     pbc: bool | Annotated[list[bool], Three] | None = None
     species: list[str] | None = None
-    bonds: list[PairOfAtoms] | None = None
+    format: str | None = None
+    bonds: list[PairOfAtoms] | str | None = None
 
     @model_validator(mode="after")
     def _is_complete(self, info: ValidationInfo) -> Self:
         if (self.file is None) == (self.lattice is None):
             raise ValueError("must have either file or lattice")
-        forbidden = ("cell",) if self.file is None else ("element", "repeat", "density", "lattice_constant")
+        forbidden = ("cell", "format") if self.file is None else ("element", "repeat", "density", "lattice_constant")
         for name in forbidden:
             if getattr(self, name) is not None:
                 raise ValueError(f"cannot have {name} beside {'lattice' if self.file is None else 'file'}")
+        if self.file is None and self.bonds == "file":
+            raise ValueError('cannot have bonds = "file" beside lattice; list the pairs, or name the file')
         if self.file is not None:
             return self
         if self.repeat is None or (self.element is None and reading_of(info).units == "ASE"):
@@ -74,7 +81,7 @@ class ConstraintsSection(Section):
             raise ValueError(f"must have one number as {key}, or one for each of its {len(self.pairs)} pairs; it has {len(self.lengths)}")
         return self
 
-    def constraints(self, bonds: list[list[int]] | None, known: Sequence[Constraint]) -> tuple[Constraint, ...]:
+    def constraints(self, bonds: list[list[int]], known: Sequence[Constraint]) -> tuple[Constraint, ...]:
         """The constraints of a system whose file, of structure or run, holds some already.
 
         bonds : of the structure.  known : of the file; what the section leaves open is as they have it, the lengths if the pairs are the same.
@@ -153,12 +160,12 @@ class HarmonicBondSection(Section):
 
 
 class HarmonicAngleSection(Section):
-    """[[potential]] of type "harmonic-angle": on triples of atoms."""
+    """[[potential]] of type "harmonic-angle": on triples of atoms, or on the angles of the structure file."""
 
     type: Literal["harmonic-angle"]
     k: Annotated[NotNegative, Dimension("angular stiffness")]
     angle: Annotated[NotNegative, Dimension("angle")]
-    triples: list[TripleOfAtoms]
+    triples: list[TripleOfAtoms] | None = None
 
     def potential(self) -> HarmonicAngle:
         """The potential that the section describes."""

@@ -177,7 +177,7 @@ class Simulation:
             guard.check_start()
             with (
                 stop_on_signals(engine.surroundings),
-                open_trajectories(trajectory, engine, **files) as writers,
+                open_trajectories(trajectory, engine, every=every, **files) as writers,
                 progress_of(end - start, "running", progress) as tell,
             ):
                 self.record = record = Record(self.system.units, len(self.system))

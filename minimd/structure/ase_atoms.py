@@ -9,24 +9,26 @@ from numpy.typing import ArrayLike
 
 from minimd.structure.ase_constraints import ases_constraints_of, constraints_of, fixes_center
 from minimd.structure.cell import Cell
+from minimd.structure.joined import joined_in
 from minimd.structure.units import ASE
 from minimd.structure.velocities import without_momentum
 
 LABELS = "species_labels"  # the array of an ase.Atoms that holds species which are no chemical elements
 
 
-def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True) -> dict[str, Any]:
+def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True, angles: ArrayLike | None = None) -> dict[str, Any]:
     """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and constraints.
 
     Species are the chemical symbols, or the labels that atoms_from_system stored in the atoms.
 
-    bonds : (B, 2) int, pairs of bonded atoms; ASE's atoms carry none.
+    bonds, angles : (B, 2) and (A, 3) int, as for System; without bonds, what the arrays of the atoms name: see joined_in.
     constraints : True to take those of the atoms; False if the caller handles them.
 
-    Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know.
+    Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as joined_in.
     """
     if not isinstance(atoms, Atoms):
         raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")
+    found = joined_in(atoms) if bonds is None else None
     velocities, masses = atoms.get_velocities(), atoms.get_masses()
     if constraints and fixes_center(atoms):
         velocities = without_momentum(velocities, masses)
@@ -36,7 +38,8 @@ def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: 
         "velocities": velocities,
         "cell": cell_of(atoms),
         "species": atoms.arrays.get(LABELS, atoms.get_chemical_symbols()),
-        "bonds": bonds,
+        "bonds": bonds if found is None else found.bonds,
+        "angles": angles if found is None or angles is not None else found.angles,
         "units": ASE,
         "constraints": constraints_of(atoms) if constraints else (),
     }
@@ -70,7 +73,8 @@ def same_labels(one: Atoms, other: Atoms) -> bool:
 
 def same_scene(one: Atoms, other: Atoms) -> bool:
     """True if only positions, momenta and cell can differ."""
-    arrays = ((one.numbers, other.numbers), (one.get_masses(), other.get_masses()), (one.pbc, other.pbc))
+    arrays = [(one.numbers, other.numbers), (one.get_masses(), other.get_masses()), (one.pbc, other.pbc)]
+    arrays += [(one.arrays.get(name, ()), other.arrays.get(name, ())) for name in ("bonds", "angles")]
     return all(np.array_equal(a, b) for a, b in arrays) and same_labels(one, other) and one.calc is other.calc
 
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.machine import EPS
 from minimd.structure import units as unit_systems
-from minimd.structure.bond_graph import checked_pairs
+from minimd.structure.bond_graph import checked_groups, checked_pairs
 from minimd.structure.cell import Cell
 from minimd.structure.checks import LARGEST, MOST_ATOMS, SMALLEST, checked_numbers, shown
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
@@ -16,14 +16,15 @@ from minimd.structure.units import UnitSystem
 
 if TYPE_CHECKING:
     import ase
+    import MDAnalysis
 
 AnySystem: TypeAlias = "System | ase.Atoms"
-READ_ONLY = ("masses", "species_names", "species_index", "bonds", "units")
+READ_ONLY = ("masses", "species_names", "species_index", "bonds", "angles", "units")
 RESOLVED = 1e-6  # of a length: rounding errors of separations beside it
 
 
 class System:
-    """N atoms: positions, velocities, masses, species, cell and bonds.
+    """N atoms: positions, velocities, masses, species, cell, bonds and angles.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ class System:
     cell : one length, three lengths, or (3, 3) rows = lattice vectors [length]; None for no cell.
     pbc : one bool or three; True where a lattice vector is given, if not said otherwise.
     species : N labels (str or int); all alike if not given.
-    bonds : (B, 2) int, pairs of bonded atoms.
+    bonds : (B, 2) int, pairs of bonded atoms.  angles : (A, 3) int, triples of atoms with an angle at the second one.
     units : minimd.units.LJ (reduced, default) or minimd.units.ASE (eV, Å, u).
     constraints : DistanceConstraints and FixedAtoms that a Simulation keeps if it is not given others.
 
@@ -45,8 +46,8 @@ class System:
 
     Raises
     ------
-    ValueError : if a shape does not fit, a number is masked, complex, a bool or not finite, a mass is not positive, a bond names a missing
-        atom, one atom twice or one pair twice, or a periodic direction has no lattice vector. TypeError : for units or constraints of
+    ValueError : if a shape does not fit, a number is masked, complex, a bool or not finite, a mass is not positive, a bond or an angle
+        names a missing atom, one atom twice or one pair twice, or a periodic direction has no lattice vector. TypeError : for units or constraints of
         another kind.
     """
 
@@ -60,6 +61,7 @@ class System:
         pbc: ArrayLike | None = None,
         species: Sequence[str] | Sequence[int] | NDArray | None = None,
         bonds: ArrayLike | None = None,
+        angles: ArrayLike | None = None,
         units: UnitSystem = unit_systems.LJ,
         constraints: Sequence[Constraint] = (),
     ) -> None:
@@ -74,7 +76,8 @@ class System:
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
         self.species_names, self.species_index = _species(species, len(self))
         self.bonds = checked_pairs("bonds", () if bonds is None else bonds, len(self))
-        for fixed in (self.masses, self.species_index, self.bonds):
+        self.angles = checked_groups("angles", () if angles is None else angles, 3, len(self))
+        for fixed in (self.masses, self.species_index, self.bonds, self.angles):
             fixed.setflags(write=False)
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -110,15 +113,45 @@ class System:
 
     def copy(self) -> "System":
         """An independent copy."""
-        names = ("masses", "velocities", "cell", "species", "bonds", "units", "constraints")
+        names = ("masses", "velocities", "cell", "species", "bonds", "angles", "units", "constraints")
         return System(self.positions, **{name: getattr(self, name) for name in names})
 
     @classmethod
-    def from_ase(cls, atoms: "ase.Atoms", bonds: ArrayLike | None = None) -> "System":
-        """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments."""
+    def from_ase(cls, atoms: "ase.Atoms", bonds: ArrayLike | None = None, angles: ArrayLike | None = None) -> "System":
+        """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments.
+
+        bonds, angles : as for System. Without bonds, those that ASE found in a file: atoms.arrays["bonds"] and ["angles"]; bonds=() for none.
+        """
         from minimd.structure.ase_atoms import system_arguments
 
-        return cls(**system_arguments(atoms, bonds))
+        return cls(**system_arguments(atoms, bonds, angles=angles))
+
+    @classmethod
+    def from_mdanalysis(
+        cls,
+        universe: "MDAnalysis.Universe | MDAnalysis.AtomGroup",
+        *,
+        units: UnitSystem = unit_systems.ASE,
+        bonds: ArrayLike | None = None,
+        angles: ArrayLike | None = None,
+        pbc: ArrayLike | None = None,
+    ) -> "System":
+        """The present frame of an MDAnalysis universe, or of a group of its atoms: positions, velocities, masses, cell, bonds and angles.
+
+        MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles. Species are its types.
+
+        Parameters
+        ----------
+        units : minimd.units.ASE, into which Å, Å/ps and u are converted; or minimd.units.LJ, whose numbers are taken as they stand.
+        bonds, angles : as for System; those of the universe if not given, () for none.  pbc : as for System.
+
+        Raises
+        ------
+        TypeError : for anything but a universe or a group.  ValueError : as System, or where MDAnalysis knows no masses.
+        """
+        from minimd.structure.mdanalysis_atoms import universe_arguments
+
+        return cls(**universe_arguments(universe, units, bonds, angles, pbc))
 
     def to_ase(self) -> "ase.Atoms":
         """An ase.Atoms with the same positions, momenta, masses, cell, species and constraints: see minimd.ase.atoms_from_system."""

@@ -1,0 +1,74 @@
+"""Frames of a running simulation, kept in memory for MDAnalysis."""
+
+from typing import Any
+
+import numpy as np
+from MDAnalysis.coordinates.memory import MemoryReader
+from numpy.typing import NDArray
+
+from minimd.files.mdanalysis_writer import cell_dimensions
+from minimd.simulation.simulation import Simulation
+from minimd.structure.system import System
+
+
+class Frames:
+    """An observer that keeps frames in memory, for universe().
+
+        frames = Frames()
+        sim.run(1000, every=10, observers=[frames])
+        u = universe(frames)
+
+    Positions and velocities are kept in float32, which is what MDAnalysis computes in, the observables in float64: 24 bytes for each atom and
+    frame. A step that is observed twice, at the end of a run and at the start of the next, is kept once.
+
+    Attributes
+    ----------
+    system : System, a copy made with the first frame, None before.
+    """
+
+    def __init__(self) -> None:
+        self.system: System | None = None
+        self._rows: list[dict[str, Any]] = []
+        self._moving: list[tuple[NDArray[np.float32], ...]] = []
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __call__(self, simulation: Simulation) -> None:
+        """Keep the present state.  Raises ValueError for another number of atoms than before."""
+        system = simulation.system
+        if self.system is None:
+            self.system = system.copy()
+        if len(system) != len(self.system):
+            raise ValueError(f"Frames keeps frames of one simulation, of {len(self.system)} atoms; this one has {len(system)}")
+        frame, units = simulation.frame(), system.units
+        if self._rows and self._rows[-1]["step"] == frame.step:
+            return
+        self._rows.append({"step": frame.step, "time": frame.time * units.to_picosecond, **frame.observables})
+        positions, velocities = frame.positions * units.to_angstrom, frame.velocities * (units.to_angstrom / units.to_picosecond)
+        dimensions = cell_dimensions(system.cell, units.to_angstrom)
+        boxes = np.zeros(6) if dimensions is None else dimensions
+        self._moving.append(tuple(np.asarray(one, dtype=np.float32) for one in (positions, velocities, boxes)))
+
+    def series(self, name: str) -> NDArray[Any]:
+        """(T, ...) an observable, "step", or "time" [ps, or τ], of all frames."""
+        return np.array([row[name] for row in self._rows])
+
+    def reader_arguments(self, dt: float) -> dict[str, Any]:
+        """Arguments for RecordedReader.  dt : time between frames [ps, or τ]."""
+        positions, velocities, dimensions = (np.stack(one) for one in zip(*self._moving, strict=True))
+        return {"coordinate_array": positions, "velocities": velocities, "dimensions": dimensions, "dt": dt, "rows": self._rows}
+
+
+class RecordedReader(MemoryReader):
+    """MDAnalysis' reader of arrays, with times and observables as they were recorded.  rows : of each frame, for ts.data; time among them."""
+
+    def __init__(self, coordinate_array: NDArray, rows: list[dict[str, Any]] | None = None, **options: Any) -> None:
+        self._recorded = rows
+        super().__init__(coordinate_array, order="fac", **options)
+
+    def _read_next_timestep(self, ts: Any = None) -> Any:
+        ts = super()._read_next_timestep(ts)
+        if self._recorded is not None:
+            ts.data.update(self._recorded[ts.frame])
+        return ts

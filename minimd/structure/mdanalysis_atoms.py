@@ -1,0 +1,69 @@
+"""Atoms of MDAnalysis as systems."""
+
+from typing import Any
+
+import numpy as np
+from MDAnalysis import AtomGroup, NoDataError, Universe
+from MDAnalysis.lib.mdamath import triclinic_vectors
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.structure.units import LJ, UnitSystem
+
+
+def universe_arguments(
+    universe: Universe | AtomGroup, units: UnitSystem, bonds: ArrayLike | None, angles: ArrayLike | None, pbc: ArrayLike | None
+) -> dict[str, Any]:
+    """Arguments for System from a universe or a group of its atoms, as System.from_mdanalysis describes them.
+
+    Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default.
+    """
+    if not isinstance(universe, Universe | AtomGroup):
+        raise TypeError(f"an MDAnalysis Universe or AtomGroup is expected; got {type(universe).__name__}")
+    atoms = universe.atoms
+    ts = atoms.universe.trajectory.ts
+    is_periodic = ts.dimensions is not None and bool(np.all(ts.dimensions[:3] > 0.0))
+    return {
+        "positions": atoms.positions.astype(np.float64) / units.to_angstrom,
+        "masses": _masses(atoms, units),
+        "velocities": atoms.velocities.astype(np.float64) * (units.to_picosecond / units.to_angstrom) if ts.has_velocities else None,
+        "cell": triclinic_vectors(ts.dimensions, dtype=np.float64) / units.to_angstrom if is_periodic else None,
+        "pbc": pbc,
+        "species": _species(atoms),
+        "bonds": _within(atoms, "bonds", 2) if bonds is None else bonds,
+        "angles": _within(atoms, "angles", 3) if angles is None else angles,
+        "units": units,
+    }
+
+
+def _masses(atoms: AtomGroup, units: UnitSystem) -> NDArray[np.float64] | None:
+    masses = np.asarray(getattr(atoms, "masses", np.zeros(len(atoms))), dtype=np.float64)
+    if not masses.any() and units is LJ:
+        return None
+    if not (masses > 0.0).all():
+        first = int(np.argmin(masses > 0.0))
+        raise ValueError(
+            f"masses must be positive; MDAnalysis has {masses[first]} for atom {first}, as for all types that it does not know: "
+            "set universe.atoms.masses, or with universe.add_TopologyAttr('masses', values)"
+        )
+    return masses
+
+
+def _species(atoms: AtomGroup) -> list[str] | None:
+    """Types; else elements, else names, else none."""
+    for name in ("types", "elements", "names"):
+        labels = [str(label) for label in getattr(atoms, name, ())]
+        if any(labels):
+            return [label or "X" for label in labels]
+    return None
+
+
+def _within(atoms: AtomGroup, name: str, size: int) -> NDArray[np.int64]:
+    """Bonds or angles of which all atoms are in the group, by their place in it."""
+    try:
+        groups = np.asarray(getattr(atoms, name).indices, dtype=np.int64).reshape(-1, size)
+    except (AttributeError, NoDataError):
+        return np.zeros((0, size), np.int64)
+    place = np.full(len(atoms.universe.atoms), -1)
+    place[atoms.indices] = np.arange(len(atoms))
+    found: NDArray[np.int64] = place[groups]
+    return found[(found >= 0).all(axis=1)]

@@ -11,7 +11,7 @@ from minimd.forces.forces import Evaluation, Forces, evaluate
 from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
 from minimd.minimization.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
-from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
+from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential, Tabulated
 from minimd.replay import potentials_of_scene, replay
 from minimd.simulation.simulation import Simulation
 from minimd.structure import lattice, units
@@ -47,6 +47,7 @@ __all__ = [
     "StepAdvice",
     "StochasticVelocityRescaling",
     "System",
+    "Tabulated",
     "VelocityVerlet",
     "advise_timestep",
     "evaluate",

@@ -37,6 +37,7 @@ class Record:
     shadow_energy : (T,) [energy], only where asked for: see minimd.shadow_energy.
     constraint_violation : (T,) largest |r² − d²|/d², only with lengths held fixed.
     pressure : (T,) [energy/length³], only where the cell has a volume.
+    stress : (T, 3, 3) [energy/length³], positive under tension, only where asked for: see Simulation.extra_observables.
     momentum, angular_momentum : (T, 3).  absolute_momentum : (T,) Σ |m v|.
     absolute_angular_momentum : (T,) Σ m |r − r_cm| |v|.
     units : the UnitSystem of all of them.  n_atoms : N.

@@ -13,10 +13,9 @@ from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.report import Cost, Report, conservation_report
 from minimd.diagnosis.reversibility import Reversibility, probe
 from minimd.diagnosis.run_guard import BLOCK, RunGuard
-from minimd.diagnosis.shadow_energy import check_extras
 from minimd.diagnosis.static_checks import static_checks
 from minimd.engine.engine import Engine, Snapshot
-from minimd.engine.observation import observe
+from minimd.engine.observation import check_extras, extras_in, observe
 from minimd.engine.record import Frame, Record
 from minimd.files.crash_file import crash_file_left, crash_file_place
 from minimd.files.trajectory import Writer, open_trajectories
@@ -24,7 +23,7 @@ from minimd.forces.forces import Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
-from minimd.simulation.engine_attribute import EngineAttribute
+from minimd.simulation.engine_attribute import EngineAttribute, Measured
 from minimd.structure.checks import checked_count, checked_flag, checked_number, shown
 from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
@@ -63,7 +62,9 @@ class Simulation:
     step = EngineAttribute[int]("Steps made so far; set it when a run is resumed.")
     time = EngineAttribute[float]("[time] since the start; set it when a run is resumed.")
     reservoir_energy = EngineAttribute[float]("Given by a thermostat since the start [energy]; set it when a run is resumed.")
-    extra_observables = EngineAttribute[Sequence[str]]('Names of observables beside the usual ones, ("shadow_energy",): see minimd.shadow_energy.')
+    extra_observables = EngineAttribute[Sequence[str]](
+        'Names of observables beside the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".'
+    )
     positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")
     forces = EngineAttribute[Array]("(N, 3) [energy/length], of the last evaluation.")
@@ -71,6 +72,10 @@ class Simulation:
     conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant: nothing is fixed, no bath acts on atoms one by one.")
     constraints = EngineAttribute[tuple[Constraint, ...]]("What is held fixed, with the lengths that are kept; also those of system.")
     rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds")
+    potential_energy = Measured[float]("U [energy].")
+    temperature = Measured[float]("Kinetic temperature.")
+    pressure = Measured[float]("P [energy/length³]; ValueError without a volume.")
+    stress = Measured[Array]("σ [energy/length³], (3, 3), kinetic part included, positive under tension: P = −tr σ / 3; ValueError without a volume.")
     potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.", "interactions.potentials")
     options = EngineAttribute[Options]("Threads, precision and skin, as they were asked for.", "interactions.options")
     skins = EngineAttribute[list[float]]("Of all lists that have one [length].", "interactions.skins")
@@ -122,7 +127,7 @@ class Simulation:
         if potentials is None:
             potentials = cls.potentials_of_scene(contents.scene, contents.potentials, Path(file))
         resumed = cls(contents.system, potentials, contents.integrator(), threads=threads, precision=contents.precision, skin=contents.skin)
-        resumed.extra_observables = ("shadow_energy",) if "shadow_energy" in contents.record else ()
+        resumed.extra_observables = extras_in(contents.record)
         resumed.engine.notes.update(title=contents.title, scene=contents.scene)
         resumed.engine.go_on_from(contents.restart)
         if contents.repaired:
@@ -171,7 +176,7 @@ class Simulation:
         files = {name: checked_flag(name, flag) for name, flag in files.items()}
         if not isinstance(observers, list | tuple) or not all(map(callable, observers)):
             raise TypeError(f"observers must be a list of functions of a simulation; observers = {shown(observers)}")
-        check_extras(engine, engine.extra_observables)
+        check_extras(engine)
         place, start = crash_file_place(crash_report, trajectory), engine.step
         with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):  # the file is left after all others are closed
             guard.check_start()
@@ -337,9 +342,7 @@ class Simulation:
 
     def frame(self) -> Frame:
         """The state as it is now, with its observables; the forces are evaluated."""
-        if not self.engine.is_as_left:
-            self.engine.moved()
-            self.engine.fit_images()
+        self.engine.catch_up()
         return observe(self.engine)
 
     def set_temperature(self, temperature: float, seed: int | None = None) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.record import SERIES, Record
+from minimd.structure.display import Displayed
 
 BLOCKS = 20  # averages of the total energy between which the drift is fitted
 SIGNIFICANT = 3.0  # standard errors
@@ -106,7 +107,7 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(Displayed):
     """What a run conserved, and what it cost. str() gives the report as text.
 
     Attributes

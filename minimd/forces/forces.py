@@ -22,7 +22,9 @@ from minimd.potentials.laws import Scaled
 from minimd.potentials.pair_loop import FixedPairs
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, bound
 from minimd.structure.console import outside_minimd
+from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import NonFiniteError
+from minimd.structure.observables import longest
 from minimd.structure.system import System, check_resolution
 
 if TYPE_CHECKING:
@@ -271,8 +273,8 @@ def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
                 yield FixedPairs(system, pairs, Scaled(one.law), rows)
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, repr=False)
+class Evaluation(Displayed):
     """potential_energy : U [energy].  forces : (N, 3) [energy/length].  virial : (3, 3) W = Σ f r_ij ⊗ r_ij [energy].
 
     energies : (N,) each atom's share of U [energy].
@@ -282,6 +284,17 @@ class Evaluation:
     forces: NDArray[np.float64]
     virial: NDArray[np.float64]
     energies: NDArray[np.float64]
+
+    def __repr__(self) -> str:
+        return f"Evaluation(potential_energy={self.potential_energy:.10g}, forces of {len(self.forces)} atoms)"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        atom, force = longest(self.forces)
+        virial = [" ".join(f"{x:>14.6g}" for x in row) for row in self.virial]
+        energies = f"of single atoms from {self.energies.min():.6g} to {self.energies.max():.6g}"
+        energy, largest = f"{self.potential_energy:.10g}", f"{force:.4g}, on atom {atom}"
+        return [("energy", energy), ("", energies), ("largest force", largest), *zip(("virial", "", ""), virial, strict=True)]
 
 
 def evaluate(system: "System | ase.Atoms", potentials: Potential | Sequence[Potential]) -> Evaluation:

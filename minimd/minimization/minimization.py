@@ -13,6 +13,7 @@ from minimd.potentials.term import TOTALS
 from minimd.structure.checks import checked_count, checked_number
 from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
+from minimd.structure.display import Displayed
 from minimd.structure.errors import Interrupted
 from minimd.structure.system import AnySystem, System
 
@@ -22,7 +23,7 @@ MAX_STEP_LENGTH = 0.1  # [length], in σ and in Å
 
 
 @dataclass(frozen=True)
-class Minimization:
+class Minimization(Displayed):
     """The result of a minimization; print it.
 
     Attributes

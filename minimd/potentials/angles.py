@@ -11,12 +11,13 @@ from minimd.potentials.term import FORCES, PER_ATOM, Term
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.checks import checked_numbers, shown
+from minimd.structure.display import Displayed, Rows, as_text, call_of
 from minimd.structure.system import System
 
 STRAIGHT = 1e-8  # least sin θ that u′(θ) is divided by: sin²θ = 1 − cos²θ is rounded to 1e-16
 
 
-class HarmonicAngle:
+class HarmonicAngle(Displayed):
     """Harmonic angle u(θ) = ½ k (θ − θ₀)² at the middle atom of each triple.
 
     Parameters
@@ -40,7 +41,12 @@ class HarmonicAngle:
             raise ValueError(f"angle must lie between 0 and pi (radians); angle = {shown(self.angle.tolist())}")
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({shown(self.k.tolist())}, {shown(self.angle.tolist())}, {len(self.triples)} triples)"
+        return call_of(self, {"k": self.k, "angle": self.angle, "triples": self.triples})
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        rows = [(name, as_text(value)) for name, value in (("k", self.k), ("angle", self.angle), ("triples", self.triples))]
+        return [("potential", type(self).__name__), *rows]
 
     def bind(self, system: System) -> "AngleTerm":
         """The term of these angles in a system.

@@ -1,6 +1,7 @@
 """Bonds: laws between fixed pairs."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,10 +12,11 @@ from minimd.potentials.pair_loop import FixedPairs
 from minimd.potentials.term import NoTerm, Term, no_bonds
 from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.checks import checked_numbers, shown
+from minimd.structure.display import Displayed, Rows, as_text, call_of
 from minimd.structure.system import System
 
 
-class BondPotential:
+class BondPotential(Displayed):
     """A law u(r) along bonds, whatever their length.
 
     Parameters
@@ -38,8 +40,19 @@ class BondPotential:
                 raise ValueError(f"bond parameters must be finite; they are {parameter.tolist()}")
 
     def __repr__(self) -> str:
-        which = "" if self.pairs is None else f", {len(self.pairs)} pairs"
-        return f"{type(self).__name__}({', '.join(shown(one.tolist()) for one in self.parameters)}{which})"
+        return call_of(self, self._arguments())
+
+    def law_arguments(self) -> dict[str, Any]:
+        """The arguments that are those of the law, by name, to be shown."""
+        return {"law": type(self.law).python, "parameters": self.parameters}
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        rows = [("potential", type(self).__name__), *((name, as_text(value)) for name, value in self.law_arguments().items())]
+        return [*rows, ("pairs", "the bonds of the system" if self.pairs is None else as_text(self.pairs))]
+
+    def _arguments(self) -> dict[str, Any]:
+        return self.law_arguments() | {"pairs": self.pairs}
 
     def bind(self, system: System) -> Term:
         """The term of these bonds in a system.
@@ -86,3 +99,7 @@ class HarmonicBond(BondPotential):
         for name, values in zip(("k", "length"), self.parameters, strict=True):
             if np.any(values < 0.0):
                 raise ValueError(f"{name} of a harmonic bond must not be negative; {name} = {values.tolist()}")
+
+    def law_arguments(self) -> dict[str, Any]:
+        """See BondPotential."""
+        return dict(zip(("k", "length"), self.parameters, strict=True))

@@ -54,6 +54,10 @@ class LennardJones(PairPotential):
             tail_correction=tail_correction,
         )
 
+    def law_arguments(self) -> dict[str, Any]:
+        """See PairPotential."""
+        return {"epsilon": self.parameters} if isinstance(self.parameters, dict) else dict(zip(("epsilon", "sigma"), self.parameters, strict=True))
+
     @property
     def shortest_length(self) -> float:
         """See PairPotential; without a cutoff the smallest σ [length]."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
+from inspect import signature
 from math import inf, isclose, isfinite, pi, sqrt
 from typing import Any
 
@@ -13,6 +14,7 @@ from minimd.potentials.term import PairLaw, Term, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS
 from minimd.potentials.user_laws import UserLaw
 from minimd.structure.checks import checked_choice, checked_flag, checked_number, checked_numbers, listed, near, shown
+from minimd.structure.display import Displayed, Rows, as_text, call_of
 from minimd.structure.system import System
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
@@ -40,7 +42,7 @@ def geometric(first: Parameters, second: Parameters) -> Parameters:
 MIXING = {"lorentz-berthelot": lorentz_berthelot, "geometric": geometric}
 
 
-class PairPotential:
+class PairPotential(Displayed):
     """A law u(r) between all pairs of atoms closer than a cutoff.
 
     Parameters
@@ -132,8 +134,24 @@ class PairPotential:
         return isinstance(self.parameters, dict) or isinstance(self._cutoffs, dict)
 
     def __repr__(self) -> str:
-        cutoff = None if self.cutoff == inf else self._cutoffs
-        return f"{type(self).__name__}({self.parameters}, cutoff={cutoff}, truncation={self.truncation!r})"
+        return call_of(self, self.law_arguments() | self._shared_arguments(), always=("cutoff", "truncation"))
+
+    def law_arguments(self) -> dict[str, Any]:
+        """The arguments that are those of the law, by name, to be shown."""
+        return {"law": type(self.plain_law).python, "parameters": self.parameters}
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        arguments = self.law_arguments() | self._shared_arguments()
+        return [("potential", type(self).__name__), *((name, as_text(value)) for name, value in arguments.items())]
+
+    def _shared_arguments(self) -> dict[str, Any]:
+        """The arguments that all pair potentials have, but those that a class does not take."""
+        mixing = next((name for name, rule in MIXING.items() if rule is self.mixing), self.mixing)
+        cutoff = None if self.cutoff == inf else _one_order(self._cutoffs) if isinstance(self._cutoffs, dict) else self._cutoffs
+        arguments = {"cutoff": cutoff, "truncation": self.truncation, "mixing": mixing, "pairs": _one_order(self.pairs) or None}
+        arguments |= {"switch_start": self.switch_start, "bonded_scale": self.bonded_scale, "tail_correction": self.tail_correction}
+        return {name: value for name, value in arguments.items() if name in signature(type(self)).parameters}
 
     def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
         """u [energy] of two atoms of given species at distances r > 0 [length], truncation included; an array of r's shape.
@@ -314,3 +332,8 @@ def _symmetric(name: str, by_pair: Any) -> dict:
         if np.any(by_pair.get((b, a), value) != value):
             raise ValueError(f"the pair {a!r}, {b!r} must be given once; it has {value} and {by_pair[b, a]}")
     return {key: value for (a, b), value in by_pair.items() for key in ((a, b), (b, a))}
+
+
+def _one_order(by_pair: Mapping[tuple[Label, Label], Any]) -> dict[tuple[Label, Label], Any]:
+    """A symmetric mapping with each pair of species in the order in which it came first."""
+    return {pair: value for k, (pair, value) in enumerate(by_pair.items()) if pair[::-1] not in [*by_pair][:k]}

@@ -120,6 +120,10 @@ class Tabulated(PairPotential):
             ends = f"which goes from r = {self.r[0]:g} to {self.r[-1]:g}"
             raise ValueError(f"cutoff must lie within the table, {ends}; cutoff = {wrong:g}: give another cutoff, or a longer table")
 
+    def law_arguments(self) -> dict[str, Any]:
+        """See PairPotential."""
+        return {"r": self.r, "u": self.u if self.pairs else self.u[None]}
+
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
         if isinstance(self.parameters, dict) and (a, b) not in self.pairs:
             raise ValueError(f"Tabulated has no table for the pair {a!r}, {b!r}; it has {listed(self.u)}")

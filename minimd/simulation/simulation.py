@@ -15,6 +15,7 @@ from minimd.diagnosis.reversibility import Reversibility, probe
 from minimd.diagnosis.run_guard import BLOCK, RunGuard
 from minimd.diagnosis.static_checks import static_checks
 from minimd.engine.engine import Engine, Snapshot
+from minimd.engine.engine_rows import simulation_rows
 from minimd.engine.observation import check_extras, extras_in, observe
 from minimd.engine.record import Frame, Record
 from minimd.files.crash_file import crash_file_left, crash_file_place
@@ -27,6 +28,7 @@ from minimd.simulation.engine_attribute import EngineAttribute, Measured
 from minimd.structure.checks import checked_count, checked_flag, checked_number, shown
 from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
+from minimd.structure.display import Displayed, Rows
 from minimd.structure.observables import Array
 from minimd.structure.system import AnySystem, System
 from minimd.structure.velocities import maxwell_boltzmann, rescaled
@@ -35,7 +37,7 @@ SECONDS_BETWEEN_CHECKPOINTS = 5.0  # whatever every is: no more is lost when the
 Observer = Callable[["Simulation"], None]
 
 
-class Simulation:
+class Simulation(Displayed):
     """Molecular dynamics of one system.
 
     Parameters
@@ -104,6 +106,10 @@ class Simulation:
 
     def __repr__(self) -> str:
         return f"Simulation({self.system!r}, {self.method!r}, step {self.step})"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        return simulation_rows(self.engine)
 
     @classmethod
     def resume(cls, file: str | Path, potentials: Potential | Sequence[Potential] | None = None, *, threads: int | None = None) -> Self:

@@ -12,6 +12,7 @@ from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.cell import Cell
 from minimd.structure.checks import LARGEST, MOST_ATOMS, SMALLEST, checked_numbers, shown
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
+from minimd.structure.display import Displayed, Rows
 from minimd.structure.units import UnitSystem
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ READ_ONLY = ("masses", "species_names", "species_index", "bonds", "units")
 RESOLVED = 1e-6  # of a length: rounding errors of separations beside it
 
 
-class System:
+class System(Displayed):
     """N atoms: positions, velocities, masses, species, cell and bonds.
 
     Parameters
@@ -97,6 +98,17 @@ class System:
     def __repr__(self) -> str:
         names = ", ".join(str(name) for name in self.species_names)
         return f"System({len(self)} atoms of {names}; {len(self.bonds)} bonds; periodic {self.cell.pbc.tolist()}; {self.units.name} units)"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        units, counts = self.units, zip(np.bincount(self.species_index), self.species_names, strict=True)
+        rows = [("atoms", f"{len(self)}: {', '.join(f'{n} {name}' for n, name in counts)}"), *self.cell.display_rows()]
+        if self.volume is not None:
+            density = len(self) / self.volume
+            rows.append(("density", f"{density:.6g} atoms/{units.length}³, {self.masses.sum() / self.volume:.6g} mass/{units.length}³"))
+        rows += [("bonds", str(len(self.bonds)))] if len(self.bonds) else []
+        rows += [("constraints", ", ".join(map(repr, self.constraints)))] if self.constraints else []
+        return [*rows, ("units", f"{units.name}: {units.length}, {units.energy}, {units.time}")]
 
     @property
     def species(self) -> NDArray:

@@ -1,5 +1,7 @@
 """Advice on the time step: the stiffest mode of a state, and how long a step of a method may be beside it."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan, pi

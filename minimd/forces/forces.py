@@ -1,5 +1,7 @@
 """Forces: the sum of all terms of a scene at each step, with energies and virial on request; the plan decides which list a pair law gets."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -297,7 +299,7 @@ class Evaluation(Displayed):
         return [("energy", energy), ("", energies), ("largest force", largest), *zip(("virial", "", ""), virial, strict=True)]
 
 
-def evaluate(system: "System | ase.Atoms", potentials: Potential | Sequence[Potential]) -> Evaluation:
+def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potential]) -> Evaluation:
     """Potential energy, forces, virial and energies per atom of a System, or of ase.Atoms, as they stand.
 
     Raises

@@ -1,5 +1,7 @@
 """Minimization: down the potential energy to the nearest minimum, from any start in which no two atoms lie on one spot."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isfinite

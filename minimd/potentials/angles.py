@@ -1,23 +1,25 @@
 """Angles: a harmonic law of the angle at the middle atom of fixed triples."""
 
+from __future__ import annotations
+
 from collections import namedtuple
 from math import pi
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.kernels import kernel
-from minimd.potentials.term import FORCES, PER_ATOM, Term
+from minimd.potentials.term import FORCES, PER_ATOM, OwnPotential, Term
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.checks import checked_numbers, shown
-from minimd.structure.display import Displayed, Rows, as_text, call_of
 from minimd.structure.system import System
 
 STRAIGHT = 1e-8  # least sin θ that u′(θ) is divided by: sin²θ = 1 − cos²θ is rounded to 1e-16
 
 
-class HarmonicAngle(Displayed):
+class HarmonicAngle(OwnPotential):
     """Harmonic angle u(θ) = ½ k (θ − θ₀)² at the middle atom of each triple.
 
     Parameters
@@ -40,15 +42,11 @@ class HarmonicAngle(Displayed):
         if np.any((self.angle < 0.0) | (self.angle > pi)):
             raise ValueError(f"angle must lie between 0 and pi (radians); angle = {shown(self.angle.tolist())}")
 
-    def __repr__(self) -> str:
-        return call_of(self, {"k": self.k, "angle": self.angle, "triples": self.triples})
+    def arguments(self) -> dict[str, Any]:
+        """See OwnPotential."""
+        return {"k": self.k, "angle": self.angle, "triples": self.triples}
 
-    def display_rows(self) -> Rows:
-        """See Displayed."""
-        rows = [(name, as_text(value)) for name, value in (("k", self.k), ("angle", self.angle), ("triples", self.triples))]
-        return [("potential", type(self).__name__), *rows]
-
-    def bind(self, system: System) -> "AngleTerm":
+    def bind(self, system: System) -> AngleTerm:
         """The term of these angles in a system.
 
         Raises

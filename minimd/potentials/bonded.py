@@ -1,5 +1,7 @@
 """Bonds: laws between fixed pairs."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -9,14 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.potentials.law import checked_law
 from minimd.potentials.laws import HarmonicLaw
 from minimd.potentials.pair_loop import FixedPairs
-from minimd.potentials.term import NoTerm, Term, no_bonds
+from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
 from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.checks import checked_numbers, shown
-from minimd.structure.display import Displayed, Rows, as_text, call_of
 from minimd.structure.system import System
 
 
-class BondPotential(Displayed):
+class BondPotential(OwnPotential):
     """A law u(r) along bonds, whatever their length.
 
     Parameters
@@ -39,19 +40,12 @@ class BondPotential(Displayed):
             if not np.isfinite(parameter).all():
                 raise ValueError(f"bond parameters must be finite; they are {parameter.tolist()}")
 
-    def __repr__(self) -> str:
-        return call_of(self, self._arguments())
-
     def law_arguments(self) -> dict[str, Any]:
         """The arguments that are those of the law, by name, to be shown."""
         return {"law": type(self.law).python, "parameters": self.parameters}
 
-    def display_rows(self) -> Rows:
-        """See Displayed."""
-        rows = [("potential", type(self).__name__), *((name, as_text(value)) for name, value in self.law_arguments().items())]
-        return [*rows, ("pairs", "the bonds of the system" if self.pairs is None else as_text(self.pairs))]
-
-    def _arguments(self) -> dict[str, Any]:
+    def arguments(self) -> dict[str, Any]:
+        """See OwnPotential."""
         return self.law_arguments() | {"pairs": self.pairs}
 
     def bind(self, system: System) -> Term:

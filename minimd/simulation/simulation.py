@@ -1,12 +1,14 @@
 """Simulation: runs an engine, and calls observers between its steps."""
 
+from __future__ import annotations
+
 import copy
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Self
 
 from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
@@ -21,7 +23,7 @@ from minimd.engine.record import Frame, Record
 from minimd.files.crash_file import crash_file_left, crash_file_place
 from minimd.files.trajectory import Writer, open_trajectories
 from minimd.forces.forces import Potential
-from minimd.forces.options import Options
+from minimd.forces.options import Options, Precision
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
 from minimd.simulation.engine_attribute import EngineAttribute, Measured
@@ -46,7 +48,8 @@ class Simulation(Displayed):
     potentials : one potential or several.
     method : a splitting with its time step, such as VelocityVerlet(0.005).
     constraints : DistanceConstraints, FixedAtoms, or both, instead of those of the system; () for none.
-    threads, precision, skin : see Options.
+    threads : at most so many; all cores of the process if not given. The bits are the same for any number.
+    precision : "double", or "mixed": pairs in float32, their sums in float64.  skin : of neighbor lists [length]; the best one if not given.
 
     Attributes
     ----------
@@ -90,7 +93,7 @@ class Simulation(Displayed):
         constraints: Constraint | Sequence[Constraint] | None = None,
         *,
         threads: int | None = None,
-        precision: Literal["double", "mixed"] = "double",
+        precision: Precision = "double",
         skin: float | None = None,
     ) -> None:
         self._hold(Engine(system, potentials, method, constraints, Options(threads, precision, skin)))
@@ -120,7 +123,7 @@ class Simulation(Displayed):
 
         Parameters
         ----------
-        potentials : those of the run; if not given, those of the scene that is stored in the file.  threads : see Options.
+        potentials : those of the run; if not given, those of the scene that is stored in the file.  threads : as above.
 
         Raises
         ------

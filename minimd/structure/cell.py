@@ -1,5 +1,7 @@
 """The simulation cell: any three lattice vectors, each direction periodic or open, and the images they make."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,7 +49,7 @@ class Cell(Displayed):
             array.setflags(write=False)
 
     @classmethod
-    def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> "Cell":
+    def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> Cell:
         """A cell from one length, three lengths or a (3, 3) array of rows; pbc defaults to True where a vector is given.
 
         Raises
@@ -91,7 +93,7 @@ class Cell(Displayed):
         cells = np.floor(positions @ np.linalg.inv(full))
         return positions - np.where(self.pbc, cells, 0.0) @ full
 
-    def same_as(self, other: "Cell") -> bool:
+    def same_as(self, other: Cell) -> bool:
         """True if vectors and periodicity are equal to the last bit."""
         return self is other or (np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc))
 

@@ -1,5 +1,7 @@
 """The state of a scene: checked once, here, and trusted everywhere afterwards."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -57,7 +59,7 @@ class System(Displayed):
         *,
         masses: ArrayLike | None = None,
         velocities: ArrayLike | None = None,
-        cell: "ArrayLike | Cell | None" = None,
+        cell: ArrayLike | Cell | None = None,
         pbc: ArrayLike | None = None,
         species: Sequence[str] | Sequence[int] | NDArray | None = None,
         bonds: ArrayLike | None = None,
@@ -120,19 +122,19 @@ class System(Displayed):
         """Volume of the cell [length³]; None unless all three directions are periodic."""
         return self.cell.volume
 
-    def copy(self) -> "System":
+    def copy(self) -> System:
         """An independent copy."""
         names = ("masses", "velocities", "cell", "species", "bonds", "units", "constraints")
         return System(self.positions, **{name: getattr(self, name) for name in names})
 
     @classmethod
-    def from_ase(cls, atoms: "ase.Atoms", bonds: ArrayLike | None = None) -> "System":
+    def from_ase(cls, atoms: ase.Atoms, bonds: ArrayLike | None = None) -> System:
         """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments."""
         from minimd.structure.ase_atoms import system_arguments
 
         return cls(**system_arguments(atoms, bonds))
 
-    def to_ase(self) -> "ase.Atoms":
+    def to_ase(self) -> ase.Atoms:
         """An ase.Atoms with the same positions, momenta, masses, cell, species and constraints: see minimd.ase.atoms_from_system."""
         from minimd.structure.ase_atoms import atoms_from_system
 

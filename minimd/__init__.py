@@ -11,7 +11,8 @@ from minimd.forces.forces import Evaluation, Forces, evaluate
 from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
 from minimd.minimization.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
-from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential
+from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential, Tabulated
+from minimd.potentials.term import Potential, Term
 from minimd.replay import potentials_of_scene, replay
 from minimd.simulation.simulation import Simulation
 from minimd.structure import lattice, units
@@ -40,6 +41,7 @@ __all__ = [
     "NonFiniteError",
     "PairPotential",
     "PositionVerlet",
+    "Potential",
     "Record",
     "Report",
     "Reversibility",
@@ -47,6 +49,8 @@ __all__ = [
     "StepAdvice",
     "StochasticVelocityRescaling",
     "System",
+    "Tabulated",
+    "Term",
     "VelocityVerlet",
     "advise_timestep",
     "evaluate",
@@ -58,3 +62,8 @@ __all__ = [
     "shadow_energy",
     "units",
 ]
+
+
+def __dir__() -> list[str]:
+    """The public names: modules of minimd that are loaded are no part of them, but can be imported."""
+    return [*__all__, "__all__", "__doc__", "__version__"]

@@ -1,5 +1,7 @@
 """A failed run made again, step by step, from the file that it left."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +44,7 @@ class ReplayedStep(NamedTuple):
     speed: float
 
     @classmethod
-    def of(cls, simulation: Simulation) -> "ReplayedStep":
+    def of(cls, simulation: Simulation) -> ReplayedStep:
         """The present step; the forces are those of the last look."""
         record, pair = simulation.record, closest_pair(simulation.system) or (-1, -1, np.nan)
         energy = float(record.total_energy[-1]) if record is not None and len(record) else np.nan

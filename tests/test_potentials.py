@@ -24,6 +24,8 @@ def soft_core(r2, height):
     return height * np.exp(-r2), 2.0 * height * np.exp(-r2)
 
 
+R = np.linspace(0.3, CUTOFF, 60)
+TABLES = {("A", "A"): np.exp(-R), ("A", "B"): np.exp(-2.0 * R), ("B", "B"): 1.0 / R}
 TWO_KINDS = {"A": (1.0, 1.0), "B": (0.5, 0.88)}
 POTENTIALS = {
     **{f"lennard-jones {t}": md.LennardJones(1.0, 1.0, CUTOFF, t) for t in TRUNCATIONS},
@@ -32,6 +34,7 @@ POTENTIALS = {
     "scaled neighbors": md.LennardJones(TWO_KINDS, cutoff=CUTOFF, truncation="switched", bonded_scale=(0.0, 0.3, 0.7)),
     "yukawa": md.PairPotential(yukawa, (2.0, 1.1), CUTOFF, "force-shifted"),
     "soft core": md.PairPotential(soft_core, (3.0,), CUTOFF),
+    "tabulated": md.Tabulated(R, TABLES, truncation="switched", bonded_scale=(0.5, 1.0, 1.0)),
     "harmonic bonds": md.HarmonicBond(np.linspace(50, 90, 9), 1.1),
     "harmonic angles": md.HarmonicAngle(20.0, 2.0, [[k, k + 1, k + 2] for k in range(8)]),
     "several": [md.LennardJones(1.0, 1.0, CUTOFF), md.PairPotential(yukawa, (1.0, 2.0), 1.9), md.HarmonicBond(30.0, 1.0)],

@@ -13,6 +13,7 @@ from minimd.engine.record import SERIES, Record
 from minimd.files.h5md_reader import damage, damage_told
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
 from minimd.structure.constraints import DistanceConstraints
+from minimd.structure.display import Displayed
 from minimd.structure.images import images_of_length, lengths_of
 from minimd.structure.observables import absolute_momentum, kinetic_energy, momentum
 from minimd.structure.system import System
@@ -44,7 +45,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class FileCheck:
+class FileCheck(Displayed):
     """The outcome of check_file. structure : lines about a periodic liquid. str() is the whole text."""
 
     heading: str

@@ -1,21 +1,12 @@
-"""Pictures of four panels, drawn without a window."""
+"""Pictures of four panels, written to files."""
 
 from pathlib import Path
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-INCHES, DOTS_PER_INCH = (10.0, 7.0), 150
+from minimd.engine.record_picture import four_panels
 
-
-def four_panels() -> tuple[Figure, list[Axes]]:
-    """An empty picture and its panels, row by row."""
-    figure = Figure(figsize=INCHES, dpi=DOTS_PER_INCH, layout="constrained")
-    panels = list(figure.subplots(2, 2).ravel())
-    for panel in panels:
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.grid(alpha=0.25, lw=0.6)
-    return figure, panels
+__all__ = ["four_panels", "save"]
 
 
 def save(figure: Figure, picture: Path) -> Path:

@@ -1,5 +1,7 @@
 """Potentials of minimd as a calculator of ASE."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Literal
 

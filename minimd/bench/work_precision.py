@@ -21,6 +21,7 @@ from minimd.bench.outcome import new_figure, table, tell
 from minimd.bench.scenes import CUTOFF, SCENES, BenchScene, equilibrated
 from minimd.integrators.methods import SPLITTINGS
 from minimd.integrators.splitting.splitting import Splitting
+from minimd.potentials.truncation import TruncationName
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -151,7 +152,7 @@ def _scene_case(name: str, quick: bool, repeats: int) -> Case:
     return _dynamics(name, scene, words, quick, repeats)
 
 
-def _with_law(scene: BenchScene, truncation: str) -> BenchScene:
+def _with_law(scene: BenchScene, truncation: TruncationName) -> BenchScene:
     return scene._replace(potentials=(md.LennardJones(1.0, 1.0, CUTOFF, truncation),))
 
 

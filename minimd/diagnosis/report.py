@@ -1,5 +1,7 @@
 """The conservation report: what should have stayed constant, and whether it did."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.record import SERIES, Record
+from minimd.structure.display import Displayed
 
 BLOCKS = 20  # averages of the total energy between which the drift is fitted
 SIGNIFICANT = 3.0  # standard errors
@@ -109,7 +112,7 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(Displayed):
     """What a run conserved, and what it cost. str() gives the report as text.
 
     Attributes

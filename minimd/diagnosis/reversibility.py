@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from minimd.diagnosis.run_guard import RunGuard
+from minimd.structure.display import Displayed, Rows
 from minimd.structure.observables import longest
 
 ROUNDING = {"double": 2.0**-52, "mixed": 2.0**-23}  # of the forces
@@ -19,7 +20,7 @@ CHAOS = 0.01  # of the way that atoms went: beyond it, rounding has grown too mu
 
 
 @dataclass(frozen=True)
-class Reversibility:
+class Reversibility(Displayed):
     """The result of Simulation.probe_reversibility. str() gives one line.
 
     Attributes
@@ -45,6 +46,11 @@ class Reversibility:
         words = {True: "reversible to rounding", None: "too chaotic to tell, take fewer steps", False: "NOT REVERSIBLE"}[self.is_reversible]
         back = f"{self.n_steps} steps and back: {self.distance:.1e} {self.unit} from the start"
         return f"{back} (rounding grows to {self.rounding:.1e}): {words}"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        words, _, verdict = str(self).rpartition(": ")
+        return [("reversibility", words), ("", verdict)]
 
 
 def probe(guard: RunGuard, n_steps: int) -> Reversibility:

@@ -13,7 +13,6 @@ H itself oscillates by Δt² along the path, H̃ by Δt⁴: what is left of a dr
 E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IX.3; R. D. Engle, R. D. Skeel, M. Drees, J. Comput. Phys. 206, 432 (2005).
 """
 
-from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -22,7 +21,6 @@ from minimd.engine.engine import Engine
 from minimd.engine.observation import Observable, register
 from minimd.integrators.splitting.substeps import Substeps
 from minimd.integrators.splitting.verlet import PositionVerlet, VelocityVerlet
-from minimd.structure.checks import shown
 
 
 class HasEngine(Protocol):
@@ -64,24 +62,6 @@ def correction(engine: Engine) -> float:
     return engine.method.timestep**2 * (of_motion * v_hessian_v + of_forces * squares)
 
 
-register(
-    Observable(
-        "shadow_energy",
-        "energy",
-        lambda look: look.total_energy + correction(look.engine),
-        lambda engine: "shadow_energy" in engine.extra_observables,
-    )
-)
-
-
-def check_extras(engine: Engine, names: Sequence[str]) -> None:
-    """Raise ValueError unless these are names of observables that the engine has beside the usual ones."""
-    if isinstance(names, str) or not set(names) <= {"shadow_energy"}:
-        raise ValueError(f"extra_observables must be ('shadow_energy',) or empty; they are {shown(names)}")
-    if names:
-        check_has_shadow(engine)
-
-
 def check_has_shadow(engine: Engine) -> None:
     """Raise ValueError where the shadow energy is not known, as shadow_energy says."""
     method = engine.method
@@ -91,3 +71,6 @@ def check_has_shadow(engine: Engine) -> None:
         raise ValueError(f"the shadow energy is known of velocity-verlet, leapfrog and position-verlet; the method is {method.name}")
     if engine.constraint_set.bonds is not None:
         raise ValueError("the shadow energy is known without rigid bonds only; leave the constraints out, or do not ask for it")
+
+
+register(Observable("shadow_energy", "energy", lambda look: look.total_energy + correction(look.engine), demand=check_has_shadow))

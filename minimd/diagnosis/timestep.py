@@ -1,5 +1,7 @@
 """Advice on the time step: the stiffest mode of a state, and how long a step of a method may be beside it."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan, pi
@@ -17,6 +19,7 @@ from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import BondPotential
 from minimd.structure.checks import shown
 from minimd.structure.constraints import Constraint
+from minimd.structure.display import Displayed
 from minimd.structure.errors import NonFiniteError
 from minimd.structure.system import AnySystem, System
 from minimd.structure.units import UnitSystem
@@ -28,7 +31,7 @@ SHOWN_SHARE = 0.05  # of its kinetic energy, at least
 
 
 @dataclass(frozen=True)
-class StepAdvice:
+class StepAdvice(Displayed):
     """Advice on the time step from the stiffest mode of a state; print it.
 
     Attributes

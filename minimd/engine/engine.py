@@ -117,6 +117,12 @@ class Engine:
         """Begin anew with the next block. To be called after velocities were changed."""
         self.surroundings.open_end, self._left = None, None
 
+    def catch_up(self) -> None:
+        """Take notice of what somebody has changed since leave: forces are outdated, and images of rigid bonds chosen again."""
+        if not self.is_as_left:
+            self.moved()
+            self.fit_images()
+
     def leave(self) -> None:
         """Remember the state, for is_as_left."""
         self._left = self._digest()

@@ -1,13 +1,14 @@
 """Observables of an engine: the table of all of them, and their values for one state."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from minimd.engine.engine import Engine
-from minimd.engine.record import SERIES, Frame
+from minimd.engine.record import SERIES, Frame, Record
 from minimd.structure import observables
+from minimd.structure.checks import listed, shown
 from minimd.structure.units import UnitSystem
 
 
@@ -16,13 +17,18 @@ class Look:
 
     def __init__(self, engine: Engine) -> None:
         self.engine, self.system = engine, engine.system
-        self.volume: Any = engine.system.volume
         self.bonds: Any = engine.constraint_set.bonds
         self.motion = (engine.velocities, engine.system.masses)
         self.path = (engine.positions, *self.motion)
         self.potential_energy = engine.interactions.potential_energy
         self.kinetic_energy = observables.kinetic_energy(*self.motion)
         self.total_energy = self.potential_energy + self.kinetic_energy
+
+    @property
+    def volume(self) -> float:
+        """[length³].  Raises ValueError if the cell has none."""
+        check_has_volume(self.engine)
+        return float(self.engine.system.volume or 0.0)
 
     @cached_property
     def virial(self) -> Any:
@@ -37,12 +43,18 @@ class Observable:
 
     name : in record and file.  unit : the attribute of UnitSystem that names its unit, empty for a pure number.
     measure : its value, from a Look.  exists : whether it is defined for an engine.
+    demand : of an observable that is recorded only where extra_observables names it: raises ValueError for an engine that does not have it.
     """
 
     name: str
     unit: str
     measure: Callable[[Look], Any]
     exists: Callable[[Engine], bool] = lambda _engine: True
+    demand: Callable[[Engine], None] | None = None
+
+    def is_recorded(self, engine: Engine) -> bool:
+        """Whether frames of this engine have it."""
+        return self.exists(engine) if self.demand is None else self.name in engine.extra_observables
 
 
 OBSERVABLES: dict[str, Observable] = {}
@@ -61,6 +73,13 @@ def register(observable: Observable) -> None:
     SERIES[observable.name] = observable.unit
 
 
+def check_has_volume(engine: Engine) -> None:
+    """Raise ValueError if the cell has no volume."""
+    if engine.system.volume is None:
+        pbc = engine.system.cell.pbc.tolist()
+        raise ValueError(f"pressure and stress need a volume: a cell that is periodic in all three directions; its pbc = {pbc}")
+
+
 for _observable in (
     Observable("potential_energy", "energy", lambda look: look.potential_energy),
     Observable("kinetic_energy", "energy", lambda look: look.kinetic_energy),
@@ -76,6 +95,7 @@ for _observable in (
         lambda look: observables.pressure(look.kinetic_energy, look.virial, look.volume),
         lambda engine: engine.system.volume is not None,
     ),
+    Observable("stress", "pressure", lambda look: observables.stress(*look.motion, look.virial, look.volume), demand=check_has_volume),
     Observable("conserved_energy", "energy", lambda look: look.total_energy - look.engine.reservoir_energy, lambda one: one.method.is_thermostat),
     Observable("constraint_violation", "", lambda look: float(look.bonds.violation(look.path[0]).max()), lambda one: bool(one.constraint_set.bonds)),
 ):
@@ -86,5 +106,26 @@ def observe(engine: Engine) -> Frame:
     """The present state with its observables; forces, energy and virial are evaluated if they are not current."""
     engine.evaluate()
     look = Look(engine)
-    values = {one.name: one.measure(look) for one in OBSERVABLES.values() if one.exists(engine)}
+    values = {one.name: one.measure(look) for one in OBSERVABLES.values() if one.is_recorded(engine)}
     return Frame(engine.step, engine.time, engine.positions, engine.velocities, engine.forces, values, engine.reservoir_energy)
+
+
+def measure(engine: Engine, name: str) -> Any:
+    """One observable of the present state, evaluated as in observe.  Raises ValueError for a pressure or stress without a volume."""
+    engine.evaluate()
+    return OBSERVABLES[name].measure(Look(engine))
+
+
+def check_extras(engine: Engine) -> None:
+    """Raise ValueError unless extra_observables of the engine are names of observables that it has beside the usual ones."""
+    names, known = engine.extra_observables, [name for name, one in OBSERVABLES.items() if one.demand is not None]
+    if isinstance(names, str) or not set(names) <= set(known):
+        raise ValueError(f"extra_observables must be a tuple of {listed(known)}, or empty; they are {shown(names)}")
+    for name in names:
+        if (demand := OBSERVABLES[name].demand) is not None:
+            demand(engine)
+
+
+def extras_in(record: Record) -> Sequence[str]:
+    """The extra_observables of the run that made a record."""
+    return tuple(name for name, one in OBSERVABLES.items() if one.demand is not None and name in record)

@@ -1,11 +1,20 @@
 """What a run observed, in memory."""
 
-from typing import Any, NamedTuple
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.structure.display import Displayed, Rows
 from minimd.structure.units import UnitSystem
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
 SERIES: dict[str, str] = {}  # name in record and file: attribute of UnitSystem that names its unit; see observation.register
 
@@ -26,7 +35,7 @@ class Frame(NamedTuple):
     reservoir_energy: float = 0.0
 
 
-class Record:
+class Record(Displayed):
     """Time series of a run, one entry for each observed step.
 
     Attributes
@@ -37,6 +46,7 @@ class Record:
     shadow_energy : (T,) [energy], only where asked for: see minimd.shadow_energy.
     constraint_violation : (T,) largest |r² − d²|/d², only with lengths held fixed.
     pressure : (T,) [energy/length³], only where the cell has a volume.
+    stress : (T, 3, 3) [energy/length³], positive under tension, only where asked for: see Simulation.extra_observables.
     momentum, angular_momentum : (T, 3).  absolute_momentum : (T,) Σ |m v|.
     absolute_angular_momentum : (T,) Σ m |r − r_cm| |v|.
     units : the UnitSystem of all of them.  n_atoms : N.
@@ -47,7 +57,7 @@ class Record:
         self._series: dict[str, list[Any]] = {"step": [], "time": []}
 
     @classmethod
-    def of(cls, units: UnitSystem, n_atoms: int, series: dict[str, NDArray[Any]]) -> "Record":
+    def of(cls, units: UnitSystem, n_atoms: int, series: dict[str, NDArray[Any]]) -> Record:
         """A record of series that exist already, such as those of a file; step and time must be among them."""
         record = cls(units, n_atoms)
         record._series.update({name: list(values) for name, values in series.items()})
@@ -76,6 +86,70 @@ class Record:
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self._series]
+
+    def unit(self, name: str) -> str:
+        """The unit of a series, in words; empty for a pure number, or one that minimd does not know."""
+        return self.units.time if name == "time" else str(getattr(self.units, SERIES.get(name) or "", ""))
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """All series as columns of numbers, (T,) each: vectors as momentum_x, momentum_y, momentum_z, tensors as stress_xx, stress_xy, …"""
+        made = {}
+        for name in self._series:
+            series = getattr(self, name)
+            for place in product(*(range(n) for n in series.shape[1:])):
+                suffix = "".join("xyz"[k] for k in place) if set(series.shape[1:]) == {3} else "_".join(map(str, place))
+                made[f"{name}_{suffix}" if place else name] = series[:, *place]
+        return made
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A data frame of columns(), with the steps as its index, and their units in its attrs["units"].
+
+        Raises ModuleNotFoundError if pandas is not installed, which minimd does not need itself.
+        """
+        try:
+            from pandas import DataFrame
+        except ModuleNotFoundError as error:
+            hint = "install pandas, or use record.columns(), a dict of arrays, or record.to_csv(path)"
+            raise ModuleNotFoundError(f"to_pandas needs pandas, which is not installed: {hint}") from error
+        table = DataFrame(self.columns()).set_index("step")
+        table.attrs["units"] = {name: unit for name in self._series if (unit := self.unit(name))}
+        return table
+
+    def to_csv(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write columns() as text with commas, names in the first line, numbers with all their digits; return the path.
+
+        Raises FileExistsError if the file exists and overwrite is false.  OSError if it cannot be written.
+        """
+        columns, path = self.columns(), Path(path)
+        if path.exists() and not overwrite:
+            raise FileExistsError(f"output {str(path)!r} exists; choose another name, or pass overwrite=True")
+        rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+        path.write_text("\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""]), encoding="utf-8")
+        return path
+
+    def plot(self) -> Figure:
+        """A picture of the run: change of the total energy per atom, temperature, change of the momentum, and pressure, or else energies.
+
+        In a notebook it appears in the cell; .savefig(path) writes it.  Raises ValueError without entries.
+        """
+        from minimd.engine.record_picture import picture_of  # matplotlib takes its time to load
+
+        return picture_of(self)
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        if not len(self):
+            return [("record", "no entries")]
+        step, time = self.step, [self.units.shown(one) for one in (self.time[0], self.time[-1])]
+        rows = [("record", f"{len(self)} entries of {self.n_atoms} atoms, step {step[0]} to {step[-1]}, {time[0]} to {time[1]}")]
+        for name in (one for one in self._series if one not in ("step", "time")):
+            series = getattr(self, name)
+            if series.ndim > 1:
+                told = f"change at most {np.abs(series - series[0]).max():.2g}"
+            else:
+                told = f"from {series[0]:.8g} to {series[-1]:.8g}, mean {series.mean():.8g}, standard deviation {series.std():.2g}"
+            rows.append((name.replace("_", " "), f"{told} {self.unit(name)}".rstrip()))
+        return rows
 
     def __repr__(self) -> str:
         return f"Record({len(self)} entries of {', '.join(self._series)})"

@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 
 from minimd.engine.engine import Engine
+from minimd.engine.observation import extras_in
 from minimd.engine.record import Frame
 from minimd.files import h5md_schema as layout
 from minimd.files.claim import Claim
@@ -259,8 +260,7 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
             f"trajectory {str(file)!r} was written {'without' if engine.method.is_thermostat else 'with'} a thermostat, "
             f"{engine.method.name} would continue it otherwise; write to a new file"
         )
-    if ("shadow_energy" in contents.record) != ("shadow_energy" in engine.extra_observables):
-        wanted = "('shadow_energy',)" if "shadow_energy" in contents.record else "()"
+    if set(wanted := extras_in(contents.record)) != set(engine.extra_observables):
         raise ValueError(f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set them so, or write to a new file")
     if store_forces and not contents.has_forces:
         raise ValueError(f"trajectory {str(file)!r} was begun without forces; resume without storing them, or write to a new file")

@@ -18,6 +18,7 @@ from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.pair_loop import SameForAll
+from minimd.potentials.tabulated import reads_table
 from minimd.potentials.term import PER_ATOM
 from minimd.potentials.user_laws import is_recognized, is_user_law
 
@@ -184,7 +185,9 @@ def sum_over_lanes(law, distances2, parameters, lanes):
 
 @functools.cache
 def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
-    """Whether a law compiles for vectors. Those of minimd do; a law of the user's that branches on its arguments does not."""
+    """Whether a law compiles for vectors. Those of minimd do, but for tables; a law of the user's that branches on its arguments does not."""
+    if reads_table(law):
+        return False
     if not is_user_law(law):
         return True
     lanes = lanes_for(DOUBLE)

@@ -1,5 +1,7 @@
 """Forces: the sum of all terms of a scene at each step, with energies and virial on request; the plan decides which list a pair law gets."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -22,7 +24,9 @@ from minimd.potentials.laws import Scaled
 from minimd.potentials.pair_loop import FixedPairs
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, bound
 from minimd.structure.console import outside_minimd
+from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import NonFiniteError
+from minimd.structure.observables import longest
 from minimd.structure.system import System, check_resolution
 
 if TYPE_CHECKING:
@@ -291,8 +295,8 @@ def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
                 yield FixedPairs(system, pairs, Scaled(one.law), rows)
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, repr=False)
+class Evaluation(Displayed):
     """potential_energy : U [energy].  forces : (N, 3) [energy/length].  virial : (3, 3) W = Σ f r_ij ⊗ r_ij [energy].
 
     energies : (N,) each atom's share of U [energy].
@@ -303,8 +307,19 @@ class Evaluation:
     virial: NDArray[np.float64]
     energies: NDArray[np.float64]
 
+    def __repr__(self) -> str:
+        return f"Evaluation(potential_energy={self.potential_energy:.10g}, forces of {len(self.forces)} atoms)"
 
-def evaluate(system: "System | ase.Atoms", potentials: Potential | Sequence[Potential]) -> Evaluation:
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        atom, force = longest(self.forces)
+        virial = [" ".join(f"{x:>14.6g}" for x in row) for row in self.virial]
+        energies = f"of single atoms from {self.energies.min():.6g} to {self.energies.max():.6g}"
+        energy, largest = f"{self.potential_energy:.10g}", f"{force:.4g}, on atom {atom}"
+        return [("energy", energy), ("", energies), ("largest force", largest), *zip(("virial", "", ""), virial, strict=True)]
+
+
+def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potential]) -> Evaluation:
     """Potential energy, forces, virial and energies per atom of a System, or of ase.Atoms, as they stand.
 
     Raises

@@ -1,12 +1,14 @@
 """What all one-step methods have in common, and the problems and steps that they know: y(t) → y(t+h)."""
 
 from collections.abc import Callable
+from inspect import signature
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.structure.checks import checked_number
+from minimd.structure.display import Displayed, Rows, as_text, call_of
 
 __all__ = ["Method"]
 
@@ -58,7 +60,7 @@ class ClassProperty:
         return self._compute(owner)
 
 
-class Method:
+class Method(Displayed):
     """A method with its time step.
 
     Parameters
@@ -90,7 +92,19 @@ class Method:
         self.timestep = checked_number("timestep", timestep, "finite and not zero")
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}(timestep={self.timestep:g})"
+        return call_of(self, self.parameters)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The arguments that make this method again, by name: its attributes that are called as arguments of its constructor."""
+        return {name: getattr(self, name) for name in signature(type(self)).parameters if hasattr(self, name)}
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        kind = [word for word, holds in (("symmetric", self.is_symmetric), ("symplectic", self.is_symplectic)) if holds]
+        rows = [("method", f"{type(self).__name__}, order {self.order}{''.join(f', {word}' for word in kind)}")]
+        rows += [(name, as_text(value)) for name, value in self.parameters.items()]
+        return [*rows, ("source", self.source)]
 
     @classmethod
     def on(cls, problem: Problem) -> Step:

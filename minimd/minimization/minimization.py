@@ -1,5 +1,7 @@
 """Minimization: down the potential energy to the nearest minimum, from any start in which no two atoms lie on one spot."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
@@ -13,6 +15,7 @@ from minimd.potentials.term import TOTALS
 from minimd.structure.checks import checked_count, checked_number
 from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
+from minimd.structure.display import Displayed
 from minimd.structure.errors import Interrupted
 from minimd.structure.system import AnySystem, System
 
@@ -22,7 +25,7 @@ MAX_STEP_LENGTH = 0.1  # [length], in σ and in Å
 
 
 @dataclass(frozen=True)
-class Minimization:
+class Minimization(Displayed):
     """The result of a minimization; print it.
 
     Attributes

@@ -1,5 +1,7 @@
 """Neighbors for others to use: the list in ASE's form, the closest pair."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,13 +1,16 @@
 """Angles: a harmonic law of the angle at the middle atom of fixed triples."""
 
+from __future__ import annotations
+
 from collections import namedtuple
 from math import pi
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.kernels import kernel
-from minimd.potentials.term import FORCES, PER_ATOM, NoTerm, Term, no_bonds
+from minimd.potentials.term import FORCES, PER_ATOM, NoTerm, OwnPotential, Term, no_bonds
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.checks import checked_numbers, shown
@@ -16,7 +19,7 @@ from minimd.structure.system import System
 STRAIGHT = 1e-8  # least sin θ that u′(θ) is divided by: sin²θ = 1 − cos²θ is rounded to 1e-16
 
 
-class HarmonicAngle:
+class HarmonicAngle(OwnPotential):
     """Harmonic angle u(θ) = ½ k (θ − θ₀)² at the middle atom of each triple.
 
     Parameters
@@ -39,9 +42,9 @@ class HarmonicAngle:
         if np.any((self.angle < 0.0) | (self.angle > pi)):
             raise ValueError(f"angle must lie between 0 and pi (radians); angle = {shown(self.angle.tolist())}")
 
-    def __repr__(self) -> str:
-        which = "" if self.triples is None else f", {len(self.triples)} triples"
-        return f"{type(self).__name__}({shown(self.k.tolist())}, {shown(self.angle.tolist())}{which})"
+    def arguments(self) -> dict[str, Any]:
+        """See OwnPotential."""
+        return {"k": self.k, "angle": self.angle, "triples": self.triples}
 
     def bind(self, system: System) -> Term:
         """The term of these angles in a system.

@@ -1,6 +1,9 @@
 """Bonds: laws between fixed pairs."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,13 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.potentials.law import checked_law
 from minimd.potentials.laws import HarmonicLaw
 from minimd.potentials.pair_loop import FixedPairs
-from minimd.potentials.term import NoTerm, Term, no_bonds
+from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
 from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.checks import checked_numbers, shown
 from minimd.structure.system import System
 
 
-class BondPotential:
+class BondPotential(OwnPotential):
     """A law u(r) along bonds, whatever their length.
 
     Parameters
@@ -37,9 +40,13 @@ class BondPotential:
             if not np.isfinite(parameter).all():
                 raise ValueError(f"bond parameters must be finite; they are {parameter.tolist()}")
 
-    def __repr__(self) -> str:
-        which = "" if self.pairs is None else f", {len(self.pairs)} pairs"
-        return f"{type(self).__name__}({', '.join(shown(one.tolist()) for one in self.parameters)}{which})"
+    def law_arguments(self) -> dict[str, Any]:
+        """The arguments that are those of the law, by name, to be shown."""
+        return {"law": type(self.law).python, "parameters": self.parameters}
+
+    def arguments(self) -> dict[str, Any]:
+        """See OwnPotential."""
+        return self.law_arguments() | {"pairs": self.pairs}
 
     def bind(self, system: System) -> Term:
         """The term of these bonds in a system.
@@ -86,3 +93,7 @@ class HarmonicBond(BondPotential):
         for name, values in zip(("k", "length"), self.parameters, strict=True):
             if np.any(values < 0.0):
                 raise ValueError(f"{name} of a harmonic bond must not be negative; {name} = {values.tolist()}")
+
+    def law_arguments(self) -> dict[str, Any]:
+        """See BondPotential."""
+        return dict(zip(("k", "length"), self.parameters, strict=True))

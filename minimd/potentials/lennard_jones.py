@@ -1,5 +1,7 @@
 """The Lennard-Jones potential: a small class for the parameters of its law."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from math import inf
 from typing import Any
@@ -7,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from minimd.potentials.laws import LennardJonesLaw
-from minimd.potentials.pair import ByPairOfLabels, Label, PairPotential, Parameters
+from minimd.potentials.pair import UNSCALED, ByPairOfLabels, Label, MixingName, PairPotential, Parameters
+from minimd.potentials.truncation import TruncationName
 from minimd.structure.checks import checked_number, shown
 
 
@@ -31,12 +34,12 @@ class LennardJones(PairPotential):
         epsilon: float | Mapping[Label, tuple[float, float]],
         sigma: float | None = None,
         cutoff: float | Mapping[tuple[Label, Label], float] | None = None,
-        truncation: str = "shifted",
+        truncation: TruncationName = "shifted",
         *,
-        mixing: str | Callable[[Parameters, Parameters], Parameters] | None = "lorentz-berthelot",
+        mixing: MixingName | Callable[[Parameters, Parameters], Parameters] | None = "lorentz-berthelot",
         pairs: ByPairOfLabels | None = None,
         switch_start: float | None = None,
-        bonded_scale: Sequence[float] = (1.0, 1.0, 1.0),
+        bonded_scale: Sequence[float] = UNSCALED,
         tail_correction: bool = False,
     ) -> None:
         if isinstance(epsilon, Mapping) == (sigma is not None):
@@ -53,6 +56,10 @@ class LennardJones(PairPotential):
             bonded_scale=bonded_scale,
             tail_correction=tail_correction,
         )
+
+    def law_arguments(self) -> dict[str, Any]:
+        """See PairPotential."""
+        return {"epsilon": self.parameters} if isinstance(self.parameters, dict) else dict(zip(("epsilon", "sigma"), self.parameters, strict=True))
 
     @property
     def shortest_length(self) -> float:

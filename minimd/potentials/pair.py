@@ -1,16 +1,19 @@
 """Pair potentials: a law, its parameters for each pair of species, given or mixed, a cutoff and a truncation."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
+from inspect import signature
 from math import inf, isclose, isfinite, pi, sqrt
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.potentials.law import check_user_law, checked_law, evaluate_law, law_at
-from minimd.potentials.term import PairLaw, Term, no_bonds
-from minimd.potentials.truncation import SWITCHES, TRUNCATIONS
+from minimd.potentials.term import OwnPotential, PairLaw, Term, no_bonds
+from minimd.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
 from minimd.potentials.user_laws import UserLaw
 from minimd.structure.checks import checked_choice, checked_flag, checked_number, checked_numbers, listed, near, shown
 from minimd.structure.system import System
@@ -37,10 +40,11 @@ def geometric(first: Parameters, second: Parameters) -> Parameters:
     return sqrt(first[0] * second[0]), sqrt(first[1] * second[1])
 
 
+MixingName = Literal["lorentz-berthelot", "geometric"]  # the keys of MIXING
 MIXING = {"lorentz-berthelot": lorentz_berthelot, "geometric": geometric}
 
 
-class PairPotential:
+class PairPotential(OwnPotential):
     """A law u(r) between all pairs of atoms closer than a cutoff.
 
     Parameters
@@ -71,9 +75,9 @@ class PairPotential:
         law: Callable | tuple,
         parameters: Parameters | ByLabel = (),
         cutoff: float | Mapping[tuple[Label, Label], float] | None = None,
-        truncation: str = "shifted",
+        truncation: TruncationName = "shifted",
         *,
-        mixing: str | Callable[[Parameters, Parameters], Parameters] | None = None,
+        mixing: MixingName | Callable[[Parameters, Parameters], Parameters] | None = None,
         pairs: ByPairOfLabels | None = None,
         switch_start: float | None = None,
         bonded_scale: Sequence[float] = UNSCALED,
@@ -94,7 +98,7 @@ class PairPotential:
             needed, given = f"a cutoff and truncation 'truncated', {listed(SWITCHES)}", f"cutoff = {self.cutoff}, truncation = {truncation!r}"
             raise ValueError(f"tail_correction needs {needed}; {given} have no tail")
 
-    def bind(self, system: System) -> "PairTerm":
+    def bind(self, system: System) -> PairTerm:
         """The term of this potential in a system.
 
         Raises
@@ -131,9 +135,17 @@ class PairPotential:
         """False if one tuple of parameters and one cutoff serve all pairs."""
         return isinstance(self.parameters, dict) or isinstance(self._cutoffs, dict)
 
-    def __repr__(self) -> str:
-        cutoff = None if self.cutoff == inf else self._cutoffs
-        return f"{type(self).__name__}({self.parameters}, cutoff={cutoff}, truncation={self.truncation!r})"
+    def law_arguments(self) -> dict[str, Any]:
+        """The arguments that are those of the law, by name, to be shown."""
+        return {"law": type(self.plain_law).python, "parameters": self.parameters}
+
+    def arguments(self) -> dict[str, Any]:
+        """See OwnPotential."""
+        mixing = next((name for name, rule in MIXING.items() if rule is self.mixing), self.mixing)
+        cutoff = None if self.cutoff == inf else _one_order(self._cutoffs) if isinstance(self._cutoffs, dict) else self._cutoffs
+        arguments = {"cutoff": cutoff, "truncation": self.truncation, "mixing": mixing, "pairs": _one_order(self.pairs) or None}
+        arguments |= {"switch_start": self.switch_start, "bonded_scale": self.bonded_scale, "tail_correction": self.tail_correction}
+        return self.law_arguments() | {name: value for name, value in arguments.items() if name in signature(type(self)).parameters}
 
     def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
         """u [energy] of two atoms of given species at distances r > 0 [length], truncation included; an array of r's shape.
@@ -314,3 +326,8 @@ def _symmetric(name: str, by_pair: Any) -> dict:
         if np.any(by_pair.get((b, a), value) != value):
             raise ValueError(f"the pair {a!r}, {b!r} must be given once; it has {value} and {by_pair[b, a]}")
     return {key: value for (a, b), value in by_pair.items() for key in ((a, b), (b, a))}
+
+
+def _one_order(by_pair: Mapping[tuple[Label, Label], Any]) -> dict[tuple[Label, Label], Any]:
+    """A symmetric mapping with each pair of species in the order in which it came first."""
+    return {pair: value for k, (pair, value) in enumerate(by_pair.items()) if pair[::-1] not in [*by_pair][:k]}

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from minimd.neighbors.verlet_list import VerletList
 from minimd.structure.checks import shown
+from minimd.structure.display import Displayed, Rows, as_text, call_of
 from minimd.structure.system import System
 
 FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes the ones before
@@ -113,6 +114,25 @@ class Potential(Protocol):
 
     def bind(self, system: System) -> Any:
         """The Term for this system; an object that is no Term, with add and perhaps skipped and acts_from_outside, will do."""
+
+
+class OwnPotential(Displayed):
+    """Base of minimd's own potentials; a list of several of them is a list of these to type checkers."""
+
+    def bind(self, system: System) -> Term:
+        """See Potential."""
+        raise NotImplementedError(f"{type(self).__name__} has no bind")
+
+    def arguments(self) -> dict[str, Any]:
+        """All arguments that make this potential again, by name."""
+        return {}
+
+    def __repr__(self) -> str:
+        return call_of(self, self.arguments(), always=("cutoff", "truncation"))
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        return [("potential", type(self).__name__), *((name, as_text(value)) for name, value in self.arguments().items())]
 
 
 def bound(potential: Any, system: System) -> Term:

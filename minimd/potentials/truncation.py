@@ -15,7 +15,7 @@ of Δtᵏ in its energy, whatever the method. So a switched law is for methods u
 
 from collections.abc import Callable
 from math import sqrt
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from minimd.compiled.kernels import scalar
 from minimd.potentials.law import evaluate_law, law_at, law_type
@@ -112,4 +112,5 @@ TRUNCATIONS = {
     "smooth": Truncation(Smooth, lambda law, parameters, cutoff, switch_start: (switch_start * switch_start, cutoff * cutoff)),
 }
 
+TruncationName = Literal["truncated", "shifted", "force-shifted", "switched", "charmm", "smooth"]  # the keys of TRUNCATIONS
 SWITCHES = ("switched", "charmm", "smooth")  # those that start at r_on

@@ -74,12 +74,12 @@ def user_law(function: Callable) -> UserLaw:
 
 def is_user_law(law: tuple) -> bool:
     """True if the law type, or the one inside it, was made by user_law."""
-    return isinstance(law, UserLaw) or any(is_user_law(inner) for inner in law)
+    return isinstance(law, UserLaw) or any(is_user_law(inner) for inner in law if isinstance(inner, tuple))
 
 
 def is_recognized(law: tuple) -> bool:
     """False if the law type, or the one inside it, is that of a law of the user's that the disk cache cannot recognize."""
-    return law.is_recognized if isinstance(law, UserLaw) else all(is_recognized(inner) for inner in law)
+    return law.is_recognized if isinstance(law, UserLaw) else all(is_recognized(inner) for inner in law if isinstance(inner, tuple))
 
 
 def _unrecognized_law(snapshot: Snapshot) -> UserLaw:

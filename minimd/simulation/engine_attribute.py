@@ -1,7 +1,9 @@
-"""Attributes of a simulation that are those of its engine."""
+"""Attributes of a simulation that are those of its engine, or measured on it."""
 
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
+
+from minimd.engine.observation import measure
 
 T = TypeVar("T")
 
@@ -23,3 +25,24 @@ class EngineAttribute(Generic[T]):
         if self._path:
             raise AttributeError(f"{self._name} of a Simulation cannot be set; make a new Simulation")
         setattr(simulation.engine, self._name, value)
+
+
+class Measured(Generic[T]):
+    """Read-only attribute of a simulation: the observable of this name, of the present state; forces are evaluated if they are not current."""
+
+    def __init__(self, doc: str) -> None:
+        self.__doc__ = f"{doc[:-1]}, of the present state."
+
+    def __set_name__(self, _owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, simulation: Any, _owner: type) -> T:
+        if simulation is None:
+            itself: Any = self
+            return itself  # type: ignore[no-any-return]
+        simulation.engine.catch_up()
+        found: T = measure(simulation.engine, self._name)
+        return found
+
+    def __set__(self, _simulation: Any, _value: T) -> None:
+        raise AttributeError(f"{self._name} of a Simulation is measured and cannot be set; see set_temperature and system.cell")

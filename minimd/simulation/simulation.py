@@ -1,33 +1,36 @@
 """Simulation: runs an engine, and calls observers between its steps."""
 
+from __future__ import annotations
+
 import copy
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Self
 
 from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.report import Cost, Report, conservation_report
 from minimd.diagnosis.reversibility import Reversibility, probe
 from minimd.diagnosis.run_guard import BLOCK, RunGuard
-from minimd.diagnosis.shadow_energy import check_extras
 from minimd.diagnosis.static_checks import static_checks
 from minimd.engine.engine import Engine, Snapshot
-from minimd.engine.observation import observe
+from minimd.engine.engine_rows import simulation_rows
+from minimd.engine.observation import check_extras, extras_in, observe
 from minimd.engine.record import Frame, Record
 from minimd.files.crash_file import crash_file_left, crash_file_place
 from minimd.files.trajectory import Writer, open_trajectories
 from minimd.forces.forces import Potential
-from minimd.forces.options import Options
+from minimd.forces.options import Options, Precision
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
-from minimd.simulation.engine_attribute import EngineAttribute
+from minimd.simulation.engine_attribute import EngineAttribute, Measured
 from minimd.structure.checks import checked_count, checked_flag, checked_number, shown
 from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
+from minimd.structure.display import Displayed, Rows
 from minimd.structure.observables import Array
 from minimd.structure.system import AnySystem, System
 from minimd.structure.velocities import maxwell_boltzmann, rescaled
@@ -36,7 +39,7 @@ SECONDS_BETWEEN_CHECKPOINTS = 5.0  # whatever every is: no more is lost when the
 Observer = Callable[["Simulation"], None]
 
 
-class Simulation:
+class Simulation(Displayed):
     """Molecular dynamics of one system.
 
     Parameters
@@ -45,7 +48,8 @@ class Simulation:
     potentials : one potential or several.
     method : a splitting with its time step, such as VelocityVerlet(0.005).
     constraints : DistanceConstraints, FixedAtoms, or both, instead of those of the system; () for none.
-    threads, precision, skin : see Options.
+    threads : at most so many; all cores of the process if not given. The bits are the same for any number.
+    precision : "double", or "mixed": pairs in float32, their sums in float64.  skin : of neighbor lists [length]; the best one if not given.
 
     Attributes
     ----------
@@ -63,7 +67,9 @@ class Simulation:
     step = EngineAttribute[int]("Steps made so far; set it when a run is resumed.")
     time = EngineAttribute[float]("[time] since the start; set it when a run is resumed.")
     reservoir_energy = EngineAttribute[float]("Given by a thermostat since the start [energy]; set it when a run is resumed.")
-    extra_observables = EngineAttribute[Sequence[str]]('Names of observables beside the usual ones, ("shadow_energy",): see minimd.shadow_energy.')
+    extra_observables = EngineAttribute[Sequence[str]](
+        'Names of observables beside the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".'
+    )
     positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")
     forces = EngineAttribute[Array]("(N, 3) [energy/length], of the last evaluation.")
@@ -71,6 +77,10 @@ class Simulation:
     conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant; see Engine.")
     constraints = EngineAttribute[tuple[Constraint, ...]]("What is held fixed, with the lengths that are kept; also those of system.")
     rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds")
+    potential_energy = Measured[float]("U [energy].")
+    temperature = Measured[float]("Kinetic temperature.")
+    pressure = Measured[float]("P [energy/length³]; ValueError without a volume.")
+    stress = Measured[Array]("σ [energy/length³], (3, 3), kinetic part included, positive under tension: P = −tr σ / 3; ValueError without a volume.")
     potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.", "interactions.potentials")
     options = EngineAttribute[Options]("Threads, precision and skin, as they were asked for.", "interactions.options")
     skins = EngineAttribute[list[float]]("Of all lists that have one [length].", "interactions.skins")
@@ -83,7 +93,7 @@ class Simulation:
         constraints: Constraint | Sequence[Constraint] | None = None,
         *,
         threads: int | None = None,
-        precision: Literal["double", "mixed"] = "double",
+        precision: Precision = "double",
         skin: float | None = None,
     ) -> None:
         self._hold(Engine(system, potentials, method, constraints, Options(threads, precision, skin)))
@@ -100,6 +110,10 @@ class Simulation:
     def __repr__(self) -> str:
         return f"Simulation({self.system!r}, {self.method!r}, step {self.step})"
 
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        return simulation_rows(self.engine)
+
     @classmethod
     def resume(cls, file: str | Path, potentials: Potential | Sequence[Potential] | None = None, *, threads: int | None = None) -> Self:
         """The simulation in the restart of an H5MD file: its next steps have the bits that those of the run had, or would have had.
@@ -109,7 +123,7 @@ class Simulation:
 
         Parameters
         ----------
-        potentials : those of the run; if not given, those of the scene that is stored in the file.  threads : see Options.
+        potentials : those of the run; if not given, those of the scene that is stored in the file.  threads : as above.
 
         Raises
         ------
@@ -122,7 +136,7 @@ class Simulation:
         if potentials is None:
             potentials = cls.potentials_of_scene(contents.scene, contents.potentials, Path(file))
         resumed = cls(contents.system, potentials, contents.integrator(), threads=threads, precision=contents.precision, skin=contents.skin)
-        resumed.extra_observables = ("shadow_energy",) if "shadow_energy" in contents.record else ()
+        resumed.extra_observables = extras_in(contents.record)
         resumed.engine.notes.update(title=contents.title, scene=contents.scene)
         resumed.engine.go_on_from(contents.restart)
         if contents.repaired:
@@ -171,7 +185,7 @@ class Simulation:
         files = {name: checked_flag(name, flag) for name, flag in files.items()}
         if not isinstance(observers, list | tuple) or not all(map(callable, observers)):
             raise TypeError(f"observers must be a list of functions of a simulation; observers = {shown(observers)}")
-        check_extras(engine, engine.extra_observables)
+        check_extras(engine)
         place, start = crash_file_place(crash_report, trajectory), engine.step
         with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):  # the file is left after all others are closed
             guard.check_start()
@@ -339,9 +353,7 @@ class Simulation:
 
     def frame(self) -> Frame:
         """The state as it is now, with its observables; the forces are evaluated."""
-        if not self.engine.is_as_left:
-            self.engine.moved()
-            self.engine.fit_images()
+        self.engine.catch_up()
         return observe(self.engine)
 
     def set_temperature(self, temperature: float, seed: int | None = None) -> None:

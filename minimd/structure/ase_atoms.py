@@ -1,5 +1,7 @@
 """ASE's atoms as systems, and systems as ASE's atoms."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

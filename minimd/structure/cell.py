@@ -1,5 +1,7 @@
 """The simulation cell: any three lattice vectors, each direction periodic or open, and the images they make."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,13 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.machine import EPS
 from minimd.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers, shown
+from minimd.structure.display import Displayed, Rows, as_text
 
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 
 
-@dataclass(frozen=True)
-class Cell:
+@dataclass(frozen=True, repr=False)
+class Cell(Displayed):
     """Lattice vectors and periodicity, checked, with the reduced lattice that searches use. Made by Cell.of; never changed.
 
     Attributes
@@ -46,7 +49,7 @@ class Cell:
             array.setflags(write=False)
 
     @classmethod
-    def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> "Cell":
+    def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> Cell:
         """A cell from one length, three lengths or a (3, 3) array of rows; pbc defaults to True where a vector is given.
 
         Raises
@@ -57,6 +60,17 @@ class Cell:
         matrix = _as_matrix(vectors)
         given = np.any(matrix != 0.0, axis=1)
         return cls(matrix, given if pbc is None else _as_flags(pbc))
+
+    def __repr__(self) -> str:
+        return f"Cell({self.vectors.tolist()}, pbc={self.pbc.tolist()})"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        if not (self.is_periodic or self.vectors.any()):
+            return [("cell", "none")]
+        rows = zip(("cell a", "b", "c"), self.vectors, self.pbc, strict=True)
+        vectors = [(name, f"{as_text(tuple(row.tolist()))}{'' if repeats else ', open'}") for name, row, repeats in rows]
+        return vectors + ([] if self.volume is None else [("volume", f"{self.volume:.10g}")])
 
     @property
     def is_periodic(self) -> bool:
@@ -79,7 +93,7 @@ class Cell:
         cells = np.floor(positions @ np.linalg.inv(full))
         return positions - np.where(self.pbc, cells, 0.0) @ full
 
-    def same_as(self, other: "Cell") -> bool:
+    def same_as(self, other: Cell) -> bool:
         """True if vectors and periodicity are equal to the last bit."""
         return self is other or (np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc))
 

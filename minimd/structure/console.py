@@ -17,14 +17,14 @@ DEFAULT_HANDLERS: list[Any] = [signal.SIG_DFL, signal.default_int_handler]  # ha
 
 @contextmanager
 def progress_of(n_steps: int, label: str, show: bool | None = None) -> Iterator[Callable[[int], Any]]:
-    """Show on standard error how much of n_steps is done; yields a function to be called with the number of steps made.
+    """Show on standard error, or in the cell of a notebook, how much of n_steps is done; yields a function to be called with the steps made.
 
-    show : True for a bar on a terminal and ten lines elsewhere; False for nothing; None for a bar on a terminal only. Raises ValueError for
-        anything else.
+    show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar where there can be one.
+        Raises ValueError for anything else.
     """
     if show is not None:
         checked_flag("progress", show)
-    is_terminal, told = sys.stderr is not None and sys.stderr.isatty(), 0
+    has_bar, told = (sys.stderr is not None and sys.stderr.isatty()) or in_notebook(), 0
 
     def tell_tenths(done: int) -> None:
         nonlocal told
@@ -32,13 +32,19 @@ def progress_of(n_steps: int, label: str, show: bool | None = None) -> Iterator[
             told = done * TENTHS // n_steps
             print(f"{label}: step {done} of {n_steps}", file=sys.stderr, flush=True)
 
-    if show is False or not is_terminal:
+    if show is False or not has_bar:
         yield tell_tenths
         return
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
     with tqdm(total=n_steps, desc=label, unit="step", unit_scale=True, file=sys.stderr) as bar:
         yield lambda done: bar.update(done - bar.n)
+
+
+def in_notebook() -> bool:
+    """Whether this is the process of a notebook, where IPython talks to its user through a kernel."""
+    ipython = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(ipython, "kernel")
 
 
 class Stoppable(Protocol):

@@ -54,6 +54,15 @@ def pressure(kinetic: float, virial: Array, volume: float) -> float:
     return (2.0 * kinetic + float(np.trace(virial))) / (3.0 * volume)
 
 
+def stress(velocities: Array, masses: Array, virial: Array, volume: float) -> Array:
+    """σ = −(Σ m v ⊗ v + W) / V [energy/length³], (3, 3), positive under tension; the pressure is −tr σ / 3.
+
+    M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 2.112, where the sign is that of a pressure.
+    """
+    momenta = masses[:, None] * velocities
+    return -(np.einsum("ia,ib->ab", momenta, velocities) + virial) / volume
+
+
 @kernel
 def momentum(velocities, masses):
     """P = Σ m v [mass length/time], (3,)."""

@@ -1,5 +1,7 @@
 """The state of a scene: checked once, here, and trusted everywhere afterwards."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -12,6 +14,7 @@ from minimd.structure.bond_graph import checked_groups, checked_pairs
 from minimd.structure.cell import Cell
 from minimd.structure.checks import LARGEST, MOST_ATOMS, SMALLEST, checked_numbers, shown
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
+from minimd.structure.display import Displayed, Rows
 from minimd.structure.units import UnitSystem
 
 if TYPE_CHECKING:
@@ -23,7 +26,7 @@ READ_ONLY = ("masses", "species_names", "species_index", "bonds", "angles", "uni
 RESOLVED = 1e-6  # of a length: rounding errors of separations beside it
 
 
-class System:
+class System(Displayed):
     """N atoms: positions, velocities, masses, species, cell, bonds and angles.
 
     Parameters
@@ -57,7 +60,7 @@ class System:
         *,
         masses: ArrayLike | None = None,
         velocities: ArrayLike | None = None,
-        cell: "ArrayLike | Cell | None" = None,
+        cell: ArrayLike | Cell | None = None,
         pbc: ArrayLike | None = None,
         species: Sequence[str] | Sequence[int] | NDArray | None = None,
         bonds: ArrayLike | None = None,
@@ -101,6 +104,17 @@ class System:
         names = ", ".join(str(name) for name in self.species_names)
         return f"System({len(self)} atoms of {names}; {len(self.bonds)} bonds; periodic {self.cell.pbc.tolist()}; {self.units.name} units)"
 
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        units, counts = self.units, zip(np.bincount(self.species_index), self.species_names, strict=True)
+        rows = [("atoms", f"{len(self)}: {', '.join(f'{n} {name}' for n, name in counts)}"), *self.cell.display_rows()]
+        if self.volume is not None:
+            density = len(self) / self.volume
+            rows.append(("density", f"{density:.6g} atoms/{units.length}³, {self.masses.sum() / self.volume:.6g} mass/{units.length}³"))
+        rows += [("bonds", str(len(self.bonds)))] if len(self.bonds) else []
+        rows += [("constraints", ", ".join(map(repr, self.constraints)))] if self.constraints else []
+        return [*rows, ("units", f"{units.name}: {units.length}, {units.energy}, {units.time}")]
+
     @property
     def species(self) -> NDArray:
         """Label of each atom, (N,)."""
@@ -111,13 +125,13 @@ class System:
         """Volume of the cell [length³]; None unless all three directions are periodic."""
         return self.cell.volume
 
-    def copy(self) -> "System":
+    def copy(self) -> System:
         """An independent copy."""
         names = ("masses", "velocities", "cell", "species", "bonds", "angles", "units", "constraints")
         return System(self.positions, **{name: getattr(self, name) for name in names})
 
     @classmethod
-    def from_ase(cls, atoms: "ase.Atoms", bonds: ArrayLike | None = None, angles: ArrayLike | None = None) -> "System":
+    def from_ase(cls, atoms: ase.Atoms, bonds: ArrayLike | None = None, angles: ArrayLike | None = None) -> System:
         """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments.
 
         bonds, angles : as for System. Without bonds, those that ASE found in a file: atoms.arrays["bonds"] and ["angles"]; bonds=() for none.
@@ -129,13 +143,13 @@ class System:
     @classmethod
     def from_mdanalysis(
         cls,
-        universe: "MDAnalysis.Universe | MDAnalysis.AtomGroup",
+        universe: MDAnalysis.Universe | MDAnalysis.AtomGroup,
         *,
         units: UnitSystem = unit_systems.ASE,
         bonds: ArrayLike | None = None,
         angles: ArrayLike | None = None,
         pbc: ArrayLike | None = None,
-    ) -> "System":
+    ) -> System:
         """The present frame of an MDAnalysis universe, or of a group of its atoms: positions, velocities, masses, cell, bonds and angles.
 
         MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles. Species are its types.
@@ -153,7 +167,7 @@ class System:
 
         return cls(**universe_arguments(universe, units, bonds, angles, pbc))
 
-    def to_ase(self) -> "ase.Atoms":
+    def to_ase(self) -> ase.Atoms:
         """An ase.Atoms with the same positions, momenta, masses, cell, species and constraints: see minimd.ase.atoms_from_system."""
         from minimd.structure.ase_atoms import atoms_from_system
 

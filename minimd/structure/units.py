@@ -46,6 +46,11 @@ class UnitSystem:
     momentum: str = "√(m ε)"
     angular_momentum: str = "σ √(m ε)"
 
+    def __repr__(self) -> str:
+        if SYSTEMS.get(self.name) == self:
+            return f"minimd.units.{self.name}"
+        return f"UnitSystem({', '.join(f'{name}={value!r}' for name, value in vars(self).items())})"
+
     def __reduce__(self) -> tuple[Any, ...]:
         """For pickle and copy: ASE's units stay the same object, and so do reduced ones."""
         is_known = SYSTEMS.get(self.name) == self

@@ -9,6 +9,8 @@ The state holds its parts one after the other. A start that violates one of thes
 E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
 """
 
+from __future__ import annotations
+
 from typing import Any, ClassVar
 
 import numpy as np

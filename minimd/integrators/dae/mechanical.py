@@ -8,6 +8,8 @@ cheaper, and symplectic.
 E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, eq. 1.46.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

@@ -9,6 +9,8 @@ Symmetric sequences stay symmetric. Compositions of velocity Verlet, such as Yos
 at most, because a constrained drift is not an exact flow: two of them in a row differ from a single one.
 """
 
+from __future__ import annotations
+
 import warnings
 from itertools import pairwise
 

@@ -7,6 +7,8 @@ U. M. Ascher, H. Chin, S. Reich, Numer. Math. 67, 131 (1994); U. M. Ascher, L. R
 Differential Equations and Differential-Algebraic Equations (1998), 9.2. Projections are in projection.py.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any
 
@@ -47,7 +49,7 @@ class Invariants:
         self.jacobian = jacobian if jacobian is None else _of_state(jacobian, "jacobian")
         self.value = value if value is None else np.array(value, dtype=float).reshape(-1)
 
-    def through(self, y: Array, shape: Shape = None) -> "Manifold":
+    def through(self, y: Array, shape: Shape = None) -> Manifold:
         """The manifold g = value, or g = g(y) if no value was given.
 
         y : (n,) state.  shape : of q and v, None for problems without them.
@@ -106,7 +108,7 @@ def check_invariants(invariants: Invariants) -> None:
 Correction = Callable[[Array], Array]  # (n,) a term that is added to y′, of the state
 
 
-def corrected(problem: Problem, correction: Correction, begin: Callable[[Array, Shape], None]) -> "CorrectedPartitioned | CorrectedFirstOrder":
+def corrected(problem: Problem, correction: Correction, begin: Callable[[Array, Shape], None]) -> CorrectedPartitioned | CorrectedFirstOrder:
     """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
 
     begin : called with the start of each run and the shape of q and v.  Raises TypeError for problems of other kinds.

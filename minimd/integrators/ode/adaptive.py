@@ -6,6 +6,8 @@ This works for every one-step method. The result of the two short steps is kept,
 conserves in a step stays conserved. E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.4.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from math import copysign, isfinite
 from typing import Any

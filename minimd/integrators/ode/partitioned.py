@@ -16,6 +16,8 @@ it moves with q. A sequence whose order p holds for all separable problems has t
 R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995); E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), III.3.3, VI.3.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import numpy as np

@@ -5,6 +5,8 @@ hidden, and a start must obey them too. E. Hairer, C. Lubich, M. Roche, The Nume
 by Runge-Kutta Methods (1989); E. Hairer, G. Wanner, Solving ODEs II (1996), VI and VII.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike
 

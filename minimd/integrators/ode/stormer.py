@@ -9,6 +9,8 @@ form adds Δt² f to the small increments first, and its errors grow as n ε (P.
 in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), III.10).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import numpy as np

@@ -8,7 +8,6 @@ equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integra
 """
 
 from collections.abc import Callable
-from inspect import signature
 from typing import ClassVar
 
 import numpy as np
@@ -97,11 +96,6 @@ class Splitting(Method):
     order = ClassProperty(lambda method: nystrom_order(method.sequence()))
     is_symmetric = ClassProperty(lambda method: is_palindrome(method.sequence()))
     stages = ClassProperty(stages)
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """The arguments that make this method again, by name: its attributes that are called as arguments of its constructor."""
-        return {name: getattr(self, name) for name in signature(type(self)).parameters if hasattr(self, name)}
 
     @classmethod
     def sequence(cls) -> Substeps:

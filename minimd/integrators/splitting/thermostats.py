@@ -85,7 +85,8 @@ class LangevinBAOAB(Thermostat):
 
     Parameters
     ----------
-    friction : γ ≥ 0 [1/time].  Others : see Thermostat.
+    timestep : Δt > 0 [time].  temperature : T ≥ 0, of the bath.
+    friction : γ ≥ 0 [1/time].  seed : int ≥ 0 of the noise, below 2¹²⁸.
 
     B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013); J. Chem. Phys. 138, 174102 (2013), eq. 7.
     With constraints: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016).
@@ -132,7 +133,8 @@ class StochasticVelocityRescaling(Thermostat):
 
     Parameters
     ----------
-    relaxation_time : τ > 0 [time].  Others : see Thermostat.
+    timestep : Δt > 0 [time].  temperature : T ≥ 0, of the bath.
+    relaxation_time : τ > 0 [time].  seed : int ≥ 0 of the noise, below 2¹²⁸.
 
     G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007), eq. A7.
     """

@@ -1,0 +1,17 @@
+"""An engine in words: what a simulation shows of itself."""
+
+from minimd.engine.engine import Engine
+from minimd.structure.display import Rows
+
+
+def simulation_rows(engine: Engine) -> Rows:
+    """What makes up a simulation, and where it stands. Nothing is computed."""
+    options, units = engine.interactions.options, engine.system.units
+    chosen = {"threads": options.threads, "skin": options.skin}
+    words = [f"{name} {value:g}" for name, value in chosen.items() if value is not None]
+    rows = [("system", repr(engine.system))]
+    rows += [("potential", repr(one)) for one in engine.interactions.potentials]
+    rows += [("method", repr(engine.method)), *(("constraint", repr(one)) for one in engine.constraints)]
+    rows += [("observed too", ", ".join(engine.extra_observables))] if engine.extra_observables else []
+    rows += [("options", ", ".join([f"{options.precision} precision", *words]))]
+    return [*rows, ("at", f"step {engine.step}, {units.shown(engine.time)}")]

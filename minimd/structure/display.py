@@ -1,0 +1,73 @@
+"""How objects show themselves: rows of a name and words, aligned in a terminal, a table in a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from html import escape
+from inspect import Parameter, signature
+from typing import Any
+
+import numpy as np
+
+from minimd.structure.checks import shown
+
+NAME_WIDTH = 14  # letters of a name, at least; the words begin one further
+LEFT = 'style="text-align: left; vertical-align: top"'
+KEPT_SPACES = 'style="text-align: left; white-space: pre-wrap; font-family: monospace"'
+
+Rows = list[tuple[str, str]]
+
+
+class Displayed:
+    """Base of what a cell of a notebook can end with. A class defines either __str__ or display_rows, in terms of which the other one stands here.
+
+    Where an object is part of another, as in a list, its repr is shown.
+    """
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls._repr_pretty_ = Displayed._repr_pretty_  # type: ignore[method-assign]  # IPython prefers a __repr__ of a class to what it inherits
+
+    def display_rows(self) -> Rows:
+        """Names and words; a row without a name continues the one before."""
+        return [(line[:NAME_WIDTH].rstrip(), line[NAME_WIDTH + 1 :]) for line in str(self).splitlines()]
+
+    def __str__(self) -> str:
+        rows = self.display_rows()
+        width = max(NAME_WIDTH, *(len(name) for name, _ in rows))
+        return "\n".join(f"{name:<{width}} {words}" for name, words in rows)
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """Called by IPython."""
+        printer.text(repr(self) if cycle or len(printer.stack) > 1 else str(self))
+
+    def _repr_html_(self) -> str:
+        """Called by Jupyter."""
+        rows = "".join(f"<tr><th {LEFT}>{escape(name)}</th><td {KEPT_SPACES}>{escape(words)}</td></tr>" for name, words in self.display_rows())
+        return f"<table><caption {LEFT}>{type(self).__name__}</caption>{rows}</table>"
+
+
+def call_of(one: object, arguments: Mapping[str, Any], always: Iterable[str] = ()) -> str:
+    """The call that makes an object again, without arguments that are the defaults of its class, but with those named in always."""
+    parameters, always = signature(type(one)).parameters, set(always)
+    told = [f"{name}={as_text(value)}" for name, value in arguments.items() if name in always or not _is_default(parameters.get(name), value)]
+    return f"{type(one).__name__}({', '.join(told)})"
+
+
+def as_text(value: Any) -> str:
+    """A value as Python writes it: floats to 10 digits, arrays shortened, functions by their names."""
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(as_text, value))}{',' if len(value) == 1 else ''})"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {as_text(entry)}' for key, entry in value.items())}}}"
+    if isinstance(value, np.ndarray):
+        return shown(value.tolist())
+    if isinstance(value, Callable):  # type: ignore[arg-type]
+        return str(getattr(value, "__name__", shown(value)))
+    return repr(value)
+
+
+def _is_default(parameter: Parameter | None, value: Any) -> bool:
+    return parameter is not None and not isinstance(value, np.ndarray | Mapping) and bool(parameter.default == value)

@@ -24,7 +24,13 @@ PLACES = {
     "Andersen": "andersen",
     "NVTBerendsen": "nvtberendsen",
 }
-METALS = {"Cu": (0.409, 2.338), "Ag": (0.345, 2.644), "Au": (0.449, 2.637), "Pt": (0.694, 2.542), "Al": (0.392, 2.620)}  # H. Heinz et al. (2008), near
+METALS = {
+    "Cu": (0.409, 2.338),
+    "Ag": (0.345, 2.644),
+    "Au": (0.449, 2.637),
+    "Pt": (0.694, 2.542),
+    "Al": (0.392, 2.620),
+}
 
 
 def metals():

@@ -12,8 +12,9 @@ from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, Stochast
 from minimd.minimization.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential, Tabulated
-from minimd.potentials.term import Potential, Term
+from minimd.potentials.term import INTERPRETERS, Potential, Term
 from minimd.replay import potentials_of_scene, replay
+from minimd.simulation.calculators import interpret_calculator
 from minimd.simulation.simulation import Simulation
 from minimd.structure import lattice, units
 from minimd.structure.cell import Cell
@@ -23,6 +24,7 @@ from minimd.structure.system import System
 
 __version__ = version("minimd")
 Simulation.potentials_of_scene = staticmethod(potentials_of_scene)
+INTERPRETERS.append(interpret_calculator)
 __all__ = [
     "BondPotential",
     "Cell",

@@ -5,8 +5,6 @@ import ase.units
 import numpy as np
 import pytest
 from argon_atoms import CUTOFF, EPSILON, SIGMA, TIMESTEP, argon, ase_lennard_jones, lennard_jones, same, with_calculator
-from ase.build import bulk
-from ase.calculators.emt import EMT
 from ase.md.verlet import VelocityVerlet as ASEVelocityVerlet
 
 import minimd as md
@@ -143,11 +141,6 @@ def test_exchanged_potentials_are_seen():
     dynamics.run(1)
     expected = md.evaluate(system_from_atoms(atoms), atoms.calc.potentials)
     assert same(atoms.get_forces(), expected.forces)
-
-
-def test_another_calculator_is_referred_to_ase():
-    with pytest.raises(TypeError, match=r"it is EMT: use ase\.md\.verlet\.VelocityVerlet"):
-        VelocityVerlet(with_calculator(bulk("Cu"), EMT()), TIMESTEP).run(1)
 
 
 def test_after_a_blow_up_the_atoms_hold_the_last_good_state():

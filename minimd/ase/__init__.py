@@ -1,4 +1,4 @@
-"""The bridge to ASE: atoms in and out, calculators both ways, velocity Verlet for ASE's scripts, ASE's trajectory files.
+"""The bridge to ASE: atoms in and out, calculators both ways, ASE's molecular dynamics with compiled steps, ASE's trajectory files.
 
 ASE's units are Å, eV, u and Å √(u/eV); minimd.units.ASE are the same, so nothing is converted here. A scene in reduced
 units crosses with its numbers unchanged. Only this package imports ase.
@@ -7,6 +7,7 @@ units crosses with its numbers unchanged. Only this package imports ase.
 from minimd.ase.calculator import Calculator
 from minimd.ase.dynamics import VelocityVerlet
 from minimd.ase.foreign import ForcesFromCalculator
+from minimd.ase.thermostats import Andersen, Bussi, Langevin, LangevinBAOAB, NoseHooverChainNVT, NVTBerendsen
 from minimd.files.ase_writer import ASEWriter
 from minimd.files.structure_file import atomic_mass, system_from_file
 from minimd.structure.ase_atoms import atoms_from_system
@@ -16,8 +17,14 @@ system_from_atoms = System.from_ase
 
 __all__ = [
     "ASEWriter",
+    "Andersen",
+    "Bussi",
     "Calculator",
     "ForcesFromCalculator",
+    "Langevin",
+    "LangevinBAOAB",
+    "NVTBerendsen",
+    "NoseHooverChainNVT",
     "VelocityVerlet",
     "atomic_mass",
     "atoms_from_system",

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from ase import Atoms
 from ase.calculators.calculator import Calculator as ASECalculator
 from ase.calculators.calculator import all_changes
 from ase.stress import full_3x3_to_voigt_6_stress
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options
@@ -79,12 +79,9 @@ class Calculator(ASECalculator):
         forces.compute(PER_ATOM if per_atom else TOTALS)
         if not (np.isfinite(forces.potential_energy) and np.isfinite(forces.forces).all()):
             raise NonFiniteError(f"forces or energies are not finite; the closest pair is {closest_pair(forces.system)}: move them apart")
-        energy, volume = forces.potential_energy, volume_of(self.atoms)
-        self.results = {"energy": energy, "free_energy": energy, "forces": forces.forces.copy()}
+        self.results, volume = _results(self.atoms, forces), volume_of(self.atoms)
         if per_atom:
             self.results["energies"] = forces.energies
-        if volume:
-            self.results["stress"] = -full_3x3_to_voigt_6_stress(forces.virial) / volume
         if volume and per_atom:
             self.results["stresses"] = -forces.virials / volume
 
@@ -93,10 +90,10 @@ class Calculator(ASECalculator):
         changes = super().check_state(atoms, tol)
         return changes if self.atoms is None or same_labels(self.atoms, atoms) else [*changes, "numbers"]
 
-    def adopt(self, atoms: Atoms, potential_energy: float, forces: NDArray[np.float64]) -> None:
-        """Take over results [eV], (N, 3) [eV/Å] that minimd has found for these atoms and potentials elsewhere."""
+    def adopt(self, atoms: Atoms, forces: Forces) -> None:
+        """Take over energy, forces and stress of these atoms from where minimd has found them: Forces with the same potentials, just computed."""
         self.atoms = atoms.copy()
-        self.results = {"energy": potential_energy, "free_energy": potential_energy, "forces": forces.copy()}
+        self.results = _results(atoms, forces)
 
     def _forces_at(self, atoms: Atoms) -> Forces:
         """The Forces on these atoms: those of the last call, with their pair list, if only positions or cell have changed."""
@@ -113,3 +110,10 @@ class Calculator(ASECalculator):
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_plan": None}
+
+
+def _results(atoms: Atoms, forces: Forces) -> dict[str, Any]:
+    """Energy, forces and, where there is a volume, stress of the last compute with TOTALS or PER_ATOM."""
+    energy, volume = forces.potential_energy, volume_of(atoms)
+    results = {"energy": energy, "free_energy": energy, "forces": forces.forces.copy()}
+    return results | {"stress": -full_3x3_to_voigt_6_stress(forces.virial) / volume} if volume else results

@@ -1,107 +1,159 @@
-"""Velocity Verlet for ASE's scripts, in compiled steps."""
+"""ASE's molecular dynamics with the steps made by minimd: what all of its classes have in common, and velocity Verlet."""
 
-from collections.abc import Sequence
+import warnings
+from typing import Any
 
+import ase.md.verlet
 import numpy as np
 from ase import Atoms
+from ase.io.jsonio import encode
 from ase.md.md import MolecularDynamics
 from numpy.typing import NDArray
 
 from minimd.ase.calculator import Calculator
+from minimd.ase.foreign import ForcesOnAtoms, calculators_said
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Engine
-from minimd.forces.forces import Potential
+from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.verlet import VelocityVerlet as Method
-from minimd.structure.ase_atoms import cell_of, same_scene
-from minimd.structure.console import stop_on_signals
+from minimd.structure.ase_atoms import same_scene
+from minimd.structure.console import outside_minimd, stop_on_signals
 from minimd.structure.system import System
 
 
-class VelocityVerlet(MolecularDynamics):
-    """ase.md.verlet.VelocityVerlet for atoms whose calculator is a minimd Calculator, with the steps made by minimd.
+class MinimdSteps(MolecularDynamics):
+    """What makes a class of ase.md step with minimd; it stands before that class among the bases.
 
-    run makes all steps between two observations at once, then brings atoms, momenta and the calculator's results up to
-    date; an observer may change positions, momenta or cell. irun yields after every step, as ASE's does.
-    Parameters (atoms, timestep, trajectory, logfile, loginterval), attach and get_time are ASE's.
+    run makes all steps between two observations at once, then brings atoms, momenta and the calculator's results (energy, forces, stress)
+    up to date. Whatever is changed between two blocks counts from then on: positions, momenta, cell, masses, calculator, potentials,
+    constraints, time step, temperature, friction. irun yields after every step, and step makes one, as in ASE.
+
+    Forces are those of minimd's potentials if the calculator of the atoms is a minimd.ase.Calculator. Those of any other calculator are used
+    too, at its speed, and a warning says so once.
 
     Raises
     ------
-    TypeError : when it runs, if the calculator of the atoms is another one.  ValueError : for constraints that minimd does not know.
-    NonFiniteError : if the run blows up; atoms hold the last good state.
+    ValueError : when it runs, for constraints that minimd does not know, by name.
+    NonFiniteError, ConstraintError : if the run blows up; atoms hold the last good state.
     KeyboardInterrupt : after Ctrl-C; atoms hold the state of the last whole step.
     """
 
-    guard: RunGuard
+    _guard: RunGuard
     _made_for: Atoms | None = None
-    _made_with: Potential | Sequence[Potential]
+    _made_with: Any = None  # potentials of the calculator, constraints
+    _steps_made = 0  # by whatever call: noise has their numbers
+    _is_told = False
+
+    def method(self) -> Splitting:
+        """The method of minimd with the present parameters."""
+        raise NotImplementedError(f"{type(self).__name__} has no method")
 
     def run(self, steps: int = 50) -> bool:
         """Make this many steps. Returns False if an observer lowered max_steps below nsteps, else True."""
+        if not self._may_make_blocks():
+            return bool(super().run(steps))
         next(self.irun(steps))  # what ASE does before the first step
         while self.nsteps < self.max_steps:
             self._advance(self._next_look() - self.nsteps)
             self._refresh_properties()
             self.log()
             self.call_observers()
-        return self.nsteps == self.max_steps
+        return bool(self.nsteps == self.max_steps)
 
-    def step(self) -> NDArray[np.float64]:
-        """Make one step, which the caller counts; returns the forces after it, (N, 3) [eV/Å]."""
+    def step(self, forces: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """Make one step, which the caller counts; returns the forces after it, (N, 3) [eV/Å].
+
+        forces : at the present positions, as ASE's classes take them. They are known here, and not needed.
+        """
         self._advance(1)
         self.nsteps -= 1
-        return self.atoms.get_forces(md=True)
+        return np.asarray(self.atoms.get_forces(md=True))
+
+    def _may_make_blocks(self) -> bool:
+        """Whether nobody has put a step, or a log of every step, in the place of these."""
+        return getattr(self.step, "__func__", None) is MinimdSteps.step and getattr(self.log, "__func__", None) is MolecularDynamics.log
 
     def _next_look(self) -> int:
         """The step after which the next observer is due, or the last one: interval n > 0 is every n-th, −n the n-th only."""
         looks = [n * (self.nsteps // n + 1) if n > 0 else -n for _, n, _, _ in self.observers]
-        return min([self.max_steps, *(look for look in looks if look > self.nsteps)])
+        return int(min([self.max_steps, *(look for look in looks if look > self.nsteps)]))
 
     def _advance(self, n_steps: int) -> None:
         """Make n_steps steps; atoms and nsteps are right also after an exception."""
         atoms, guard = self.atoms, self._guard_at(self.atoms)
-        engine, start = guard.engine, guard.engine.step
-        engine.method = Method(self.dt)
+        engine, start, given = guard.engine, guard.engine.step, guard.engine.reservoir_energy
+        engine.method, engine.noise_shift = self.method(), self._steps_made - start
         try:
             with stop_on_signals(engine.surroundings):
                 guard.check_start()
                 guard.observe()
                 guard.make_steps(n_steps, with_energy=True)
-                frame = guard.observe()
+                guard.observe()
         finally:
             self.nsteps += engine.step - start
+            self._steps_made += engine.step - start
+            self._count_heat(engine.reservoir_energy - given)
             atoms.positions[:] = engine.positions
             atoms.set_momenta(_momenta(engine), apply_constraint=False)
-        atoms.calc.adopt(atoms, frame.observables["potential_energy"], engine.forces)
+        if isinstance(atoms.calc, Calculator):
+            atoms.calc.adopt(atoms, engine.interactions)
+
+    def _count_heat(self, energy: float) -> None:
+        """The bath has given this energy [eV] to the atoms."""
 
     def _guard_at(self, atoms: Atoms) -> RunGuard:
         """The guarded engine, with positions and momenta of the atoms; a new one if anything else was changed from outside."""
         made_for = self._made_for
-        if (
-            made_for is None
-            or atoms.constraints
-            or self.guard.engine.constraints
-            or not (same_scene(made_for, atoms) and cell_of(made_for).same_as(cell_of(atoms)))
-            or atoms.calc.potentials is not self._made_with
-        ):
+        if made_for is None or not self._is_made_for(made_for, atoms):
             return self._new_guard(atoms)
-        engine = self.guard.engine
+        engine = self._guard.engine
         engine.positions[:] = atoms.positions
         if not np.array_equal(atoms.get_momenta(), _momenta(engine)):
             engine.velocities[:] = atoms.get_velocities()
-        return self.guard
+        if not isinstance(atoms.calc, Calculator):
+            engine.moved()  # who knows what became of its parameters: it is asked again, and answers at once if nothing did
+        return self._guard
+
+    def _is_made_for(self, made_for: Atoms, atoms: Atoms) -> bool:
+        """Whether the engine can go on with these atoms. Rigid bonds are measured anew where atoms were moved."""
+        is_same = same_scene(made_for, atoms) and np.array_equal(made_for.cell.array, atoms.cell.array) and _same(self._made_with, _essence(atoms))
+        return is_same and (not atoms.constraints or np.array_equal(atoms.positions, self._guard.engine.positions))
 
     def _new_guard(self, atoms: Atoms) -> RunGuard:
         calculator = atoms.calc
-        if not isinstance(calculator, Calculator):
-            name = type(calculator).__name__
-            raise TypeError(f"the calculator of atoms must be a minimd.ase.Calculator; it is {name}: use ase.md.verlet.VelocityVerlet")
-        system = System.from_ase(atoms, calculator.bonds)
-        self.guard = RunGuard(Engine(system, calculator.potentials, Method(self.dt), options=calculator.options))
-        self._made_for = atoms.copy()
+        if isinstance(calculator, Calculator):
+            engine = Engine(System.from_ase(atoms, calculator.bonds), calculator.potentials, self.method(), options=calculator.options)
+        else:
+            if not self._is_told:
+                warnings.warn(calculators_said(calculator), stacklevel=outside_minimd())
+                self._is_told = True
+            engine = Engine(System.from_ase(atoms), ForcesOnAtoms(atoms), self.method())
+        engine.step = self.nsteps
+        self._guard, self._made_for, self._made_with = RunGuard(engine), atoms.copy(), _essence(atoms)
         self._made_for.calc = calculator
-        self._made_with = calculator.potentials
-        return self.guard
+        return self._guard
+
+
+class VelocityVerlet(MinimdSteps, ase.md.verlet.VelocityVerlet):
+    """ase.md.verlet.VelocityVerlet with the steps made by minimd: the same motion, to rounding.
+
+    Parameters, attach, irun, get_time and all the rest are ASE's. Raises : see MinimdSteps.
+    """
+
+    def method(self) -> Splitting:
+        """Velocity Verlet."""
+        return Method(self.dt)
 
 
 def _momenta(engine: Engine) -> NDArray[np.float64]:
     return engine.velocities * engine.system.masses[:, None]
+
+
+def _essence(atoms: Atoms) -> tuple[Any, list[str]]:
+    """The potentials of the calculator, if it is minimd's, and the constraints as texts."""
+    potentials = atoms.calc.potentials if isinstance(atoms.calc, Calculator) else None
+    return potentials, [encode(constraint.todict()) for constraint in atoms.constraints]
+
+
+def _same(one: tuple[Any, list[str]], other: tuple[Any, list[str]]) -> bool:
+    return one[0] is other[0] and one[1] == other[1]

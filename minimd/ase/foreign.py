@@ -1,7 +1,8 @@
 """Calculators of ASE as potentials of minimd."""
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from ase import Atoms
@@ -9,7 +10,8 @@ from ase.calculators.calculator import BaseCalculator
 from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import NDArray
 
-from minimd.potentials.term import FORCES, PER_ATOM
+from minimd.ase.calculator import Calculator
+from minimd.potentials.term import FORCES, PER_ATOM, Potential, as_potentials
 from minimd.structure.ase_atoms import atoms_from_system, volume_of
 from minimd.structure.checks import shown
 from minimd.structure.console import outside_minimd
@@ -27,7 +29,7 @@ class ForcesFromCalculator:
     """
 
     def __init__(self, calculator: BaseCalculator) -> None:
-        if not (hasattr(calculator, "get_forces") and hasattr(calculator, "get_potential_energy")):
+        if not is_calculator(calculator):
             raise TypeError(f"calculator must be a calculator of ASE, such as ase.calculators.emt.EMT(); got {shown(calculator)}")
         self.calculator = calculator
 
@@ -37,6 +39,23 @@ class ForcesFromCalculator:
         atoms.set_constraint()  # minimd wants the forces as they are, and keeps constraints itself
         atoms.calc = self.calculator
         return CalculatorTerm(atoms)
+
+
+class ForcesOnAtoms:
+    """A potential for one ase.Atoms: forces and energy from its calculator, which sees these very atoms, with all that they carry.
+
+    Their positions follow those of the system. The virial is NaN: nobody asks the calculator for a stress here.
+    """
+
+    def __init__(self, atoms: Atoms) -> None:
+        self._atoms = atoms
+
+    def __repr__(self) -> str:
+        return f"ForcesOnAtoms({type(self._atoms.calc).__name__})"
+
+    def bind(self, system: System) -> "CalculatorTerm":
+        """The term that asks the calculator for the forces on the atoms."""
+        return WithoutVirial(self._atoms)
 
 
 class CalculatorTerm:
@@ -49,7 +68,7 @@ class CalculatorTerm:
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """Add forces, (N, 3); for TOTALS and PER_ATOM also energies, (N,), and virials, (N, 6), the latter in equal shares."""
         self._atoms.positions[:], self._atoms.cell[:] = system.positions, system.cell.vectors
-        own = self._atoms.get_forces()
+        own = self._atoms.get_forces(apply_constraint=False)
         forces += own
         if detail != FORCES:
             energies += self._shares_of_energy(detail)
@@ -75,3 +94,34 @@ class CalculatorTerm:
         except NotImplementedError as reason:
             warnings.warn(f"{type(self._atoms.calc).__name__} gives no stress ({reason}); virial and pressure are NaN", stacklevel=outside_minimd())
             return np.full(6, np.nan)
+
+
+class WithoutVirial(CalculatorTerm):
+    """Forces and energy alone."""
+
+    def _virial(self, system: System, forces: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.full(6, np.nan)
+
+
+def calculators_said(calculator: BaseCalculator) -> str:
+    """What a user hears once whose steps wait for a calculator that is not minimd's."""
+    name = type(calculator).__name__
+    return f"the calculator is {name}, not minimd.ase.Calculator: minimd makes the steps with its forces, as fast as {name} finds them"
+
+
+def potentials_of_calculator(calculator: Any) -> Sequence[Potential] | None:
+    """The potentials that stand for a calculator of ASE: those of a minimd Calculator, else ForcesFromCalculator, and a warning says so.
+
+    None for anything that is no calculator.
+    """
+    if not is_calculator(calculator):
+        return None
+    if isinstance(calculator, Calculator) and calculator.bonds is None:
+        return as_potentials(calculator.potentials)
+    warnings.warn(calculators_said(calculator), stacklevel=outside_minimd())
+    return [ForcesFromCalculator(calculator)]
+
+
+def is_calculator(calculator: Any) -> bool:
+    """Whether it answers as a calculator of ASE does."""
+    return hasattr(calculator, "get_forces") and hasattr(calculator, "get_potential_energy")

@@ -22,7 +22,7 @@ from minimd.neighbors.queries import closest_pair
 from minimd.neighbors.verlet_list import Built, VerletList
 from minimd.potentials.laws import Scaled
 from minimd.potentials.pair_loop import FixedPairs
-from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, bound
+from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, as_potentials, bound
 from minimd.structure.console import outside_minimd
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import NonFiniteError
@@ -60,7 +60,7 @@ class Forces:
 
     def __init__(self, system: System, potentials: Potential | Sequence[Potential], options: Options | None = None) -> None:
         self.system, self.options = system, options or Options()
-        self.potentials = tuple(potentials) if isinstance(potentials, list | tuple) else (potentials,)
+        self.potentials = as_potentials(potentials)
         self.terms: list[Term] = []
         self.n_evaluations, self._builds_before, self.displacement = 0, 0, 0.0
         self._bind()

@@ -1,6 +1,6 @@
 """The interface of all forces: a potential has bind(system), which returns a Term; a Term adds its forces to the sum."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from math import inf
 from typing import Any, NamedTuple, Protocol
 
@@ -13,6 +13,7 @@ from minimd.structure.system import System
 
 FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes the ones before
 BOND_LOOP = "bond loop"
+INTERPRETERS: list[Callable[[Any], Sequence[Any] | None]] = []  # of objects that are no potentials; bridges above add theirs in minimd/__init__
 
 
 class PairLaw(NamedTuple):
@@ -133,6 +134,15 @@ class OwnPotential(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         return [("potential", type(self).__name__), *((name, as_text(value)) for name, value in self.arguments().items())]
+
+
+def as_potentials(given: Any) -> tuple[Any, ...]:
+    """One potential or several as a tuple; objects of other kinds are replaced by the potentials that an INTERPRETER has for them."""
+    potentials: list[Any] = []
+    for one in given if isinstance(given, list | tuple) else (given,):
+        found = None if hasattr(one, "bind") else next((own for interpret in INTERPRETERS if (own := interpret(one)) is not None), None)
+        potentials.extend([one] if found is None else found)
+    return tuple(potentials)
 
 
 def bound(potential: Any, system: System) -> Term:

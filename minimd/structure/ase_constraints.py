@@ -25,7 +25,7 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
     fixed: list[int] = []
     for constraint in atoms.constraints:
         if isinstance(constraint, FixBondLengths):
-            pairs, given = np.asarray(constraint.pairs, dtype=np.int64), constraint.bondlengths
+            pairs, given = _counted_from_front(constraint.pairs, len(atoms)), constraint.bondlengths
             lengths.append((pairs, _distances(atoms, pairs) if given is None else np.asarray(given, dtype=float)))
             tolerances.append(float(constraint.tolerance))
         elif isinstance(constraint, FixLinearTriatomic):
@@ -63,7 +63,7 @@ def fixes_center(atoms: Atoms) -> bool:
 
 def _rods(atoms: Atoms, constraint: FixLinearTriatomic) -> Pairs:
     """Both arms of each molecule and the distance of its ends, which is the sum of the arms."""
-    triples = np.asarray(constraint.triples, dtype=np.int64)
+    triples = _counted_from_front(constraint.triples, len(atoms))
     arms = np.concatenate([triples[:, [0, 1]], triples[:, [1, 2]]])
     lengths = _distances(atoms, arms)
     return np.concatenate([arms, triples[:, [0, 2]]]), np.concatenate([lengths, lengths.reshape(2, -1).sum(axis=0)])
@@ -72,3 +72,9 @@ def _rods(atoms: Atoms, constraint: FixLinearTriatomic) -> Pairs:
 def _distances(atoms: Atoms, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
     """Distances to the nearest image [Å]."""
     return find_mic(atoms.positions[pairs[:, 1]] - atoms.positions[pairs[:, 0]], atoms.cell, atoms.pbc)[1]
+
+
+def _counted_from_front(indices: Any, n_atoms: int) -> NDArray[np.int64]:
+    """Indices of atoms; negative ones count from the last atom, in ASE as in Python."""
+    array = np.asarray(indices, dtype=np.int64)
+    return np.where(array < 0, array + n_atoms, array)

@@ -1,0 +1,247 @@
+"""The baths of ASE's thermostats as splittings of minimd: what ASE's arguments mean, in the place of the step where ASE's classes have it.
+
+They differ from the thermostats of minimd.integrators in what ASE's users expect: parameters for each atom, a center of mass that stays at
+rest (fixcm), degrees of freedom counted as by Atoms.get_number_of_degrees_of_freedom. k_B T is energy of `bath.k_B` times a temperature [K].
+"""
+
+from math import exp, sqrt
+from typing import Any, ClassVar
+
+import numpy as np
+
+from minimd.integrators.method import Array
+from minimd.integrators.splitting.splitting import Splitting
+from minimd.integrators.splitting.state import Bath, State, Surroundings
+from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize
+from minimd.integrators.splitting.thermostats import LangevinBAOAB, StochasticVelocityRescaling, Thermostat
+from minimd.structure.checks import checked_number, shown
+from minimd.structure.observables import kinetic_energy, momentum
+
+__all__ = ["AndersenBath", "BerendsenBath", "BussiBath", "Chain", "LangevinBath", "NoseHooverBath"]
+
+BEFORE, AFTER = (Thermalize(1.0), Kick(0.5), Drift(1.0), Kick(0.5)), (Kick(0.5), Thermalize(1.0), Drift(1.0), Kick(0.5))
+LEAST_SCALE, MOST_SCALE = 0.9, 1.1  # of velocities in one step of Berendsen's bath, as in ASE
+_OUTER = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
+WEIGHTS = (_OUTER, 1.0 - 2.0 * _OUTER, _OUTER)  # of order 4: H. Yoshida, Phys. Lett. A 150, 262 (1990); M. Suzuki
+KEPT_STEPS = 1000  # of a chain: many more than a block of steps, which is repeated if it fails
+
+
+class LangevinBath(LangevinBAOAB):
+    """LangevinBAOAB with temperatures and frictions that may differ from atom to atom, and a center of mass that may be left alone.
+
+    temperature [K], friction [1/time] : ≥ 0, one number, or an array that broadcasts to (N, 3).
+    keeps_center : whether the velocity of the center of mass is kept; 3N − 3 degrees of freedom are then thermal.
+
+    Raises ValueError for a temperature or a friction below zero or not finite.
+    """
+
+    def __init__(self, timestep: float, temperature: Any, friction: Any, seed: int, keeps_center: bool = False) -> None:
+        super().__init__(timestep, 0.0, 0.0, seed)
+        self.temperatures, self.frictions = _checked("temperature", temperature), _checked("friction", friction)
+        self.keeps_center = keeps_center
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The time step: it alone decides whether a block can go on from the open end of the one before."""
+        return {"timestep": self.timestep}
+
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+        """The Ornstein-Uhlenbeck process over a duration, see LangevinBAOAB."""
+        bath, kept = self.bath_of(around), np.exp(-self.frictions * duration)
+        around.project(state)
+        before = kinetic_energy(state.velocities, state.masses)
+        spread = np.sqrt(bath.k_B * self.temperatures * (1.0 - kept * kept) * state.inverse_masses[:, None])
+        new = kept * state.velocities + spread * self.noise(bath).standard_normal(state.velocities.shape)
+        if self.keeps_center:
+            new -= momentum(new - state.velocities, state.masses) / state.masses.sum()
+        state.velocities[:] = new
+        around.project(state)
+        bath.energy += kinetic_energy(state.velocities, state.masses) - before
+
+
+class BussiBath(StochasticVelocityRescaling):
+    """StochasticVelocityRescaling before the step, of n_dof degrees of freedom that the caller counts: the whole motion is rescaled.
+
+    relaxation_time : τ > 0 [time], however small.  n_dof : degrees of freedom.
+
+    Raises ValueError for a relaxation time that is not positive.
+    """
+
+    substeps: ClassVar[Substeps] = BEFORE  # type: ignore[assignment] # mypy takes the row of the base for its type
+
+    def __init__(self, timestep: float, temperature: float, relaxation_time: float, seed: int, n_dof: int) -> None:
+        Thermostat.__init__(self, timestep, temperature, seed)
+        if not relaxation_time > 0.0:
+            raise ValueError(f"taut must be positive; taut = {shown(relaxation_time)}")
+        self.relaxation_time, self.n_dof = relaxation_time, n_dof
+
+    def bath_of(self, around: Surroundings) -> Bath:
+        """The bath, for all n_dof degrees of freedom."""
+        bath = super().bath_of(around)
+        bath.n_dof, bath.conserves_momentum = self.n_dof, False
+        return bath
+
+
+class AndersenBath(Thermostat):
+    """Collisions between the first kick and the drift: each component of a velocity is drawn anew with a given probability.
+
+        v ← √(k_B T/m) ξ      with probability p in each step; ξ normal
+
+    probability : p in each step, 0 to 1.
+    keeps_center : whether the center of mass stays at rest. It gets a thermal velocity before the collisions, and none is left after them.
+
+    H. C. Andersen, J. Chem. Phys. 72, 2384 (1980).  Raises ValueError for a probability out of range.
+    """
+
+    name = "andersen"
+    substeps = AFTER
+    source = "H. C. Andersen, J. Chem. Phys. 72, 2384 (1980)"
+
+    def __init__(self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool = False) -> None:
+        super().__init__(timestep, temperature, seed)
+        self.probability, self.keeps_center = checked_number("andersen_prob", probability, "finite and not negative"), keeps_center
+        if self.probability > 1.0:
+            raise ValueError(f"andersen_prob is a probability, at most 1; andersen_prob = {probability!r}")
+
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+        """The collisions of one step."""
+        bath, velocities = self.bath_of(around), state.velocities
+        around.project(state)
+        before, noise, thermal = kinetic_energy(velocities, state.masses), self.noise(bath), bath.k_B * self.temperature
+        if self.keeps_center:
+            velocities += sqrt(thermal / state.masses.sum()) * noise.standard_normal(3)
+        fresh = np.sqrt(thermal * state.inverse_masses[:, None]) * noise.standard_normal(velocities.shape)
+        np.copyto(velocities, fresh, where=noise.random(velocities.shape) < self.probability)
+        if self.keeps_center:
+            velocities -= momentum(velocities, state.masses) / state.masses.sum()
+        around.project(state)
+        bath.energy += kinetic_energy(velocities, state.masses) - before
+
+
+class BerendsenBath(Splitting):
+    """One factor for all velocities before each step, which brings the kinetic temperature T′ closer to T. It samples no ensemble.
+
+        v ← λ v,   λ² = 1 + (T/T′ − 1) Δt/τ,   0.9 ≤ λ ≤ 1.1
+
+    n_dof : degrees of freedom in T′.  keeps_center : whether momentum is taken out, in equal shares of all atoms.
+
+    H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984).  Raises ValueError for τ = 0.
+    """
+
+    name = "berendsen"
+    substeps = BEFORE
+    source = "H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984)"
+    order, is_symmetric, is_symplectic, is_thermostat = 1, False, False, True
+
+    def __init__(self, timestep: float, temperature: float, relaxation_time: float, n_dof: int, keeps_center: bool = False) -> None:
+        super().__init__(timestep)
+        self.temperature = checked_number("temperature", temperature, "finite and not negative")
+        self.relaxation_time = checked_number("taut", relaxation_time, "finite and not zero")
+        self.n_dof, self.keeps_center = n_dof, keeps_center
+
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+        """Rescale the velocities, see the class; atoms at rest stay at rest."""
+        bath, velocities = bath_of(around), state.velocities
+        around.project(state)
+        before = kinetic_energy(velocities, state.masses)
+        if before == 0.0:
+            return
+        ratio = 0.5 * self.n_dof * bath.k_B * self.temperature / before
+        velocities *= min(max(sqrt(max(1.0 + (ratio - 1.0) * duration / self.relaxation_time, 0.0)), LEAST_SCALE), MOST_SCALE)
+        if self.keeps_center:
+            velocities -= momentum(velocities, state.masses) / len(velocities) * state.inverse_masses[:, None]
+        bath.energy += kinetic_energy(velocities, state.masses) - before
+
+
+class Chain:
+    """A chain of M thermostats, each in contact with the next one, the first with the atoms; deterministic and reversible.
+
+        η̇_j = p_j/Q_j,   ṗ_1 = 2K − n k_B T − p_1 p_2/Q_2,   ṗ_j = p_{j−1}²/Q_{j−1} − k_B T − p_j p_{j+1}/Q_{j+1},   v̇ = −v p_1/Q_1
+
+    thermal : k_B T [energy].  n_dof : n.  relaxation_time : τ; Q_1 = n k_B T τ², all others k_B T τ².  length : M.  loops : of a contact.
+    eta, p : (M,) η_j and p_j.  G. J. Martyna, M. L. Klein, M. E. Tuckerman, J. Chem. Phys. 97, 2635 (1992);
+    integrator: G. J. Martyna et al., Mol. Phys. 87, 1117 (1996).
+    """
+
+    def __init__(self, thermal: float, n_dof: int, relaxation_time: float, length: int, loops: int) -> None:
+        self.thermal, self.n_dof, self.loops = thermal, n_dof, loops
+        self.inertia = [thermal * relaxation_time**2 * (n_dof if j == 0 else 1) for j in range(length)]
+        self.eta, self.p = [0.0] * length, [0.0] * length
+        self._starts: dict[int, tuple[list[float], list[float]]] = {}  # of steps, in their order
+
+    @property
+    def energy(self) -> float:
+        """n k_B T η_1 + k_B T Σ η_j + Σ p_j²/2Q_j: what the atoms have given to it [energy]."""
+        kinetic = sum(0.5 * p * p / q for p, q in zip(self.p, self.inertia, strict=True))
+        return self.thermal * (self.n_dof * self.eta[0] + sum(self.eta[1:])) + kinetic
+
+    def begin(self, step: int) -> None:
+        """Go back to the start of this step if the chain has been there: a block of steps that has failed is made again."""
+        if self._starts and next(reversed(self._starts)) >= step:
+            self.eta, self.p = map(list, self._starts.get(step, (self.eta, self.p)))
+            self._starts = {n: start for n, start in self._starts.items() if n < step}
+        self._starts[step] = self.eta.copy(), self.p.copy()
+        if len(self._starts) > KEPT_STEPS:
+            del self._starts[next(iter(self._starts))]
+
+    def advance(self, twice_kinetic: float, duration: float) -> float:
+        """Advance the chain in contact with atoms of kinetic energy K; returns the factor of their velocities.  twice_kinetic : 2K [energy]."""
+        factor = 1.0
+        for weight in WEIGHTS * self.loops:
+            h = weight * duration / self.loops
+            for j in reversed(range(len(self.p))):
+                self._push(j, twice_kinetic * factor * factor, 0.5 * h)
+            self.eta = [eta + h * p / q for eta, p, q in zip(self.eta, self.p, self.inertia, strict=True)]
+            factor *= exp(-h * self.p[0] / self.inertia[0])
+            for j in range(len(self.p)):
+                self._push(j, twice_kinetic * factor * factor, 0.5 * h)
+        return factor
+
+    def _push(self, j: int, twice_kinetic: float, h: float) -> None:
+        """p_j after a time h, while all others stand still: half of the friction, the force, half of the friction."""
+        p, q = self.p, self.inertia
+        damped = exp(-0.5 * h * p[j + 1] / q[j + 1]) if j + 1 < len(p) else 1.0
+        force = twice_kinetic - self.n_dof * self.thermal if j == 0 else p[j - 1] ** 2 / q[j - 1] - self.thermal
+        p[j] = (p[j] * damped + h * force) * damped
+
+
+class NoseHooverBath(Splitting):
+    """Velocity Verlet between two half steps of a Nosé-Hoover chain, which the caller keeps; order 2, symmetric.
+
+    chain : Chain, changed in place.
+    """
+
+    name = "nose-hoover-chain"
+    substeps = (Thermalize(0.5), Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(0.5))
+    source = "G. J. Martyna et al., Mol. Phys. 87, 1117 (1996)"
+    order, is_symmetric, is_symplectic, is_thermostat = 2, True, False, True
+
+    def __init__(self, timestep: float, chain: Chain) -> None:
+        super().__init__(timestep)
+        self.chain = chain
+
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+        """The chain in contact with the atoms over a duration."""
+        bath = bath_of(around)
+        if bath.contact == 0:
+            self.chain.begin(bath.step)
+        bath.contact += 1
+        around.project(state)
+        kinetic = kinetic_energy(state.velocities, state.masses)
+        factor = self.chain.advance(2.0 * kinetic, duration)
+        state.velocities *= factor
+        bath.energy += kinetic * (factor * factor - 1.0)
+
+
+def bath_of(around: Surroundings) -> Bath:
+    """The bath.  Raises ValueError if there is none."""
+    if around.bath is None:
+        raise ValueError("a thermostat needs a bath to count what it gives; run it in an Engine")
+    return around.bath
+
+
+def _checked(name: str, values: Any) -> Array:
+    array = np.asarray(values, dtype=float)
+    if not (np.isfinite(array).all() and (array >= 0.0).all()):
+        raise ValueError(f"{name} must be finite and not negative; {name} = {shown(values)}")
+    return array

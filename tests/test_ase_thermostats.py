@@ -1,0 +1,246 @@
+"""Our thermostats for ASE's scripts: the distributions that ASE's classes promise, any rng, parameters that change, blocks of any size."""
+
+import ase.md.langevin
+import ase.units
+import numpy as np
+import pytest
+from argon_atoms import TIMESTEP, argon, lennard_jones, same, with_calculator
+from ase import Atoms
+from ase.calculators.idealgas import IdealGas
+from ase.constraints import FixCom
+
+import minimd.ase as ours
+from minimd.ase import Calculator
+from minimd.ase.baths import Chain
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:the calculator is"),
+    pytest.mark.filterwarnings("ignore:The implementation of `fixcm=True`"),
+]
+N, KELVIN = 50, 300.0
+FAST = 2.0 / TIMESTEP  # a rate: after some steps nothing is left of the past
+NOISY = {
+    "Langevin": {"temperature_K": KELVIN, "friction": FAST, "fixcm": False},
+    "LangevinBAOAB": {"temperature_K": KELVIN, "T_tau": 1.0 / FAST},
+    "Andersen": {"temperature_K": KELVIN, "andersen_prob": 0.9, "fixcm": False},
+    "Bussi": {"temperature_K": KELVIN, "taut": 1.0 / FAST},
+}
+
+
+def gas(n=N):
+    """Atoms of two masses, with momenta that add up to a motion of the whole."""
+    rng = np.random.default_rng(5)
+    atoms = Atoms("Ar" * (n // 2) + "He" * (n - n // 2), rng.uniform(0.0, 50.0, (n, 3)), cell=[50.0] * 3, pbc=True, calculator=IdealGas())
+    atoms.set_momenta(rng.normal(0.5, 1.0, (n, 3)))
+    return atoms
+
+
+def made(name, atoms, rng=1, **options):
+    return getattr(ours, name)(atoms, TIMESTEP, rng=rng, **NOISY[name] | options)
+
+
+def temperatures(dynamics, atoms, n=400, apart=2):
+    dynamics.run(20)
+    answer = []
+    for _ in range(n):
+        dynamics.run(apart)
+        answer.append(atoms.get_temperature())
+    return np.array(answer)
+
+
+def assert_canonical(sample, kelvin, n_dof):
+    """Mean and variance of the kinetic temperature of n_dof degrees of freedom; successive values are nearly independent, hence 1.3."""
+    errors = 4.0 * 1.3 * kelvin * np.sqrt(2.0 / n_dof / len(sample))  # statistics
+    assert sample.mean() == pytest.approx(kelvin, abs=errors)
+    assert sample.var() == pytest.approx(2.0 * kelvin**2 / n_dof, rel=4.0 * 1.3 * np.sqrt(2.0 / len(sample)))
+
+
+@pytest.mark.parametrize("name", NOISY)
+def test_the_kinetic_energy_of_all_degrees_of_freedom_is_canonical(name):
+    atoms = gas()
+    assert_canonical(temperatures(made(name, atoms), atoms), KELVIN, 3 * N)
+    assert np.abs(atoms.get_momenta().sum(axis=0)).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["Langevin", "LangevinBAOAB", "Andersen"])
+def test_the_center_of_mass_that_is_fixed_rests_and_all_else_is_canonical(name):
+    atoms = gas()
+    atoms.set_constraint(FixCom())
+    atoms.set_momenta(atoms.get_momenta())
+    center = atoms.get_center_of_mass()
+    assert_canonical(temperatures(made(name, atoms), atoms), KELVIN, 3 * N - 3)
+    assert np.abs(atoms.get_momenta().sum(axis=0)).max() < 1e-10
+    assert np.abs(atoms.get_center_of_mass() - center).max() < 1e-10
+
+
+def test_fixcm_leaves_the_center_alone_and_gives_ases_thermometer_the_temperature():
+    atoms = gas(4)
+    momentum = atoms.get_momenta().sum(axis=0)
+    of_center = momentum @ momentum / (2.0 * atoms.get_masses().sum()) / (6.0 * ase.units.kB)  # its share of the thermometer [K]
+    sample = temperatures(made("Langevin", atoms, fixcm=True), atoms, 1500) - of_center
+    assert same(atoms.get_momenta().sum(axis=0), momentum, 1e-10)
+    assert sample.mean() == pytest.approx(KELVIN, abs=4.0 * 1.3 * KELVIN * np.sqrt(2.0 / 9.0 / len(sample)))  # 9 degrees, 12 on the thermometer
+
+
+def test_fixcm_of_one_atom_is_refused():
+    with pytest.raises(ValueError, match="fixcm = True leaves no motion to 1 atoms"):
+        made("Langevin", gas(1), fixcm=True).run(1)
+
+
+def test_each_atom_may_have_its_own_temperature_and_friction():
+    atoms = gas(400)
+    kelvin, friction = np.repeat([100.0, 900.0], 200)[:, None], np.repeat([0.0, FAST], 200)[:, None]
+    cold = atoms[:200].get_kinetic_energy()
+    made("Langevin", atoms, temperature_K=kelvin, friction=friction).run(20)
+    assert atoms[:200].get_kinetic_energy() == pytest.approx(cold, rel=1e-12)  # no friction, no bath
+    assert atoms[200:].get_temperature() == pytest.approx(900.0, rel=4.0 * np.sqrt(2.0 / 600))
+    with pytest.raises(ValueError, match="friction must be finite and not negative"), np.errstate(invalid="ignore"):
+        made("Langevin", atoms, friction=-1.0).run(1)
+
+
+# Random numbers
+
+KINDS = {
+    "RandomState": np.random.RandomState,
+    "Generator": np.random.default_rng,
+    "int": int,
+    "SeedSequence": np.random.SeedSequence,
+}
+
+
+def end_of(name, rng, drive=lambda dynamics: dynamics.run(6)):
+    atoms = gas(6)
+    drive(made(name, atoms, rng))
+    return atoms.get_momenta()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", NOISY)
+def test_equal_seeds_make_equal_runs_and_others_do_not(name, kind):
+    rng = KINDS[kind]
+    first = end_of(name, rng(7))
+    assert np.array_equal(first, end_of(name, rng(7)))
+    assert not same(first, end_of(name, rng(8)), 1e-3)
+
+
+def test_one_rng_gives_each_dynamics_its_own_noise():
+    rng = np.random.default_rng(3)
+    assert not same(end_of("Langevin", rng), end_of("Langevin", rng), 1e-3)
+
+
+def test_without_an_rng_the_noise_is_that_of_numpys_seed():
+    ends = []
+    for seed in (1, 1, 2):
+        np.random.seed(seed)
+        ends.append(end_of("Langevin", None))
+    assert np.array_equal(ends[0], ends[1])
+    assert not same(ends[0], ends[2], 1e-3)
+    assert made("Langevin", gas(), None).rng is np.random
+
+
+@pytest.mark.parametrize("wrong", ["seven", -1, object()])
+def test_what_is_no_rng_is_refused(wrong):
+    with pytest.raises(TypeError, match="rng must be a RandomState, a Generator"):
+        made("Langevin", gas(), wrong)
+
+
+@pytest.mark.parametrize("name", NOISY)
+def test_blocks_of_any_size_make_one_run_with_noise_that_never_returns(name):
+    drives = (
+        lambda dynamics: dynamics.run(6),
+        lambda dynamics: list(dynamics.irun(6)),
+        lambda dynamics: [dynamics.step() for _ in range(6)],
+        lambda dynamics: [dynamics.run(2), dynamics.atoms.set_pbc([1, 1, 0]), dynamics.run(3), dynamics.run(1)],
+    )
+    first, *others = (end_of(name, 5, drive) for drive in drives)
+    for other in others:
+        assert same(other, first, 1e-12)
+
+
+def test_all_processes_of_a_parallel_calculator_have_the_noise_of_the_first():
+    class Told:
+        rank, size = 1, 2
+
+        def broadcast(self, array, root):
+            array[:] = 0.25
+
+    seeds = [made("Langevin", gas(), rng, comm=Told()).noise_seed() for rng in (1, 2)]
+    assert seeds[0] == seeds[1]
+
+
+# What an observer changes
+
+
+@pytest.mark.parametrize("name", ["Langevin", "LangevinBAOAB", "Andersen"])
+def test_a_temperature_set_at_every_step_is_that_of_the_next(name):
+    atoms, seen = gas(500), []
+    dynamics = made(name, atoms)
+
+    def ramp():
+        seen.append(atoms.get_temperature())
+        dynamics.set_temperature(temperature_K=100.0 + 10.0 * dynamics.nsteps)
+
+    dynamics.attach(ramp, 1)
+    dynamics.run(60)
+    expected = 100.0 + 10.0 * (np.arange(30, 60) - 1.5)
+    assert np.mean(seen[30:60] / expected) == pytest.approx(1.0, abs=0.05)
+
+
+def test_friction_time_step_and_target_that_are_set_take_effect():
+    atoms, reference = (with_calculator(argon(2), Calculator(lennard_jones())) for _ in range(2))
+    mine = ours.Langevin(atoms, TIMESTEP, temperature_K=90.0, friction=0.01, fixcm=False, rng=1)
+    mine.set_friction(0.0)
+    mine.set_timestep(0.5 * TIMESTEP)
+    mine.run(10)
+    ours.VelocityVerlet(reference, 0.5 * TIMESTEP).run(10)
+    assert same(atoms.positions, reference.positions)
+    bussi = made("Bussi", gas(500))
+    bussi.run(1)
+    bussi.target_kinetic_energy *= 3.0
+    assert bussi.temp == pytest.approx(3.0 * KELVIN * ase.units.kB)
+    bussi.run(20)
+    assert bussi.atoms.get_temperature() == pytest.approx(3.0 * KELVIN, rel=4.0 * np.sqrt(2.0 / 1500))
+
+
+def test_the_energy_that_bussi_has_transferred_is_what_the_atoms_have_more():
+    atoms = with_calculator(argon(2), Calculator(lennard_jones()))
+    dynamics = ours.Bussi(atoms, 0.1 * TIMESTEP, 300.0, 5.0 * TIMESTEP, rng=2)
+    before, kept = atoms.get_total_energy(), []
+    dynamics.attach(lambda: kept.append(atoms.get_total_energy() - dynamics.transferred_energy), 5)
+    dynamics.run(50)
+    assert abs(dynamics.transferred_energy) > 0.1
+    assert kept == pytest.approx([before] * len(kept), abs=2e-4)  # truncation
+    dynamics.taut = 0.0
+    with pytest.raises(ValueError, match="taut must be positive"):
+        dynamics.run(1)
+
+
+# The chain of Nosé and Hoover
+
+
+def test_a_chain_is_reversible_and_keeps_its_energy():
+    chain, twice_kinetic, given = Chain(0.03, 12, 0.5, 3, 2), 0.5, 0.0
+    for sign in (1, -1):
+        for _ in range(40):
+            factor = chain.advance(twice_kinetic, sign * 0.05)
+            given += 0.5 * twice_kinetic * (factor**2 - 1.0)
+            twice_kinetic *= factor**2
+        if sign == 1:
+            assert chain.energy == pytest.approx(-given, abs=1e-5)  # truncation
+            assert abs(given) > 0.01
+    assert twice_kinetic == pytest.approx(0.5, rel=1e-10)
+    assert chain.eta == pytest.approx([0.0] * 3, abs=1e-10)
+
+
+def test_a_chain_goes_back_with_a_block_that_is_made_again():
+    chain = Chain(0.03, 12, 0.5, 3, 1)
+    states = {}
+    for step in (0, 1, 2, 3, 1, 2):
+        chain.begin(step)
+        states.setdefault(step, (chain.eta.copy(), chain.p.copy()))
+        assert states[step] == (chain.eta, chain.p)
+        chain.advance(0.5, 0.05)
+    chain.advance(0.7, 0.05)  # another way than the first time
+    end = chain.p.copy()
+    chain.begin(3)
+    assert chain.p == end

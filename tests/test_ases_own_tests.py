@@ -1,0 +1,59 @@
+"""ASE's own tests of its dynamics, with minimd's classes in the place of ASE's, and minimd's Calculator or EMT.
+
+Left out, and why
+-----------------
+test_langevin_asapcompat : asks for the arrays that ASE's own Langevin step leaves behind for Asap's subclass of it.
+test_rng : its time step is 1.0 / fs, which is 104 fs: the atoms fly apart, and minimd says so. Rngs are tested in test_ase_thermostats.
+test_LangevinBAOAB_NPT, NsT, NsH, seed : need a barostat; externalstress is refused by name.
+test_isotropic_*, test_anisotropic_*, test_masked_npt, test_nptberendsen, test_melchionna_* : barostats, which minimd does not replace.
+test_langevin_switching : ASE's subclass SwitchLangevin of its own Langevin.
+test_thermostat_*, test_optimiz* : of ASE's own thermostat and optimizers, which stay what they are; they run along.
+test_md_stepwise : irun of MelchionnaNPT; it runs along. All others use the classes that are exchanged.
+"""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+MODULES = [
+    *(f"md.test_{name}" for name in ("irun_force_call_order", "md", "md_logger", "md_logger_interval", "md_stepwise", "bussi", "langevin_com")),
+    *(f"md.test_{name}" for name in ("langevinbaoab", "idealgas", "position_distribution", "nose_hoover_chain", "fixrotation")),
+    "forcefields.test_rattle",
+    "forcefields.test_rattle_linear",
+]
+WITH_ASAP = ["md.test_nvt_npt", "md.test_verlet_thermostats_asap", "md.test_CO2linear_Au111_langevin"]
+NOT_OURS = "mtk or barostat or npt_ or masked or isotropic or nptberendsen or melchionna or BAOAB_N or BAOAB_seed"
+KEPT = f"not ({NOT_OURS}) or NVT or nvt or default"
+
+
+def run_ases_tests(modules, calculator, folder):
+    """The output of pytest on modules of ase.test."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "ases_tests_with_minimd", "-W", "ignore:the calculator is"]
+    paths = os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    environment = os.environ | {"PYTHONPATH": paths, "MINIMD_CALCULATOR": calculator, "OMP_NUM_THREADS": "1"}
+    command += ["-k", KEPT, "--pyargs", *(f"ase.test.{module}" for module in modules)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder, env=environment).stdout
+
+
+def assert_all_passed(output, at_least):
+    found = re.search(r"^(\d+) passed(?!.*failed)", output.splitlines()[-1])
+    assert found, output[-3000:]
+    assert int(found[1]) >= at_least, output
+    assert "not minimd's: none" in output
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("calculator", ["", "1"], ids=["EMT", "ours"])
+def test_ases_own_tests_pass_with_our_classes(calculator, tmp_path):
+    assert_all_passed(run_ases_tests(MODULES, calculator, tmp_path), 36)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("asap3") is None, reason="asap3 is not installed")
+def test_ases_long_tests_with_asap_pass_with_our_classes(tmp_path):
+    assert_all_passed(run_ases_tests(WITH_ASAP, "", tmp_path), 6)

@@ -19,9 +19,11 @@ from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.structure.errors import ConstraintError, ConvergenceError, NonFiniteError
 from minimd.structure.system import System
+from minimd.view import view, view_record
 
 __version__ = version("minimd")
 Simulation.potentials_of_scene = staticmethod(potentials_of_scene)
+Record.view = view_record
 __all__ = [
     "BondPotential",
     "Cell",
@@ -57,4 +59,5 @@ __all__ = [
     "replay",
     "shadow_energy",
     "units",
+    "view",
 ]

@@ -21,10 +21,12 @@ from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.structure.errors import ConstraintError, ConvergenceError, NonFiniteError
 from minimd.structure.system import System
+from minimd.view import view, view_record
 
 __version__ = version("minimd")
 Simulation.potentials_of_scene = staticmethod(potentials_of_scene)
 INTERPRETERS.append(interpret_calculator)
+Record.view = view_record
 __all__ = [
     "BondPotential",
     "Cell",
@@ -63,6 +65,7 @@ __all__ = [
     "replay",
     "shadow_energy",
     "units",
+    "view",
 ]
 
 

@@ -17,6 +17,7 @@ FLOORS = [  # highest first; several on one floor do not know each other
     "minimd.commands",
     "minimd.bench",
     "minimd",
+    "minimd.view",
     "minimd.replay",
     "minimd.scene",
     "minimd.analysis",

@@ -75,14 +75,20 @@ def check_file(path: str | Path) -> FileCheck:
 
     Stored observables are float64. Velocities come in float32, for which the tolerances allow.  Raises as minimd.mdanalysis.universe.
     """
-    sums = Comparison("checksums", float(bool(which := damage(path))), EXACT, f"{which or 'no frames'} are not those that were written")
+    which = damage(path)
     with damage_told(path) if which else nullcontext(), universe_of(path) as made:
-        contents, moved, system = made.contents, recompute(made), made.system
-        record, is_free = Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}), contents.conserves_momentum
-        report = conservation_report(record, linear=is_free, angular=is_free and not system.cell.is_periodic)
-        frames = f"{contents.n_frames} frames, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, {system.units.name} units"
-        heading = f"file           {Path(path)}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"
-        return FileCheck(heading, [*comparisons(moved), sums], report, liquid(made))
+        return checked(made, which)
+
+
+def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
+    """The check of a file whose universe is open.  damaged : which of its frames and restarts are, as minimd.files.h5md_reader.damage."""
+    sums = Comparison("checksums", float(bool(damaged)), EXACT, f"{damaged or 'no frames'} are not those that were written")
+    contents, moved, system = made.contents, recompute(made), made.system
+    record, is_free = Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}), contents.conserves_momentum
+    report = conservation_report(record, linear=is_free, angular=is_free and not system.cell.is_periodic)
+    frames = f"{contents.n_frames} frames, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, {system.units.name} units"
+    heading = f"file           {Path(made.trajectory.filename)}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"
+    return FileCheck(heading, [*comparisons(moved), sums], report, liquid(made))
 
 
 class Recomputed(NamedTuple):

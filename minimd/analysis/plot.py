@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from minimd.analysis.picture import four_panels, save
 from minimd.diagnosis.report import drift
@@ -20,18 +21,24 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
 
     Raises FileNotFoundError, OSError, ValueError as universe, or if the picture cannot be written.
     """
-    figure, panels = four_panels()
     with universe_of(path) as made:
-        contents = made.contents
-        for draw, panel in zip((_energy, draw_temperature, draw_momentum), panels, strict=False):
-            draw(panel, contents.record.time * contents.system.units.to_picosecond, contents.record)
-            panel.set_xlabel(f"time  [{contents.system.units.shown_time}]")
-        _structure(panels[3], made)
+        figure = drawn(made)
+    return save(figure, Path(path).with_suffix(".png") if out is None else Path(out))
+
+
+def drawn(made: RunUniverse) -> Figure:
+    """The picture of plot_file, of a run whose universe is open, not yet written anywhere."""
+    figure, panels = four_panels()
+    contents = made.contents
+    for draw, panel in zip((_energy, draw_temperature, draw_momentum), panels, strict=False):
+        draw(panel, contents.record.time * contents.system.units.to_picosecond, contents.record)
+        panel.set_xlabel(f"time  [{contents.system.units.shown_time}]")
+    _structure(panels[3], made)
     for panel in panels:
         panel.margins(x=0.01)
         panel.title.set_fontsize(10)
     figure.suptitle(f"{contents.title}, {contents.method}, {contents.n_frames} frames", fontsize=11)
-    return save(figure, Path(path).with_suffix(".png") if out is None else Path(out))
+    return figure
 
 
 def _energy(panel: Axes, times: Array, record: Record) -> None:

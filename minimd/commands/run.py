@@ -35,4 +35,4 @@ def tell_next(files: Iterable[Path]) -> None:
     from minimd.scene.document import h5md_files
 
     for file in h5md_files(files):
-        print(f"next           minimd check {file}\n               minimd plot {file}")
+        print(f"next           minimd check {file}\n               minimd plot {file}\n               minimd view {file}")

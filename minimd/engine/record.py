@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,10 +51,14 @@ class Record(Displayed):
     momentum, angular_momentum : (T, 3).  absolute_momentum : (T,) Σ |m v|.
     absolute_angular_momentum : (T,) Σ m |r − r_cm| |v|.
     units : the UnitSystem of all of them.  n_atoms : N.
+    trajectory : the first .h5md file of the run, with the frames of these entries, or None.
     """
+
+    view: ClassVar[Callable[[Record], Any]]  # pages are a floor above; minimd/__init__ sets it
 
     def __init__(self, units: UnitSystem, n_atoms: int) -> None:
         self.units, self.n_atoms = units, n_atoms
+        self.trajectory: Path | None = None
         self._series: dict[str, list[Any]] = {"step": [], "time": []}
 
     @classmethod

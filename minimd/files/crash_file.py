@@ -122,6 +122,14 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
         part.unlink(missing_ok=True)
 
 
+def is_crash_file(path: str | Path) -> bool:
+    """Whether a file is that of a failed run.  Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_schema.opened."""
+    from minimd.files.h5md_schema import opened
+
+    with opened(path) as h5:
+        return "minimd/crash_report" in h5
+
+
 def read_crash_report(path: str | Path) -> CrashFile:
     """What the file of a failed run holds.  Raises FileNotFoundError, OSError, ValueError as read_file, or if it is not the file of a failed run."""
     from minimd.files.h5md_reader import read_file

@@ -1,0 +1,126 @@
+"""Atoms in motion, small enough for a page: some frames of a run, as whole numbers of 16 bits.
+
+    r = Σ_k (low_k + width_k q_k / 2¹⁶) lattice_k        k = 1, 2, 3;  q_k = 0 … 2¹⁶ − 1
+
+Along periodic directions of the reduced lattice low is 0 and width 1: q counts parts of the lattice vector, a sum that overflows is one
+cell further, and the difference of two q, taken as a signed number, is the nearest image. Along open ones each frame has its own bounds.
+"""
+
+from collections.abc import Sequence
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from minimd.mdanalysis.universes import RunUniverse
+from minimd.structure.cell import Cell
+from minimd.structure.constraints import DistanceConstraints
+from minimd.structure.system import System
+
+Array = NDArray[np.float64]
+LEVELS = 2**16
+BYTES = 5_000_000  # of all positions, at most: 4000 atoms in 200 frames are 4.8 MB
+ATOMS = 50_000  # at most: what graphics of a notebook draws fluently
+SAMPLED = 2000  # atoms from which the distance of neighbors is taken
+
+
+class Motion(NamedTuple):
+    """Some frames of a run.
+
+    frames : (T,) int, which of those in the file.  atoms : (A,) int, which of the system.  counts : (T, A, 3) uint16, q.
+    low, width : (T, 3), dimensionless along periodic directions, [length] along open ones.
+    steps, times, temperatures : (T,) int, [ps or τ], [temperature].  bonds : (B, 2) int, see bonds_among.
+    apart : for each species the distance to the nearest neighbor [length], median of the first frame shown.
+    cell : Cell.  n_frames, n_atoms : of the file.
+    """
+
+    frames: NDArray[np.int64]
+    atoms: NDArray[np.int64]
+    counts: NDArray[np.uint16]
+    low: Array
+    width: Array
+    steps: NDArray[np.int64]
+    times: Array
+    temperatures: Array
+    bonds: NDArray[np.int64]
+    apart: Array
+    cell: Cell
+    n_frames: int
+    n_atoms: int
+
+    def positions(self, k: int) -> Array:
+        """(A, 3) [length] of frame k, off by at most half of width/2¹⁶ along each lattice vector, and by any vector of the periodic lattice."""
+        positions: Array = (self.low[k] + self.width[k] * self.counts[k] / LEVELS) @ self.cell.lattice
+        return positions
+
+
+def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: bool = False) -> Motion:
+    """The motion in a file whose universe is open.
+
+    most : frames at most; fewer are taken where the atoms are many.  latest : the last ones, instead of some evenly chosen.
+    marked : atoms that are shown whatever happens; all are shifted so that, in the last frame, the first of these stands in the middle of the cell.
+    """
+    contents, system = made.contents, made.contents.system
+    cell, record, atoms = system.cell, contents.record, chosen_atoms(len(system), marked)
+    frames = chosen_frames(contents.n_frames, min(most, max(2, BYTES // (6 * len(atoms)))), latest)
+    fractions = np.array([made.trajectory[int(k)].positions[atoms] / np.float64(system.units.to_angstrom) @ cell.inverse for k in frames])
+    if marked:
+        middle = 0.5 * cell.vectors.sum(axis=0) @ cell.inverse
+        fractions += np.where(cell.pbc, middle - fractions[-1, np.searchsorted(atoms, marked[0])], 0.0)
+    counts, low, width = counted(fractions, cell.pbc)
+    return Motion(
+        frames,
+        atoms,
+        counts,
+        low,
+        width,
+        record.step[frames],
+        record.time[frames] * system.units.to_picosecond,
+        record.temperature[frames],
+        bonds_among(atoms, system),
+        neighbor_distances(fractions[0] @ cell.lattice, system.species_index[atoms], len(system.species_names)),
+        cell,
+        contents.n_frames,
+        len(system),
+    )
+
+
+def bonds_among(atoms: NDArray[np.int64], system: System) -> NDArray[np.int64]:
+    """(B, 2) indices in atoms of bonded pairs, and of pairs at a length held fixed, each pair once, of those that are shown."""
+    held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
+    place = np.full(len(system), -1)
+    place[atoms] = np.arange(len(atoms))
+    pairs = place[np.unique(np.sort(np.concatenate([system.bonds, *held]), axis=1), axis=0)]
+    return pairs[(pairs >= 0).all(axis=1)]
+
+
+def chosen_frames(n_frames: int, most: int, latest: bool = False) -> NDArray[np.int64]:
+    """At most so many of the frames: the last ones, or evenly chosen with the first and the last among them."""
+    if latest:
+        return np.arange(max(0, n_frames - most), n_frames)
+    return np.unique(np.rint(np.linspace(0, n_frames - 1, min(most, n_frames))).astype(np.int64))
+
+
+def chosen_atoms(n_atoms: int, marked: Sequence[int] = ()) -> NDArray[np.int64]:
+    """All atoms, or every n-th and the marked ones."""
+    return np.union1d(np.arange(0, n_atoms, ceil(n_atoms / ATOMS)), np.asarray(marked, dtype=np.int64))
+
+
+def counted(fractions: Array, pbc: NDArray[np.bool_]) -> tuple[NDArray[np.uint16], Array, Array]:
+    """q, low and width, (T, A, 3), (T, 3), (T, 3), of coordinates along the lattice, (T, A, 3)."""
+    lowest, extent = fractions.min(axis=1), np.ptp(fractions, axis=1)
+    low, width = np.where(pbc, 0.0, lowest), np.where(pbc, 1.0, np.where(extent > 0.0, extent, 1.0) * LEVELS / (LEVELS - 1))
+    counts = np.rint((fractions - low[:, None]) / width[:, None] * LEVELS)
+    return (counts % LEVELS).astype(np.uint16), low, width
+
+
+def neighbor_distances(positions: Array, species: NDArray[np.int64], n_species: int) -> Array:
+    """Median distance to the nearest other atom, of atoms of each species [length], without images; 1 where there is no other atom."""
+    some = np.arange(0, len(positions), ceil(len(positions) / SAMPLED))
+    if len(positions) < 2:
+        return np.ones(n_species)
+    nearest = cKDTree(positions).query(positions[some], k=2)[0][:, 1]
+    medians = [np.median(nearest[species[some] == k]) if (species[some] == k).any() else np.median(nearest) for k in range(n_species)]
+    return np.where(np.array(medians) > 0.0, medians, 1.0)

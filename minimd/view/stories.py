@@ -1,0 +1,108 @@
+"""What a page tells of a run, and of a failed run."""
+
+import io
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+from matplotlib.figure import Figure
+
+from minimd.analysis.check import checked
+from minimd.analysis.plot import drawn
+from minimd.diagnosis.crash_report import CrashReport
+from minimd.files.crash_file import read_crash_report
+from minimd.files.h5md_reader import H5MDContents, read_file
+from minimd.forces.forces import Potential
+from minimd.mdanalysis.universes import RunUniverse, universe_of
+from minimd.view.motion import Motion, motion_of
+
+LARGEST_PICTURE = 1_500_000  # of an SVG in bytes; a larger one is drawn in pixels instead
+
+
+class Story(NamedTuple):
+    """title, heading : texts.  contents : of the file.  motion : Motion.  marked : atoms to blame, none of a run that did not fail.
+
+    cause : of a failure, with advice and fault, empty if there was none.  picture : MIME type and bytes.  alternative : the picture in words.
+    report : text.  notes : sentences about what is not shown.
+    """
+
+    title: str
+    heading: str
+    contents: H5MDContents
+    motion: Motion
+    marked: tuple[int, ...]
+    cause: tuple[str, ...]
+    picture: tuple[str, bytes]
+    alternative: str
+    report: str
+    notes: tuple[str, ...]
+
+    @property
+    def summary(self) -> str:
+        """What is shown, in words."""
+        return f"{len(self.motion.frames)} frames of {len(self.motion.atoms)} atoms"
+
+
+def run_story(path: Path, frames: int) -> Story:
+    """The check of a run as text, its picture, its atoms.  Raises as minimd.mdanalysis.universe."""
+    with universe_of(path) as made:
+        motion, contents = motion_of(made, frames), made.contents
+        words = "Four pictures: change of the total energy, temperature, change of the momentum, and structure; the report has their figures."
+        shown = (_scalable(drawn(made)), words, str(checked(made)), _left_out(motion, contents.repaired))
+        return Story(contents.title, _heading(path, contents), contents, motion, (), (), *shown)
+
+
+def failure_story(path: Path, frames: int, potentials: Potential | Sequence[Potential] | None) -> Story:
+    """The last steps of a failed run, made again; without potentials the two states in its file.  Raises as minimd.replay."""
+    past = read_crash_report(path)
+    found = past.findings
+    marked = (found.pair.first, found.pair.second) if found.pair else (found.closest[:2] if found.closest else (found.fastest,))
+    tell = _steps if potentials is not None or past.scene else _states
+    contents, motion, *shown = tell(path, found, potentials, partial(motion_of, most=frames, marked=marked, latest=True))
+    cause = (found.cause, found.advice, f"{found.fault}, at step {found.step}")
+    return Story(f"{contents.title}: failed", _heading(path, contents), contents, motion, marked, cause, *shown)
+
+
+def _steps(path: Path, findings: CrashReport, potentials: Any, moved: Callable[[RunUniverse], Motion]) -> tuple[Any, ...]:
+    """Contents, motion, picture, its words, report and notes of the steps that led to the failure, made again."""
+    from minimd.replay import replay
+
+    with TemporaryDirectory() as folder:
+        steps, drawing = Path(folder) / "steps.h5md", Path(folder) / "steps.svg"
+        seen = replay(path, potentials, trajectory=steps, picture=drawing)
+        with universe_of(seen.trajectory or path) as made:
+            motion = moved(made)
+        words = "Four pictures against the step: total energy, distance of the closest pair, largest force, largest speed; the report has a table."
+        return read_file(path), motion, ("image/svg+xml", drawing.read_bytes()), words, f"{findings}\n\n{seen}", _left_out(motion)
+
+
+def _states(path: Path, findings: CrashReport, _potentials: Any, moved: Callable[[RunUniverse], Motion]) -> tuple[Any, ...]:
+    """The same of the two states in the file, for want of potentials."""
+    note = f"The steps between need the potentials of the script: minimd.view({path.name!r}, potentials=...)."
+    with universe_of(path) as made:
+        motion = moved(made)
+        return made.contents, motion, _scalable(drawn(made)), "Four pictures of the states in the file.", str(findings), (note, *_left_out(motion))
+
+
+def _heading(path: Path, contents: H5MDContents) -> str:
+    step = contents.system.units.shown(contents.timestep)
+    return f"{path.name}: {len(contents.system)} atoms, {contents.method} with Δt = {step}, {contents.system.units.name} units"
+
+
+def _left_out(motion: Motion, repaired: str = "") -> tuple[str, ...]:
+    """What is thinned or was damaged, in sentences."""
+    frames = f"{len(motion.frames)} of {motion.n_frames} frames are shown." if len(motion.frames) < motion.n_frames else ""
+    atoms = f"{len(motion.atoms)} of {motion.n_atoms} atoms are shown, evenly chosen." if len(motion.atoms) < motion.n_atoms else ""
+    return tuple(words for words in (frames, atoms, repaired and f"{repaired}.") if words)
+
+
+def _scalable(figure: Figure) -> tuple[str, bytes]:
+    """A figure as SVG, or as PNG if that would be large."""
+    vectors, dots = io.BytesIO(), io.BytesIO()
+    figure.savefig(vectors, format="svg")
+    if vectors.tell() <= LARGEST_PICTURE:
+        return "image/svg+xml", vectors.getvalue()
+    figure.savefig(dots, format="png")
+    return "image/png", dots.getvalue()

@@ -1,0 +1,88 @@
+"""What users call: a run, or the file that a failed one left, as a page that needs nothing but a browser."""
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from minimd.engine.record import Record
+from minimd.forces.forces import Potential
+from minimd.structure.checks import checked_count
+
+FRAMES = 200  # at most, if nothing else is asked for
+HEIGHT = 720  # of the page in a cell of a notebook, in its pixels
+
+
+@dataclass(frozen=True, repr=False)
+class View:
+    """A page of HTML with everything in it: it makes no request, and its own policy forbids them to the browser.
+
+    In a notebook it appears in the cell.  html : the page.  file : the file of the run.  summary : what it shows, in words.
+    """
+
+    html: str
+    file: Path
+    summary: str
+
+    def save(self, page: str | Path | None = None) -> Path:
+        """Write the page and return its name: that of the run with .html if not given. A file of that name is replaced.
+
+        Raises OSError if it cannot be written.
+        """
+        path = self.file.with_suffix(".html") if page is None else Path(page)
+        try:
+            path.write_text(self.html, encoding="utf-8")
+        except OSError as error:
+            raise OSError(f"page {str(path)!r} cannot be written: {error.strerror or error}") from error
+        return path
+
+    def __repr__(self) -> str:
+        return f"View({str(self.file)!r}: {self.summary}; {len(self.html.encode()) / 1e6:.1f} MB; write it with .save())"
+
+    def _repr_html_(self) -> str:
+        style = f"width: 100%; height: {HEIGHT}px; border: 0"
+        return f'<iframe title="{html.escape(str(self.file))}" style="{style}" srcdoc="{html.escape(self.html)}"></iframe>'
+
+
+def view(file: str | Path, *, frames: int = FRAMES, potentials: Potential | Sequence[Potential] | None = None) -> View:
+    """A run as a page: its report, its pictures, and its atoms in motion with cell, bonds and species.
+
+    Of a failed run (.crash.h5md) the page shows the last steps, made again one by one, and marks the pair to blame.
+
+    Parameters
+    ----------
+    file : .h5md file of a run, or .crash.h5md that a failed run left.
+    frames : how many at most; evenly chosen from those in the file, and fewer where the atoms are many.
+    potentials : of a failed run only; if not given, those of the scene that is stored in the file. Without either the page shows the two
+        states that the file holds.
+
+    Raises
+    ------
+    FileNotFoundError, OSError, ValueError : as md.replay for a failed run, else as minimd.mdanalysis.universe; or if potentials are given for
+        a run that did not fail. Likewise unless frames is a whole number,
+        at least 2.
+    """
+    frames, path = checked_count("frames", frames, least=2), Path(file)
+    from minimd.files.crash_file import is_crash_file  # these load h5py, MDAnalysis and matplotlib
+    from minimd.files.h5md_reader import verify_frames
+    from minimd.view.page import page
+    from minimd.view.stories import failure_story, run_story
+
+    verify_frames(path)
+    if is_crash_file(path):
+        story = failure_story(path, frames, potentials)
+    elif potentials is not None:
+        raise ValueError(f"potentials are needed for a failed run only; {str(path)!r} holds one that did not fail: leave them out")
+    else:
+        story = run_story(path, frames)
+    return View(page(story), path, story.summary)
+
+
+def view_record(record: Record) -> View:
+    """The page of the run that a record belongs to, from the .h5md file that it wrote.
+
+    Raises ValueError if it wrote none.  And as view.
+    """
+    if record.trajectory is None:
+        raise ValueError("a page needs the frames of the run, and it wrote no .h5md file; run with trajectory='run.h5md'")
+    return view(record.trajectory)

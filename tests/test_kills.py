@@ -102,6 +102,17 @@ def test_n_steps_and_m_steps_are_n_plus_m(scene, precision, threads, tmp_path):
         assert_same_file(path, tmp_path / f"{k}.h5md")
 
 
+@pytest.mark.parametrize("n", [30, 34])
+def test_a_look_between_two_drifts_builds_no_list(n, tmp_path):
+    """The run itself needs no forces there, also where it goes on from a file; its list, of another place, decides the order of the sums."""
+    whole, parts = (plain(md.PositionVerlet(0.003), skin=0.05) for _ in range(2))
+    whole.run(80)
+    parts.run(n, trajectory=tmp_path / "a.h5md")
+    parts = md.Simulation.resume(tmp_path / "a.h5md", LAW, threads=1)
+    parts.run(until_step=80)
+    np.testing.assert_array_equal(parts.positions, whole.positions)
+
+
 def large(method=None, **options):
     """32 000 atoms."""
     return simulation(crystal_of(20), LAW, method, **options)

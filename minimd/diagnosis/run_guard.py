@@ -72,8 +72,8 @@ class RunGuard:
             engine.begin()
         if not goes_on:
             engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
-        engine.interactions.prepare()
         engine.evaluate()
+        engine.interactions.prepare()
         if not goes_on:
             engine.leave()
         if self._checked_timestep != engine.method.timestep:

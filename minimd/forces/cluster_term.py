@@ -62,7 +62,6 @@ class ClusterTerm(Term):
 
     def prepare(self, system: System, forces: NDArray) -> None:
         """See Term."""
-        self._update(system)
         arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, forces, AT_REST)
         self._pool.compile(self._evaluate, *arguments, calls=self._calls[FORCES])
 

@@ -85,7 +85,7 @@ class Term:
         raise NotImplementedError(f"{type(self).__name__} has no add")
 
     def prepare(self, system: System, forces: NDArray) -> None:
-        """Compile what steps need and looks do not: kernels of add with FORCES, and of march. Nothing is added."""
+        """After add: compile what steps need and looks do not, kernels of add with FORCES and of march. Nothing is added, no list built."""
 
     def march(self, system: System, state: Any, durations: NDArray, n: int) -> int:
         """What a March does, see integrators.splitting, for a term that is the only one of its scene."""

@@ -17,6 +17,7 @@ README = REPOSITORY / "README.md"
 FAST_FORCES = REPOSITORY / "docs" / "fast-forces.md"
 INTEGRATORS = REPOSITORY / "docs" / "integrators.md"
 FILES = REPOSITORY / "docs" / "files.md"
+FORMATS = REPOSITORY / "docs" / "formats.md"
 SCRIPTS = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.S)
 
 
@@ -40,7 +41,7 @@ def test_readme_has_no_blanks():
     assert "@" not in README.read_text(encoding="utf-8").replace("@dataclass", "")
 
 
-@pytest.mark.parametrize("page", [README, FAST_FORCES, INTEGRATORS, FILES], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [README, FAST_FORCES, INTEGRATORS, FILES, FORMATS], ids=lambda page: page.name)
 def test_links_and_files_named_are_there(page):
     text = page.read_text(encoding="utf-8")
     for link in re.findall(r"\]\(([^):]+)\)", text):

@@ -4,6 +4,8 @@ ASE's units are Å, eV, u and Å √(u/eV); minimd.units.ASE are the same, so no
 units crosses with its numbers unchanged. Only this package imports ase.
 """
 
+from ase.calculators.calculator import external_calculators
+
 from minimd.ase.calculator import Calculator
 from minimd.ase.dynamics import VelocityVerlet
 from minimd.ase.foreign import ForcesFromCalculator
@@ -14,6 +16,7 @@ from minimd.structure.ase_atoms import atoms_from_system
 from minimd.structure.system import System
 
 system_from_atoms = System.from_ase
+external_calculators.setdefault("minimd", Calculator)  # for ase.calculators.calculator.get_calculator_class("minimd")
 
 __all__ = [
     "ASEWriter",

@@ -20,8 +20,9 @@ from minimd.structure.system import System
 from minimd.structure.units import ASE, LJ, UnitSystem
 
 LAMMPS = "lammps-data"
-SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS}  # that ASE does not know
-NAMES_BONDS = ("PDB", "ENT", "MOL2", "PSF", "GSD", "TXYZ", "ARC", "DMS", "XML", "TOP", "PRMTOP", "PARM7", "ITP", "TPR")  # to MDAnalysis
+SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".mol2": "MOL2", ".gsd": "GSD", ".txyz": "TXYZ"}  # formats that ASE does not know by them
+NAMES_BONDS = ("PDB", "ENT")  # formats of which ASE reads the atoms, and MDAnalysis the bonds
+STATE_MASSES = ("DATA", "GSD")  # formats of MDAnalysis with masses of their own, in units of their own
 NEAR = 2e-3  # Å, between the same positions read by ASE and by MDAnalysis
 
 
@@ -41,7 +42,7 @@ def system_from_file(
     cell, pbc : instead of those of the file, as for System; with another cell the directions in which it is given are periodic.
     format : ASE's name of the format ("lammps-data"), or one of MDAnalysis ("GRO"); the suffix and the content tell it if not given.
     units : minimd.units.ASE; or minimd.units.LJ, whose numbers are taken as they stand. Masses are then those of the file where it states
-        them (LAMMPS data), else 1.
+        them (LAMMPS data, GSD), else 1.
     bonds : "file" for those that the file names, with its angles; another file, such as a PSF, that names them for the same atoms; pairs;
         or None for none, with a warning if the file names some.
 
@@ -67,9 +68,9 @@ def system_from_file(
         return changed(system, bonds=bonds, angles=None)
     if bonds is None:
         with suppress(ValueError):  # nobody has asked for them
-            _tell_unused(path, _joined(path, form, system, source))
+            _tell_unused(path, _joined_in(path, form, source, system))
         return changed(system, bonds=None, angles=None)
-    found = _joined(path, form, system, source) if bonds == "file" else _joined(path.parent / bonds, None, system)
+    found = _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, len(system))
     if found.n_types > 1:
         words = f"the bonds of {str(path)!r} are of {found.n_types} types, which a bond potential does not tell apart; give it pairs, or arrays"
         warnings.warn(words, stacklevel=outside_minimd())
@@ -98,7 +99,7 @@ def _universe(path: Path, form: str | None, topology_only: bool = False) -> Any:
     import MDAnalysis
 
     with warnings.catch_warnings(action="ignore"):
-        formats = () if form is None else ("topology_format",) if topology_only else ("topology_format", "format")
+        formats = ("topology_format", "format") if form else ()
         made = MDAnalysis.Universe(str(path), **dict.fromkeys(formats, str(form).upper()))
         if not topology_only:
             made.trajectory[-1]
@@ -106,57 +107,55 @@ def _universe(path: Path, form: str | None, topology_only: bool = False) -> Any:
 
 
 def _system(source: Any, units: UnitSystem, form: str | None) -> System:
-    if not isinstance(source, Atoms):
-        return System.from_mdanalysis(source, units=units)
-    system = System.from_ase(source)
-    types = _types(source) if form == LAMMPS else None
+    is_lammps = form == LAMMPS
+    system = System.from_ase(source) if isinstance(source, Atoms) else System.from_mdanalysis(source, units=units)
+    types = [str(kind) for kind in source.arrays["type"].tolist()] if is_lammps else system.species
     if units is LJ:
-        own: dict[str, Any] = {"masses": None, "velocities": None}
-        if types is not None:
-            own = {"masses": system.masses, "velocities": system.velocities}
-        return changed(system, units=LJ, species=types or system.species, **own)
-    symbols = set(source.symbols)
-    are_told = types is None or ("X" not in symbols and len(symbols) == len(set(types)))
-    return system if are_told else changed(system, species=types)
+        states_masses = is_lammps or str(form).upper() in STATE_MASSES
+        own: dict[str, Any] = {} if states_masses else {"masses": None, "velocities": None}
+        return changed(system, units=LJ, species=types, **own)
+    symbols = set(system.species_names)
+    return changed(system, species=types) if is_lammps and ("X" in symbols or len(symbols) < len(set(types))) else system
 
 
-def _types(atoms: Atoms) -> list[str]:
-    return [str(kind) for kind in atoms.arrays["type"].tolist()]
+def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joined:
+    """The bonds in the file that was read; system : was made from it.
 
-
-def _joined(path: Path, form: str | None, system: System, source: Any = None) -> Joined:
-    """The bonds that a file names for the atoms of a system.  source : what was read from it.
-
-    Raises ValueError if it cannot be read, or its atoms are others.
+    Raises ValueError if they cannot be read, or MDAnalysis reads the atoms in another order than ASE.
     """
-    theirs = {"proteindatabank": "PDB"}.get(form or "", form or path.suffix[1:]).upper()
+    if not isinstance(source, Atoms):
+        return Joined(system.bonds, system.angles)
+    name = {"proteindatabank": "PDB"}.get(form or "", form or path.suffix[1:]).upper()
     with _read_as(path, "bonds", form):
-        if source is not None and not isinstance(source, Atoms):
-            return Joined(system.bonds, system.angles)
-        if source is not None and (theirs not in NAMES_BONDS or "bonds" in source.arrays):
+        if name not in NAMES_BONDS:
             return joined_in(source)
-        if source is None and path.suffix.lower() in SUFFIXES:
-            made, found = _source(path, LAMMPS, system.units), None
-            found = joined_in(made)
-            n_atoms, positions = len(made), made.positions
-        else:
-            made = _universe(path, theirs, topology_only=source is None)
-            n_atoms, positions = len(made.atoms), _positions(made) if source is not None else None
-            found = Joined(_indices(made, "bonds", 2), _indices(made, "angles", 3))
-    if n_atoms != len(system):
-        raise ValueError(f"file {str(path)!r} names bonds of {n_atoms} atoms; the structure has {len(system)}")
-    if source is not None and positions is not None and np.abs(positions - source.positions).max() > NEAR:
+        made = _universe(path, name)
+        positions, found = np.asarray(made.atoms.positions, dtype=np.float64), _joined_of(made)
+    if positions.shape != source.positions.shape or np.abs(positions - source.positions).max() > NEAR:
         raise ValueError(f"file {str(path)!r} is read in another order by MDAnalysis than by ASE; list its bonds as pairs")
     return found
 
 
-def _positions(universe: Any) -> NDArray[np.float64]:
-    return np.asarray(universe.atoms.positions, dtype=np.float64)
+def _joined_beside(path: Path, n_atoms: int) -> Joined:
+    """The bonds in another file than that of the atoms.  Raises ValueError if it cannot be read, or has another number of atoms."""
+    with _read_as(path, "bonds", None):
+        if SUFFIXES.get(path.suffix.lower()) == LAMMPS:
+            atoms = _source(path, LAMMPS, LJ)
+            n_there, found = len(atoms), joined_in(atoms)
+        else:
+            made = _universe(path, None, topology_only=True)
+            n_there, found = len(made.atoms), _joined_of(made)
+    if n_there != n_atoms:
+        raise ValueError(f"file {str(path)!r} names bonds of {n_there} atoms; the structure has {n_atoms}")
+    return found
 
 
-def _indices(universe: Any, name: str, size: int) -> NDArray[np.int64]:
-    groups = getattr(universe, name, None)  # an attribute that the file does not have
-    return np.asarray([] if groups is None else groups.indices, dtype=np.int64).reshape(-1, size)
+def _joined_of(universe: Any) -> Joined:
+    def indices(name: str, size: int) -> NDArray[np.int64]:
+        groups = getattr(universe, name, None)  # a universe has no attribute of what its file does not name
+        return np.asarray([] if groups is None else groups.indices, dtype=np.int64).reshape(-1, size)
+
+    return Joined(indices("bonds", 2), indices("angles", 3))
 
 
 def _tell_unused(path: Path, found: Joined) -> None:

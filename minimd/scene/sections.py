@@ -52,8 +52,8 @@ class StructureSection(Section):
         for name in forbidden:
             if getattr(self, name) is not None:
                 raise ValueError(f"cannot have {name} beside {'lattice' if self.file is None else 'file'}")
-        if self.file is None and self.bonds == "file":
-            raise ValueError('cannot have bonds = "file" beside lattice; list the pairs, or name the file')
+        if self.file is None and isinstance(self.bonds, str):
+            raise ValueError("cannot have bonds from a file beside lattice; list the pairs, or name a file of the structure")
         if self.file is not None:
             return self
         if self.repeat is None or (self.element is None and reading_of(info).units == "ASE"):

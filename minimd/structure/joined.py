@@ -62,3 +62,16 @@ def _entries(atoms: Any, name: str, form: re.Pattern[str]) -> list[tuple[int, tu
                 )
             found.append((i, indices))
     return found
+
+
+def texts(bonds: Indices, angles: Indices, n_atoms: int) -> dict[str, NDArray[np.str_]]:
+    """The arrays "bonds" and "angles" of ASE's atoms, of those that there are; all of type 1."""
+    beside = {"bonds": [(i, f"{j}(1)") for i, j in bonds.tolist()], "angles": [(j, f"{i}-{k}(1)") for i, j, k in angles.tolist()]}
+    found = {}
+    for name, entries in beside.items():
+        words: list[list[str]] = [[] for _ in range(n_atoms)]
+        for atom, text in entries:
+            words[atom].append(text)
+        if entries:
+            found[name] = np.array([",".join(each) or NONE[0] for each in words])
+    return found

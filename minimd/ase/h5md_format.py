@@ -1,0 +1,53 @@
+"""minimd's H5MD files for ase.io.read, which finds this module by an entry point; see minimd_plugin.py.
+
+ase.io.write does not write them: a file of minimd holds a run that can go on, and atoms alone are none.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import h5py
+import numpy as np
+from ase import Atoms
+from ase.calculators.singlepoint import SinglePointCalculator
+
+from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_schema import STEPS, TRAJECTORY, opened
+from minimd.structure.ase_atoms import atoms_from_system
+from minimd.structure.joined import texts
+from minimd.structure.units import UnitSystem
+
+
+def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
+    """Frames of a minimd file, to the last bit: positions (not wrapped), momenta, masses, cell, constraints, bonds, and energy.
+
+    Forces are there if the run stored them; they come through kJ/mol and are right to rounding. Bonds and angles stand in the arrays "bonds" and
+    "angles", as ASE's reader of LAMMPS data leaves them; step and time in info. Reduced numbers are no Å and eV.
+
+    index : which frames, as ase.io.read takes it.
+
+    Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_reader.read_file.
+    """
+    contents = read_file(filename)
+    template = atoms_from_system(contents.system)
+    if len(contents.system.bonds) or len(contents.system.angles):
+        template.arrays["id"] = np.arange(1, len(template) + 1)
+        template.arrays.update(texts(contents.system.bonds, contents.system.angles, len(template)))
+    numbers = range(contents.n_frames)
+    chosen = numbers[index] if isinstance(index, slice) else [numbers[index]]
+    with opened(filename) as h5:
+        for number in chosen:
+            yield _frame(h5, number, template, contents.system.units)
+
+
+def _frame(h5: h5py.File, number: int, template: Atoms, units: UnitSystem) -> Atoms:
+    atoms, group = template.copy(), h5[TRAJECTORY]
+    atoms.positions[:] = group["position/value"][number] / units.to_angstrom
+    velocities = group["velocity/value"][number] * (units.to_picosecond / units.to_angstrom)
+    atoms.set_momenta(velocities * atoms.get_masses()[:, None], apply_constraint=False)
+    atoms.info.update(step=int(h5[STEPS][number]), time=float(h5["minimd/time"][number]))
+    results: dict[str, Any] = {"energy": float(h5["observables/potential_energy/value"][number])}
+    if "force" in group:
+        results["forces"] = group["force/value"][number] * (units.to_angstrom / units.to_kj_per_mol)
+    atoms.calc = SinglePointCalculator(atoms, **results)
+    return atoms

@@ -148,7 +148,7 @@ from numba.core import event
 compiled = event.install_recorder("numba:compile")
 with compiled as recorder:
     import minimd
-heavy = [m for m in ("ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm") if m in sys.modules]
+heavy = [m for m in ("ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython") if m in sys.modules]
 assert not heavy, heavy
 assert not recorder.buffer, len(recorder.buffer)
 """

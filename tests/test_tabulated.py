@@ -97,6 +97,15 @@ def test_closer_than_the_table_nothing_is_known():
         md.evaluate(system, table(30))
 
 
+def test_a_run_that_comes_closer_than_the_table_ends_and_says_so():
+    """Two atoms on their way to each other pass from 1.02 to 0.98, where the table begins at 1."""
+    r = np.linspace(1.0, CUTOFF, 30)
+    pair = md.System([[0.0, 0.0, 0.0], [1.02, 0.0, 0.0]], velocities=[[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+    sim = md.Simulation(pair, md.Tabulated(r, 1e-6 * r), md.VelocityVerlet(0.02))
+    with pytest.raises(md.NonFiniteError, match=r"the law of Tabulated gives no finite number for atoms 0 and 1, 0\.98 apart"):
+        sim.run(3, progress=False, crash_report=False)
+
+
 def test_tables_are_equal_only_to_themselves():
     """They are keys of caches."""
     one, other = (Table(np.arange(3.0), np.zeros((1, 2, 6)), 1.0) for _ in range(2))

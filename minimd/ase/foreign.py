@@ -11,14 +11,14 @@ from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import NDArray
 
 from minimd.ase.calculator import Calculator
-from minimd.potentials.term import FORCES, PER_ATOM, Potential, as_potentials
+from minimd.potentials.term import FORCES, PER_ATOM, OwnPotential, Potential, as_potentials
 from minimd.structure.ase_atoms import atoms_from_system, volume_of
 from minimd.structure.checks import shown
 from minimd.structure.console import outside_minimd
 from minimd.structure.system import System
 
 
-class ForcesFromCalculator:
+class ForcesFromCalculator(OwnPotential):
     """A potential for scenes of minimd: forces, energy and virial from any calculator of ASE.
 
     The energy is the one that belongs to the forces (free_energy), where the calculator has it. The virial is
@@ -33,7 +33,11 @@ class ForcesFromCalculator:
             raise TypeError(f"calculator must be a calculator of ASE, such as ase.calculators.emt.EMT(); got {shown(calculator)}")
         self.calculator = calculator
 
-    def bind(self, system: System) -> "CalculatorTerm":
+    def arguments(self) -> dict[str, Any]:
+        """See OwnPotential."""
+        return {"calculator": type(self.calculator)}
+
+    def bind(self, system: System) -> Any:
         """The term that asks the calculator for the forces on this system."""
         atoms = atoms_from_system(system)
         atoms.set_constraint()  # minimd wants the forces as they are, and keeps constraints itself

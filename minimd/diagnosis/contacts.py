@@ -13,6 +13,7 @@ from minimd.potentials.bonded import BondPotential
 from minimd.potentials.law import law_at
 from minimd.potentials.laws import HarmonicLaw, LennardJonesLaw
 from minimd.potentials.pair import PairPotential
+from minimd.potentials.tabulated import reads_table
 from minimd.potentials.user_laws import is_user_law
 from minimd.structure.bond_graph import pairs_by_bonds_apart
 from minimd.structure.images import nearest_vectors
@@ -26,7 +27,7 @@ STEP = 1e-5  # of a central difference, relative to the distance
 class Contact:
     """What one law does to one pair.
 
-    first, second : atoms.  law : name of the potential.  is_bond : whether the pair is fixed.  is_users : whether the law is the user's own.
+    first, second : atoms.  law : name of the potential.  is_bond : whether the pair is fixed.  is_users : whether the law is a user's, or a table.
     distance : r [length], of the nearest image.  ratio : r/σ, or r/r₀ of a harmonic bond; None where the law has no length of its own.
     energy, force : u(r), −u′(r) [energy], [energy/length]; positive where the pair repels.  frequency : √(u″/μ) [1/time], None where u″ ≤ 0.
     rest_frequency : √(u″/μ) at the minimum [1/time], of Lennard-Jones pairs and harmonic bonds; None of others.
@@ -120,6 +121,6 @@ def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass:
         rest = 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * length * length)
     elif isinstance(potential.law, HarmonicLaw):
         rest, length = numbers
-    kind = type(potential).__name__, isinstance(potential, BondPotential), is_user_law(potential.law)
+    kind = type(potential).__name__, isinstance(potential, BondPotential), is_user_law(potential.law) or reads_table(potential.law)
     frequencies = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
     return Contact(first, second, *kind, r, r / length if length else None, scale * u, scale * f * r, *frequencies)

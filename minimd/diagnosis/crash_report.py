@@ -122,7 +122,7 @@ class Evidence:
 
 
 def law_without_number(evidence: Evidence) -> Verdict | None:
-    """A law of the user's that is not finite at some distance."""
+    """A law of the user's, or a table, that is not finite at some distance."""
     for one in evidence.found:
         if not one.is_finite and not _is_overlap(one) and (one.is_users or one.is_bond):
             cause = f"the law of {one.law} gives no finite number for {one.atoms}, {one.apart}"

@@ -1,19 +1,32 @@
 """Pictures of a record: change of the energy, temperature, change of the momentum, pressure. Drawn without a window."""
 
 from io import BytesIO
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from minimd.engine.record import Record
+from minimd.structure.units import UnitSystem
 
 INCHES, DOTS_PER_INCH = (10.0, 7.0), 150
 ENERGY, TEMPERATURE, MOMENTUM, STRUCTURE, ACCENT = "#1f5fa8", "#c8501e", "#5b3f99", "#1b7f5c", "#222222"
 Array = NDArray[np.float64]
 STYLE: dict[str, Any] = {"lw": 1.1, "solid_joinstyle": "round"}
+
+
+class Series(Protocol):
+    """What is drawn of a Record; see there."""
+
+    units: UnitSystem
+    n_atoms: int
+
+    def __len__(self) -> int: ...
+
+    def __contains__(self, name: str) -> bool: ...
+
+    def __getattr__(self, name: str) -> Array: ...
 
 
 class Picture(Figure):
@@ -36,7 +49,7 @@ def four_panels() -> tuple[Picture, list[Axes]]:
     return figure, panels
 
 
-def picture_of(record: Record) -> Picture:
+def picture_of(record: Series) -> Picture:
     """See Record.plot."""
     if not len(record):
         raise ValueError("there is nothing to plot: the record has no entries")
@@ -55,14 +68,14 @@ def finish(panel: Axes, unit: str) -> None:
     panel.title.set_fontsize(10)
 
 
-def energy_of(record: Record) -> tuple[Array, str, str]:
+def energy_of(record: Series) -> tuple[Array, str, str]:
     """The energy that should be constant, (T,); its name; and the formula of its change.  With a bath, heat Q is taken away."""
     if "conserved_energy" in record:
         return record.conserved_energy, "total energy − heat", "(E − Q − E₀)"
     return record.total_energy, "total energy", "(E − E₀)"
 
 
-def draw_energy(panel: Axes, times: Array, record: Record) -> Array:
+def draw_energy(panel: Axes, times: Array, record: Series) -> Array:
     """Change of the total energy per atom, minus heat if there is a bath, since the start. Returns what was drawn, in the unit of the axis."""
     energy, name, formula = energy_of(record)
     change, factor = scaled((energy - energy[0]) / record.n_atoms)
@@ -72,7 +85,7 @@ def draw_energy(panel: Axes, times: Array, record: Record) -> Array:
     return change
 
 
-def draw_temperature(panel: Axes, times: Array, record: Record) -> None:
+def draw_temperature(panel: Axes, times: Array, record: Series) -> None:
     """The kinetic temperature, and its mean."""
     temperature, unit = record.temperature, record.units.temperature.replace("k_B", "$k_B$")
     panel.plot(times, temperature, color=TEMPERATURE, **STYLE)
@@ -81,7 +94,7 @@ def draw_temperature(panel: Axes, times: Array, record: Record) -> None:
     panel.ticklabel_format(axis="y", useOffset=False)
 
 
-def draw_momentum(panel: Axes, times: Array, record: Record) -> None:
+def draw_momentum(panel: Axes, times: Array, record: Series) -> None:
     """Change of the total momentum, of the sum of |mv|."""
     changes = np.linalg.norm(record.momentum - record.momentum[0], axis=1) / (record.absolute_momentum.max() or 1.0)
     values, factor = scaled(changes)
@@ -90,7 +103,7 @@ def draw_momentum(panel: Axes, times: Array, record: Record) -> None:
     panel.set(ylabel=label, title=f"total momentum   (largest change: {changes.max():.1e})", ylim=(0.0, None))
 
 
-def draw_pressure(panel: Axes, times: Array, record: Record) -> None:
+def draw_pressure(panel: Axes, times: Array, record: Series) -> None:
     """The pressure, or where there is none, the potential energy per atom."""
     name, values, unit = "potential energy per atom", record.potential_energy / record.n_atoms, record.units.energy
     if "pressure" in record:

@@ -12,10 +12,10 @@ from typing import Any, ClassVar, Self
 
 from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
-from minimd.diagnosis.report import Cost, Report, conservation_report
+from minimd.diagnosis.report import Report
 from minimd.diagnosis.reversibility import Reversibility, probe
 from minimd.diagnosis.run_guard import BLOCK, RunGuard
-from minimd.diagnosis.static_checks import static_checks
+from minimd.diagnosis.run_report import report_of
 from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.engine_rows import simulation_rows
 from minimd.engine.observation import check_extras, extras_in, observe
@@ -338,19 +338,7 @@ class Simulation(Displayed):
         """
         if self.record is None:
             raise ValueError("there is nothing to report yet; call run first")
-        self.engine.fit_images()
-        interactions, bonds, is_free = self.engine.interactions, self.engine.constraint_set.bonds, self.engine.conserves_momentum
-        cost = Cost(
-            n_steps=self.guard.n_steps,
-            seconds=self.guard.seconds,
-            list_builds=interactions.n_builds,
-            n_evaluations=interactions.n_evaluations,
-            pair_search=interactions.pair_search,
-            skipped=interactions.skipped(),
-            constraints=f"{bonds.summary}; at most {bonds.iterations} iterations in a drift" if bonds else "",
-        )
-        angular, lines = is_free and not self.system.cell.is_periodic, static_checks(self.engine, self.reversibility)
-        return conservation_report(self.record, linear=is_free, angular=angular, cost=cost, lines=lines)
+        return report_of(self.guard, self.record, self.reversibility)
 
     def frame(self) -> Frame:
         """The state as it is now, with its observables; the forces are evaluated."""

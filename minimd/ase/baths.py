@@ -109,7 +109,7 @@ class AndersenBath(Thermostat):
         around.project(state)
         before, noise, thermal = kinetic_energy(velocities, state.masses), self.noise(bath), bath.k_B * self.temperature
         if self.keeps_center:
-            pass
+            velocities += sqrt(thermal / state.masses.sum()) * noise.standard_normal(3)
         fresh = np.sqrt(thermal * state.inverse_masses[:, None]) * noise.standard_normal(velocities.shape)
         np.copyto(velocities, fresh, where=noise.random(velocities.shape) < self.probability)
         if self.keeps_center:

@@ -2,8 +2,10 @@
 
 import inspect
 import io
+import re
 import warnings
 from contextlib import redirect_stdout
+from pathlib import Path
 
 import ase.io
 import ase.md.andersen
@@ -19,9 +21,10 @@ import pytest
 from argon_atoms import TIMESTEP, argon, lennard_jones, same, with_calculator
 from ase.build import bulk, molecule
 from ase.calculators.emt import EMT
+from ase.calculators.idealgas import IdealGas
 from ase.calculators.lj import LennardJones
 from ase.calculators.mixing import MixedCalculator
-from ase.constraints import FixAtoms, FixBondLengths, FixedPlane, FixLinearTriatomic
+from ase.constraints import FixAtoms, FixBondLengths, FixCom, FixedPlane, FixLinearTriatomic
 from ase.io import Trajectory
 
 import minimd as md
@@ -272,6 +275,48 @@ def test_lengths_are_kept_whoever_counts_the_atoms_from_the_end(name):
             dynamics.run(3)
         assert np.abs(atoms.get_all_distances() - lengths).max() < 1e-10
         assert np.abs(atoms.positions - there).max() > 1e-3
+
+
+class Wind(IdealGas):
+    """A force that is the same on all atoms."""
+
+    def calculate(self, atoms=None, *arguments):
+        super().calculate(atoms, *arguments)
+        self.results["forces"] = np.full((len(atoms), 3), 0.1)
+
+
+@pytest.mark.filterwarnings("ignore:the calculator is")
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_a_center_that_is_fixed_stays_whatever_the_forces(name):
+    atoms = copper(Wind())
+    atoms.set_constraint(FixCom())
+    atoms.set_momenta(atoms.get_momenta())
+    atoms.set_masses([20.0, 30.0, 60.0, 90.0])
+    atoms.set_momenta(atoms.get_momenta())
+    center, start = atoms.get_center_of_mass(), atoms.positions.copy()
+    made(name, atoms).run(20)
+    assert np.abs(atoms.get_center_of_mass() - center).max() < 1e-10
+    assert np.abs(atoms.positions - start).max() > 0.1
+
+
+def test_atoms_without_a_calculator_are_refused():
+    atoms = copper()
+    atoms.calc = None
+    with pytest.raises(RuntimeError, match="calculator"):
+        ours.VelocityVerlet(atoms, TIMESTEP).run(1)
+    with pytest.raises(RuntimeError, match=r"set atoms\.calc"):
+        ours.VelocityVerlet(atoms, TIMESTEP).step()
+
+
+PAGE = Path(__file__).parents[1] / "docs" / "ase.md"
+
+
+@pytest.mark.filterwarnings("ignore:the calculator is")
+@pytest.mark.parametrize("script", re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S), ids=["dynamics", "simulation"])
+def test_the_scripts_of_the_page_run(script, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(script.replace("repeat(4)", "repeat(2)"), str(PAGE), "exec"), {})
+    assert capsys.readouterr().out.strip()
 
 
 def test_a_barostat_is_refused_by_name():

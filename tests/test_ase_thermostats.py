@@ -77,9 +77,16 @@ def test_fixcm_leaves_the_center_alone_and_gives_ases_thermometer_the_temperatur
     atoms = gas(4)
     momentum = atoms.get_momenta().sum(axis=0)
     of_center = momentum @ momentum / (2.0 * atoms.get_masses().sum()) / (6.0 * ase.units.kB)  # its share of the thermometer [K]
-    sample = temperatures(made("Langevin", atoms, fixcm=True), atoms, 1500) - of_center
+    sample = temperatures(made("Langevin", atoms, fixcm=True), atoms, 800) - of_center
     assert same(atoms.get_momenta().sum(axis=0), momentum, 1e-10)
     assert sample.mean() == pytest.approx(KELVIN, abs=4.0 * 1.3 * KELVIN * np.sqrt(2.0 / 9.0 / len(sample)))  # 9 degrees, 12 on the thermometer
+
+
+def test_rare_collisions_beside_a_center_at_rest_are_canonical_for_a_few_atoms():
+    atoms = gas(4)
+    atoms.set_constraint(FixCom())
+    atoms.set_momenta(atoms.get_momenta())
+    assert_canonical(temperatures(made("Andersen", atoms, andersen_prob=0.3), atoms, 600, apart=5), KELVIN, 9)
 
 
 def test_fixcm_of_one_atom_is_refused():

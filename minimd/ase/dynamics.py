@@ -121,6 +121,8 @@ class MinimdSteps(MolecularDynamics):
 
     def _new_guard(self, atoms: Atoms) -> RunGuard:
         calculator = atoms.calc
+        if calculator is None:
+            raise RuntimeError("the atoms have no calculator; set atoms.calc, to a minimd.ase.Calculator for instance")
         if isinstance(calculator, Calculator):
             engine = Engine(System.from_ase(atoms, calculator.bonds), calculator.potentials, self.method(), options=calculator.options)
         else:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from minimd.ase.calculator import Calculator
 from minimd.potentials.term import FORCES, PER_ATOM, OwnPotential, Potential, as_potentials
 from minimd.structure.ase_atoms import atoms_from_system, volume_of
+from minimd.structure.ase_constraints import fixes_center
 from minimd.structure.checks import shown
 from minimd.structure.console import outside_minimd
 from minimd.structure.system import System
@@ -101,7 +102,13 @@ class CalculatorTerm:
 
 
 class WithoutVirial(CalculatorTerm):
-    """Forces and energy alone."""
+    """Forces and energy alone. Where the atoms have FixCom, the force on their center is taken out, in shares of their masses."""
+
+    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+        """See CalculatorTerm."""
+        super().add(system, detail, forces, energies, virials)
+        if fixes_center(self._atoms):
+            forces -= system.masses[:, None] / system.masses.sum() * forces.sum(axis=0)
 
     def _virial(self, system: System, forces: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.full(6, np.nan)

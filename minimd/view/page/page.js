@@ -21,7 +21,7 @@ class Scene {
   }
 
   add(buffer, parameters = {}) {
-    const shape = new NGL.Shape("shape", { disableImpostor: false });
+    const shape = new NGL.Shape("shape");
     shape.addBuffer(buffer);
     return this.stage.addComponentFromObject(shape).addRepresentation("buffer", parameters);
   }
@@ -48,7 +48,7 @@ class Scene {
     this.end = new Float32Array(3 * ends.length);
     this.motion.halves(0, this.positions, this.start, this.end);
     const radius = new Float32Array(ends.length).fill(BOND * Math.min(...this.motion.about.radii));
-    this.bonds = new NGL.CylinderBuffer({ position1: this.start, position2: this.end, color, color2: color, radius }, { openEnded: true });
+    this.bonds = new NGL.CylinderBuffer({ position1: this.start, position2: this.end, color, color2: color, radius }, { openEnded: true, disableImpostor: true, radialSegments: 10 }); // flat ones are not drawn by every graphics driver
     this.bondsShown = this.add(this.bonds);
   }
 

@@ -1,0 +1,226 @@
+"""The page in a browser: it makes no request, its frames advance when played, the keyboard reaches every control."""
+
+import io
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+from references import melt_scene
+from view_pages import Parts, skewed_chains
+
+import minimd as md
+from minimd.commands import main as cli
+from minimd.view import View
+
+pytestmark = pytest.mark.slow
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # WebGL without a graphics card
+CONTROLS = "button, select, input, summary, [tabindex='0']"
+FOCUS = "document.activeElement.id || document.activeElement.tagName"
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    """Headless Chromium: that of the system, else that of playwright; skipped where there is none."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as driver:
+        try:
+            started = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        except playwright.Error as error:
+            pytest.skip(f"no browser: {error}")
+        yield started.new_context
+        started.close()
+
+
+@pytest.fixture
+def browser(chromium):
+    """A window, closed at the end."""
+    windows = []
+
+    def opened(**how):
+        windows.append(chromium(**how))
+        return windows[-1].new_page()
+
+    yield opened
+    for window in windows:
+        window.close()
+
+
+class Opened:
+    """A page in the browser.  requests : addresses that were asked for.  errors : of the console and the program."""
+
+    def __init__(self, browser, file, scheme="light"):
+        self.page = browser(viewport={"width": 500, "height": 500}, color_scheme=scheme)
+        self.requests, self.errors = [], []
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.on("console", lambda message: self.errors.append(message.text) if message.type == "error" else None)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.goto(file.as_uri())
+        self.wait("globalThis.minimd && minimd.scene !== undefined")
+
+    def wait(self, condition):
+        """Until it holds; the policy of the page forbids playwright's own way, which is eval."""
+        for _ in range(300):
+            if self.page.evaluate(condition):
+                return
+            self.page.wait_for_timeout(50)
+        pytest.fail(f"{condition} does not come true")
+
+    def frame(self):
+        """Number of the frame that is shown."""
+        return self.page.evaluate("minimd.player.frame")
+
+    def pixels(self):
+        """The scene as it is seen, as bytes of a PNG."""
+        self.page.wait_for_timeout(600)
+        return self.page.locator("#scene").screenshot()
+
+    def tab_to(self, name):
+        """Press Tab until an element has the focus."""
+        for _ in range(60):
+            if self.page.evaluate(FOCUS) == name:
+                return
+            self.page.keyboard.press("Tab")
+        pytest.fail(f"Tab does not reach {name}")
+
+
+@pytest.fixture(scope="module")
+def run_page(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "chains.h5md"
+    skewed_chains().run(600, every=20, trajectory=path)
+    return md.view(path).save()
+
+
+@pytest.fixture(scope="module")
+def failed_page(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("failed")
+    scene = melt_scene(4, 4000, f'[output]\ntrajectory = "{folder}/melt.h5md"\nevery = 100\n').replace("timestep = 0.004", "timestep = 0.06")
+    (folder / "melt.toml").write_text(scene)
+    assert cli.main(["run", str(folder / "melt.toml"), "--quiet"]) == 3
+    return md.view(folder / "melt.crash.h5md").save()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("kind", ["run_page", "failed_page"])
+def test_the_page_makes_no_request_and_no_error(browser, request, kind, scheme):
+    file = request.getfixturevalue(kind)
+    opened = Opened(browser, file, scheme)
+    opened.page.click("#play")
+    opened.page.wait_for_timeout(1000)
+    assert opened.requests == [file.as_uri()]
+    assert opened.errors == []
+    background = opened.page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert (background == "rgb(255, 255, 255)") == (scheme == "light")
+
+
+def test_frames_advance_when_played_and_the_atoms_move(browser, run_page):
+    opened = Opened(browser, run_page)
+    before, first = opened.pixels(), opened.frame()
+    opened.page.click("#play")
+    opened.wait("minimd.player.frame > 5")
+    opened.page.click("#play")
+    stopped = opened.frame()
+    assert first == 0
+    assert opened.pixels() != before
+    assert opened.frame() == stopped
+    assert f"frame {stopped + 1} of 31: step {20 * stopped}, t = " in opened.page.inner_text("#time")
+
+
+def test_the_atoms_are_where_the_file_has_them(browser, run_page):
+    opened, cell = Opened(browser, run_page), skewed_chains().system.cell
+    seen = np.array(list(opened.page.evaluate("Array.from(minimd.motion.positions(30))"))).reshape(-1, 3)
+    expected = Parts(run_page.read_text(encoding="utf-8")).positions()[30]
+    differences = (seen - expected) @ cell.inverse
+    assert np.abs(differences - np.rint(differences)).max() < 1e-5
+
+
+@pytest.mark.parametrize("kind", ["run_page", "failed_page"])
+def test_the_keyboard_reaches_every_control_and_shows_where_it_is(browser, request, kind):
+    opened = Opened(browser, request.getfixturevalue(kind))
+    everything = f'[...document.querySelectorAll("{CONTROLS}")].filter(one => one.checkVisibility()).map(one => one.id || one.tagName)'
+    wanted, reached = set(opened.page.evaluate(everything)), set()
+    for _ in range(60):
+        opened.page.keyboard.press("Tab")
+        reached.add(opened.page.evaluate(FOCUS))
+        if reached >= wanted:
+            break
+        if opened.page.evaluate("document.activeElement !== document.body"):
+            assert opened.page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    assert wanted <= reached
+    assert len(wanted) > 15
+
+
+def test_the_keyboard_works_every_control(browser, run_page):
+    opened = Opened(browser, run_page)
+    keys = opened.page.keyboard.press
+    for name, key, frame in [
+        ("forward", "Enter", 1),
+        ("forward", " ", 2),
+        ("back", "Enter", 1),
+        ("last", "Enter", 30),
+        ("first", " ", 0),
+        ("frame", "ArrowRight", 1),
+    ]:
+        opened.tab_to(name)
+        keys(key)
+        assert opened.frame() == frame, name
+    for name in ("cell", "bonds"):
+        before = opened.pixels()
+        opened.tab_to(name)
+        keys(" ")
+        assert opened.pixels() != before, name
+    before = opened.pixels()
+    opened.tab_to("size")
+    keys("ArrowRight")
+    assert opened.pixels() != before
+    opened.tab_to("scene")
+    for key in ("ArrowLeft", "ArrowUp", "+", "Home"):
+        before = opened.pixels()
+        keys(key)
+        assert opened.pixels() != before, key
+    opened.tab_to("larger")
+    keys("Enter")
+    assert opened.page.inner_text("#zoom") == "125 %"
+    opened.tab_to("speed")
+    keys("ArrowDown")
+    opened.tab_to("repeat")
+    keys(" ")
+    opened.tab_to("last")
+    keys("Enter")
+    opened.tab_to("back")
+    keys("Enter")
+    opened.tab_to("play")
+    keys("Enter")
+    opened.wait("!minimd.player.isPlaying")
+    assert opened.frame() == 30
+
+
+def test_the_pair_is_marked_in_the_middle_of_the_scene(browser, failed_page):
+    opened = Opened(browser, failed_page)
+    assert opened.frame() == opened.page.evaluate("minimd.motion.nFrames") - 1
+    before = opened.pixels()
+    opened.tab_to("others")
+    opened.page.keyboard.press(" ")
+    alone = opened.pixels()
+    assert alone != before
+    image = np.asarray(Image.open(io.BytesIO(alone)).convert("RGB")).astype(int)
+    pink = (image[..., 0] > image[..., 1] + 80) & (image[..., 2] > image[..., 1] + 20)
+    middle = np.argwhere(pink).mean(axis=0) / pink.shape
+    assert pink.sum() > 500
+    np.testing.assert_allclose(middle, 0.5, atol=0.1)
+
+
+def test_a_notebook_shows_the_page_in_its_cell(browser, run_page, tmp_path):
+    """An iframe whose page stands in its srcdoc, as Jupyter has it."""
+    cell = View(run_page.read_text(encoding="utf-8"), run_page, "")._repr_html_()
+    (tmp_path / "notebook.html").write_text(f"<!doctype html><meta charset=utf-8>{cell}", encoding="utf-8")
+    page, requests = browser(), []
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto((tmp_path / "notebook.html").as_uri())
+    inside = page.frames[1]
+    page.wait_for_timeout(1000)
+    inside.click("#play")
+    page.wait_for_timeout(3000)
+    assert inside.evaluate("minimd.player.frame") > 2
+    assert [one for one in requests if not one.startswith("about:")] == [(tmp_path / "notebook.html").as_uri()]

@@ -7,9 +7,9 @@ from matplotlib.figure import Figure
 from MDAnalysis.coordinates.H5MD import H5MDReader
 
 import minimd as md
-from minimd.analysis import picture
 from minimd.analysis.check import check_file
 from minimd.analysis.plot import plot_file
+from minimd.engine import record_picture
 from minimd.files import h5md_reader
 
 
@@ -124,7 +124,7 @@ class Drawn(Figure):
     ],
 )
 def test_picture_shows_the_series_in_physical_units(tmp_path, monkeypatch, units, pbc, time, fourth):
-    monkeypatch.setattr(picture, "Figure", Drawn)
+    monkeypatch.setattr(record_picture, "Picture", Drawn)
     record = simulation(units, pbc).run(100, every=5, trajectory=tmp_path / "a.h5md")
     drawn = plot_file(tmp_path / "a.h5md")
     assert drawn == tmp_path / "a.png"

@@ -104,7 +104,7 @@ class Method(Displayed):
         kind = [word for word, holds in (("symmetric", self.is_symmetric), ("symplectic", self.is_symplectic)) if holds]
         rows = [("method", f"{type(self).__name__}, order {self.order}{''.join(f', {word}' for word in kind)}")]
         rows += [(name, as_text(value)) for name, value in self.parameters.items()]
-        return [*rows, ("source", self.source)]
+        return rows + ([("source", self.source)] if hasattr(self, "source") else [])
 
     @classmethod
     def on(cls, problem: Problem) -> Step:

@@ -23,7 +23,6 @@ from ase.build import bulk, molecule
 from ase.calculators.emt import EMT
 from ase.calculators.idealgas import IdealGas
 from ase.calculators.lj import LennardJones
-from ase.calculators.mixing import MixedCalculator
 from ase.constraints import FixAtoms, FixBondLengths, FixCom, FixedPlane, FixLinearTriatomic
 from ase.io import Trajectory
 
@@ -96,6 +95,16 @@ def test_motion_without_noise_is_that_of_ase(name, scene):
     assert np.abs(atoms.positions - start).max() > 0.1
     if name == "NoseHooverChainNVT":
         assert mine.get_conserved_energy() == pytest.approx(other.get_conserved_energy(), rel=1e-11)
+
+
+@pytest.mark.parametrize("kelvin", [1.0, 1e5])
+def test_berendsen_rescales_within_the_bounds_of_ase(kelvin):
+    ends = []
+    for by_ase in (False, True):
+        atoms = liquid()
+        made("NVTBerendsen", atoms, by_ase=by_ase, temperature_K=kelvin, taut=TIMESTEP).run(3)
+        ends.append(atoms.get_momenta())
+    assert same(*ends, 1e-11)
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)
@@ -216,9 +225,14 @@ def test_a_calculator_sees_the_atoms_with_all_they_carry():
 def test_a_calculator_whose_parameters_an_observer_has_changed_is_asked_again():
     ends = []
     for cls in (ours.VelocityVerlet, ase.md.verlet.VelocityVerlet):
-        atoms = copper(MixedCalculator(EMT(), LennardJones(sigma=2.3, epsilon=0.4, rc=5.0), 1.0, 0.0))
+        atoms = copper(LennardJones(sigma=2.3, epsilon=0.4, rc=5.0))
+
+        def deepen(calculator=atoms.calc):
+            calculator.parameters.epsilon *= 1.2
+            calculator.reset()
+
         dynamics = cls(atoms, TIMESTEP)
-        dynamics.attach(lambda calc=atoms.calc, dyn=dynamics: calc.set_weights(1.0 - 0.05 * dyn.nsteps, 0.05 * dyn.nsteps), 2)
+        dynamics.attach(deepen, 2)
         with warnings.catch_warnings(action="ignore"):
             dynamics.run(9)
         ends.append(np.hstack([atoms.positions, atoms.get_momenta()]))

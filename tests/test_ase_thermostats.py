@@ -158,6 +158,7 @@ def test_blocks_of_any_size_make_one_run_with_noise_that_never_returns(name):
         lambda dynamics: list(dynamics.irun(6)),
         lambda dynamics: [dynamics.step() for _ in range(6)],
         lambda dynamics: [dynamics.run(2), dynamics.atoms.set_pbc([1, 1, 0]), dynamics.run(3), dynamics.run(1)],
+        lambda dynamics: [dynamics.step(), dynamics.step(), dynamics.atoms.set_pbc([1, 1, 0]), dynamics.run(4)],
     )
     first, *others = (end_of(name, 5, drive) for drive in drives)
     for other in others:

@@ -50,14 +50,15 @@ def browser(chromium):
 class Opened:
     """A page in the browser.  requests : addresses that were asked for.  errors : of the console and the program."""
 
-    def __init__(self, browser, file, scheme="light"):
+    def __init__(self, browser, file, scheme="light", init=""):
         self.page = browser(viewport={"width": 500, "height": 500}, color_scheme=scheme)
         self.requests, self.errors = [], []
+        self.page.add_init_script(init or "0")
         self.page.on("request", lambda request: self.requests.append(request.url))
         self.page.on("console", lambda message: self.errors.append(message.text) if message.type == "error" else None)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(file.as_uri())
-        self.wait("globalThis.minimd && minimd.scene !== undefined")
+        self.wait("globalThis.minimd && (minimd.scene || !document.getElementById('scene-error').hidden)")
 
     def wait(self, condition):
         """Until it holds; the policy of the page forbids playwright's own way, which is eval."""
@@ -112,6 +113,14 @@ def test_the_page_makes_no_request_and_no_error(browser, request, kind, scheme):
     assert opened.errors == []
     background = opened.page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert (background == "rgb(255, 255, 255)") == (scheme == "light")
+
+
+def test_a_browser_without_webgl_is_told_and_shows_the_rest(browser, run_page):
+    opened = Opened(browser, run_page, init="HTMLCanvasElement.prototype.getContext = () => null")
+    assert opened.page.is_visible("#scene-error")
+    assert not opened.page.is_visible("#shown")
+    assert opened.page.is_visible("#picture")
+    assert opened.errors == []
 
 
 def test_frames_advance_when_played_and_the_atoms_move(browser, run_page):

@@ -236,13 +236,10 @@ function begin() {
   let scene = null;
   const player = new Player(motion, (frame) => scene && scene.show(frame));
   globalThis.minimd = { motion, player };
-  try {
-    scene = new Scene($("scene"), motion);
-    globalThis.minimd.scene = scene;
-  } catch (error) {
-    $("scene").hidden = true;
+  if (document.createElement("canvas").getContext("webgl2")) globalThis.minimd.scene = scene = new Scene($("scene"), motion);
+  else {
+    $("scene").hidden = $("shown").hidden = true;
     $("scene-error").hidden = false;
-    $("scene-error").textContent = `The atoms cannot be drawn: this browser gives no WebGL (${error.message}).`;
   }
   player.go(about.marked.length ? motion.nFrames - 1 : 0);
   if (!scene) return;

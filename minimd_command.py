@@ -7,7 +7,6 @@ something to save. It replaces the handler by its own, see minimd.structure.cons
 
 import os
 import sys
-import warnings
 from _signal import SIG_DFL, SIGINT, default_int_handler, getsignal, signal  # loaded at once, unlike the module signal
 
 WRONG_OUTPUT, INTERRUPTED = 2, 130  # exit codes
@@ -17,11 +16,6 @@ def end_at_once(_number: int, _frame: object) -> None:
     """Handler of Ctrl-C: one sentence, and the end."""
     signal(SIGINT, SIG_DFL)  # what was printed before may wait for somebody to read it; a second Ctrl-C does not
     _end(INTERRUPTED, "minimd: error: interrupted\n")
-
-
-def tell(message: Warning | str, *_where: object, **_more: object) -> None:
-    """A warning as a sentence: the line of Python that it comes from is not the user's."""
-    print(f"minimd: warning: {message}", file=sys.stderr)
 
 
 if getsignal(SIGINT) is default_int_handler:
@@ -34,7 +28,6 @@ def main() -> None:
     from minimd.structure.console import DEFAULT_HANDLERS
 
     DEFAULT_HANDLERS.append(end_at_once)
-    warnings.showwarning = tell
     try:
         code = run_command()
     except SystemExit as ending:  # of argparse

@@ -253,7 +253,7 @@ def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsy
         assert cli.main(["run", "melt.toml"]) == 3
     err = capsys.readouterr().err
     note, cause, seen = [line for line in err.splitlines() if line.startswith("minimd: ") and "compiling" not in line]
-    assert note.startswith("minimd: note: timestep 0.025 τ is long for Lennard-Jones atoms")
+    assert note.startswith("minimd: warning: timestep 0.025 τ is long for Lennard-Jones atoms")
     assert cause.startswith("minimd: error: Likely cause:")
     assert "timestep 0.025 τ too large" in cause
     assert seen.startswith("minimd: error: At step")

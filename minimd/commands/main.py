@@ -35,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return OK
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = _note
+            warnings.showwarning = _tell
             passed = arguments.command(arguments)  # None of a command that judges nothing
         return OK if passed is None or passed else FAILED
     except tuple(CODES) as error:
@@ -49,9 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(error.code or FAILED)
 
 
-def _note(message: Warning | str, *_where: Any, **_more: Any) -> None:
-    """What a script is warned of, with the place of the call, is a note to who gives a command."""
-    print(f"minimd: note: {message}", file=sys.stderr)
+def _tell(message: Warning | str, *_where: Any, **_more: Any) -> None:
+    """A warning as a sentence: the line of Python that it comes from is not the user's."""
+    print(f"minimd: warning: {message}", file=sys.stderr)
 
 
 if __name__ == "__main__":

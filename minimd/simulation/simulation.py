@@ -19,7 +19,7 @@ from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.observation import observe
 from minimd.engine.record import Frame, Record
 from minimd.files.crash_file import crash_file_left, crash_file_place
-from minimd.files.trajectory import Writer, named_files, open_trajectories
+from minimd.files.trajectory import Writer, first_h5md, open_trajectories
 from minimd.forces.forces import Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
@@ -180,8 +180,7 @@ class Simulation:
                 open_trajectories(trajectory, engine, **files) as writers,
                 progress_of(end - start, "running", progress) as tell,
             ):
-                self.record = record = Record(self.system.units, len(self.system))
-                record.trajectory = next((file for file in named_files("trajectory", trajectory) if file.suffix.lower() == ".h5md"), None)
+                self.record = record = Record(self.system.units, len(self.system), first_h5md(trajectory))
                 guard.begin_run()
                 self._observe([] if append and start % every else writers, observers)
                 checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS

@@ -56,9 +56,8 @@ class Record(Displayed):
 
     view: ClassVar[Callable[[Record], Any]]  # pages are a floor above; minimd/__init__ sets it
 
-    def __init__(self, units: UnitSystem, n_atoms: int) -> None:
-        self.units, self.n_atoms = units, n_atoms
-        self.trajectory: Path | None = None
+    def __init__(self, units: UnitSystem, n_atoms: int, trajectory: Path | None = None) -> None:
+        self.units, self.n_atoms, self.trajectory = units, n_atoms, trajectory
         self._series: dict[str, list[Any]] = {"step": [], "time": []}
 
     @classmethod

@@ -98,6 +98,11 @@ def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Pat
     return [Path(path) for path in several]
 
 
+def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
+    """The first H5MD file among the trajectories of a run, or None.  Raises TypeError as named_files."""
+    return next((file for file in named_files("trajectory", paths) if file.suffix.lower() == ".h5md"), None)
+
+
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
     """The path, if a new file with one of the suffixes can be written there; nothing is left by trying.
 

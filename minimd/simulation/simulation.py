@@ -21,7 +21,7 @@ from minimd.engine.engine_rows import simulation_rows
 from minimd.engine.observation import check_extras, extras_in, observe
 from minimd.engine.record import Frame, Record
 from minimd.files.crash_file import crash_file_left, crash_file_place
-from minimd.files.trajectory import Writer, named_files, open_trajectories
+from minimd.files.trajectory import Writer, first_h5md, open_trajectories
 from minimd.forces.forces import Potential
 from minimd.forces.options import Options, Precision
 from minimd.integrators.splitting.splitting import Splitting
@@ -194,8 +194,7 @@ class Simulation(Displayed):
                 open_trajectories(trajectory, engine, every=every, **files) as writers,
                 progress_of(end - start, "running", progress) as tell,
             ):
-                self.record = record = Record(self.system.units, len(self.system))
-                record.trajectory = next((file for file in named_files("trajectory", trajectory) if file.suffix.lower() == ".h5md"), None)
+                self.record = record = Record(self.system.units, len(self.system), first_h5md(trajectory))
                 guard.begin_run()
                 self._observe([] if append and start % every else writers, observers)
                 checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS

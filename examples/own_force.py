@@ -4,8 +4,7 @@
     floor    U = ε [2/15 (σ/z)⁹ − (σ/z)³]             F_z = ε/z [6/5 (σ/z)⁹ − 3 (σ/z)³]
     spring   U = ½ k |r − r₀|²                        F = −k (r − r₀)
 
-A potential has bind(system), which returns a term; a term has add(...), which adds forces and energies to arrays.
-The spring is plain Python, the field is compiled with numba.
+A potential has bind(system), which returns a term; its add(...) adds forces and energies. The spring is Python, the field compiled.
 """
 
 import numba

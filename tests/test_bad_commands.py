@@ -62,12 +62,13 @@ WRONG_COMMANDS = {
 }
 
 
-def only_error(capsys):
-    """What follows `minimd: error:` on standard error, where it must stand once."""
+def only_error(capsys, n_lines=1):
+    """What follows `minimd: error:` on standard error, where it must stand once; of a blow-up the cause, and what was seen."""
     err = capsys.readouterr().err
     assert "Traceback" not in err
-    (message,) = re.findall(r"^minimd: error: (.*)$", err, re.MULTILINE)
-    return message
+    messages = re.findall(r"^minimd: error: (.*)$", err, re.MULTILINE)
+    assert len(messages) == n_lines, messages
+    return " ".join(messages)
 
 
 @pytest.mark.parametrize("wrong", WRONG_COMMANDS)
@@ -79,7 +80,7 @@ def test_wrong_command_is_answered_with_one_sentence(wrong, folder, capsys):
         (folder / "bad.toml").write_text(scene)
         arguments = [arguments[0], "bad.toml", *arguments[1:]]
     assert cli.main(arguments) == code
-    message = only_error(capsys)
+    message = only_error(capsys, 2 if code == 3 else 1)
     assert [word for word in words if word not in message] == [], message
     assert not list(folder.glob("*.h5md")) or code == 3
 

@@ -43,7 +43,7 @@ CALLS = {  # that make the object again, in full
     "PairPotential(law=soft, parameters=(3,), cutoff=None, truncation='shifted')": md.PairPotential(soft, (3.0,)),
     "BondPotential(law=soft, parameters=(2.0,))": md.BondPotential(soft, (2.0,)),
     "HarmonicBond(k=3.0, length=[1.0, 1.1], pairs=[[0, 1], [1, 2]])": md.HarmonicBond(3.0, [1.0, 1.1], [(0, 1), (1, 2)]),
-    "HarmonicAngle(k=[2.0], angle=[1.0], triples=[[0, 1, 2]])": md.HarmonicAngle(2.0, 1.0, [(0, 1, 2)]),
+    "HarmonicAngle(k=2.0, angle=1.0, triples=[[0, 1, 2]])": md.HarmonicAngle(2.0, 1.0, [(0, 1, 2)]),
     "LangevinBAOAB(timestep=0.005, temperature=0.7, friction=2, seed=3)": md.LangevinBAOAB(0.005, 0.7, 2.0, seed=3),
     "VelocityVerlet(timestep=0.09822694788)": md.VelocityVerlet(md.units.fs),
     "Cell([[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 2.0]], pbc=[True, True, True])": md.Cell.of(2.0),

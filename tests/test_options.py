@@ -90,7 +90,7 @@ def test_a_calculator_passes_its_choices_on():
         dynamics = VelocityVerlet(atoms.copy(), 1.0)
         dynamics.atoms.calc = atoms.calc
         dynamics.run(1)
-        assert options_of(dynamics.guard) == Options(2, precision, 1.25)
+        assert options_of(dynamics._guard) == Options(2, precision, 1.25)
     difference = np.abs(found["double"] - found["mixed"]).max()
     assert 0.0 < difference < 1e-5 * np.abs(found["double"]).max()
 

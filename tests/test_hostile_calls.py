@@ -1,14 +1,12 @@
 """Calls that make no sense, drawn at random from a table of doors and a table of values: a sentence or a right result, and soon."""
 
-import traceback
-import warnings
 from collections import Counter
 from fractions import Fraction
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import pytest
+from answers import answer_of
 from scene_texts import REDUCED, everything_of
 
 import minimd as md
@@ -18,7 +16,6 @@ SECONDS = 2.0  # for one call; none needs a hundredth of it once the kernels are
 THREE = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0], [0.0, 1.2, 0.0]])
 ITSELF: list = []
 ITSELF.append(ITSELF)
-SENTENCES = (ValueError, TypeError, md.NonFiniteError, md.ConstraintError, FileNotFoundError, FileExistsError, PermissionError)
 
 SENSELESS = [  # what no argument of any door may mean
     *(float("nan"), [float("nan")], 1 + 2j, np.array([1j, 2, 3]), 10**400, -(10**30), np.datetime64("2020-01-01"), b"x"),
@@ -165,22 +162,7 @@ def hostile_call(rng):
 def answer_to(call, arguments, is_senseless):
     """The class of the answer: the name of the exception, or "result"; other words say what is wrong with it."""
     started = perf_counter()
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            warnings.simplefilter("error", RuntimeWarning)  # arithmetic that was not foreseen
-            call(**arguments)
-    except SENTENCES as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        if str(error).count("\n") > isinstance(error, md.NonFiniteError | md.ConstraintError) and call is not scene_with:
-            return f"more than a sentence: {error}"
-        if "minimd" not in Path(place.filename).parts or not place.line.startswith("raise"):
-            return f"not foreseen: {type(error).__name__} at {place.filename}:{place.lineno}: {error}"
-        kind = type(error).__name__
-    except Exception as error:
-        return f"wrong exception: {type(error).__name__}: {error}"
-    else:
-        kind = "accepted though senseless" if is_senseless else "result"
+    kind = answer_of(lambda: call(**arguments), is_senseless, has_several_problems=call is scene_with)
     seconds = perf_counter() - started
     return f"slow: {seconds:.1f} s" if seconds > SECONDS else kind
 

@@ -5,17 +5,14 @@ import json
 import math
 import re
 import tomllib
-import traceback
-import warnings
 from collections import Counter
 from pathlib import Path
 from time import process_time
 
 import numpy as np
 import pytest
+from answers import answer_of
 from scene_texts import scene_of
-
-import minimd as md
 
 STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 SECONDS, KILOBYTES = 2.0, 1_000_000  # for one scene, of processor time
@@ -156,30 +153,21 @@ def mutated(rng):
     return text, ", ".join(told), is_senseless
 
 
+def built_and_run(text, n_steps):
+    scene = scene_of(text)
+    scene.plot_name(scene.trajectories())
+    simulation = scene.simulation()
+    if n_steps and len(simulation.system) < 2000:
+        simulation.run(n_steps, every=1, progress=False, crash_report=False)
+        assert np.isfinite(simulation.record.total_energy).all()
+
+
 def answer_to(text, is_senseless, n_steps):
     """The class of the answer, an identifier; other words say what is wrong with it."""
     if STATUS.exists():
         CLEAR.write_text("5")  # the peak is counted anew
     started, before = process_time(), peak()
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            warnings.simplefilter("error", RuntimeWarning)  # arithmetic that was not foreseen
-            scene = scene_of(text)
-            scene.plot_name(scene.trajectories())
-            simulation = scene.simulation()
-            if n_steps and len(simulation.system) < 2000:
-                simulation.run(n_steps, every=1, progress=False, crash_report=False)
-                assert np.isfinite(simulation.record.total_energy).all()
-    except (ValueError, md.NonFiniteError, md.ConstraintError, OSError) as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        if "minimd" not in Path(place.filename).parts or not place.line.startswith("raise"):
-            return f"not foreseen: {type(error).__name__} at {place.filename}:{place.lineno}: {error}"
-        kind = type(error).__name__
-    except Exception as error:
-        return f"wrong exception: {type(error).__name__}: {error}"
-    else:
-        kind = "accepted though senseless" if is_senseless else "result"
+    kind = answer_of(lambda: built_and_run(text, n_steps), is_senseless, has_several_problems=True)
     seconds, grown = process_time() - started, peak() - before
     if grown > KILOBYTES or (seconds > SECONDS and not n_steps):  # with steps, it may compile
         return f"{seconds:.1f} s, {grown} kB more"

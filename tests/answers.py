@@ -1,0 +1,29 @@
+"""The class of the answer to a call that may make no sense."""
+
+import traceback
+import warnings
+from pathlib import Path
+
+import minimd as md
+
+SENTENCES = (ValueError, TypeError, md.NonFiniteError, md.ConstraintError, FileNotFoundError, FileExistsError, PermissionError)
+FAILED_RUNS = (md.NonFiniteError, md.ConstraintError)  # of which the cause is told, and in a second line what was seen
+
+
+def answer_of(call, is_senseless, has_several_problems=False):
+    """The name of the exception, or "result"; words that are no identifier say what is wrong with it."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", RuntimeWarning)  # arithmetic that was not foreseen
+            call()
+    except SENTENCES as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        if str(error).count("\n") > isinstance(error, FAILED_RUNS) and not has_several_problems:
+            return f"more than a sentence: {error}"
+        if "minimd" not in Path(place.filename).parts or not place.line.startswith("raise"):
+            return f"not foreseen: {type(error).__name__} at {place.filename}:{place.lineno}: {error}"
+        return type(error).__name__
+    except Exception as error:
+        return f"wrong exception: {type(error).__name__}: {error}"
+    return "accepted though senseless" if is_senseless else "result"

@@ -1,0 +1,87 @@
+"""Formats that MDAnalysis writes hold the run."""
+
+import MDAnalysis
+import numpy as np
+import pytest
+from loose_lattice import PER_PICOSECOND, TURNED_CELL, simulation, system
+
+import minimd as md
+from minimd.files import mdanalysis_writer
+
+FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]
+
+
+@pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_foreign_format_read_back_is_the_trajectory_written(tmp_path, suffix, units):
+    path, seen = tmp_path / f"a.{suffix}", []
+    sim = simulation(system(units=units))
+    sim.run(12)
+    sim.run(12, every=4, trajectory=path, observers=[lambda s: seen.append((s.time, s.positions.copy(), s.velocities.copy()))])
+    per_ps = PER_PICOSECOND if units is md.units.ASE else 1.0
+    made = MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(path))
+    assert len(made.trajectory) == 4
+    for ts, (time, positions, velocities) in zip(made.trajectory, seen, strict=True):
+        assert ts.time == pytest.approx(time / per_ps, rel=1e-6)
+        np.testing.assert_allclose(ts.dimensions, [9.0, 10.0, 11.0, 90.0, 90.0, 90.0], rtol=1e-6)
+        np.testing.assert_allclose(ts.positions, positions, rtol=2e-7, atol=1.01 * FORMATS[suffix])
+        assert ts.has_velocities == (suffix in ("trr", "ncdf"))
+        if ts.has_velocities:
+            np.testing.assert_allclose(ts.velocities, velocities * per_ps, rtol=4e-7)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("cell", [[[9.0, 0, 0], [2.0, 9.0, 0], [-1.0, 3.0, 9.0]], None], ids=["triclinic", "open"])
+def test_foreign_format_keeps_lengths_and_angles(tmp_path, suffix, cell):
+    simulation(system(cell)).run(4, every=2, trajectory=tmp_path / f"a.{suffix}")
+    dimensions = MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / f"a.{suffix}")).trajectory.ts.dimensions
+    if cell is None:
+        assert dimensions is None or not dimensions[:3].any()
+    else:
+        a, b, c = np.array(cell)
+        angles = [np.degrees(np.arccos(u @ v / np.linalg.norm(u) / np.linalg.norm(v))) for u, v in ((b, c), (a, c), (a, b))]
+        np.testing.assert_allclose(dimensions, [*np.linalg.norm(cell, axis=1), *angles], rtol=1e-5)
+
+
+def test_dcd_of_one_frame_is_whole(tmp_path):
+    simulation().run(0, trajectory=tmp_path / "a.dcd")
+    assert len(MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / "a.dcd")).trajectory) == 1
+
+
+def test_cell_that_lengths_and_angles_cannot_hold_is_told(tmp_path):
+    with pytest.warns(UserWarning, match="first vector lay along x"):
+        simulation(system(3.0 * TURNED_CELL)).run(0, trajectory=tmp_path / "a.trr")
+
+
+@pytest.mark.parametrize("suffix", ["xtc", "ncdf"])
+def test_exception_leaves_a_valid_foreign_file(tmp_path, suffix):
+    def stop(sim):
+        if sim.step == 4:
+            raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        simulation().run(20, every=2, trajectory=tmp_path / f"a.{suffix}", observers=[stop])
+    assert len(MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / f"a.{suffix}")).trajectory) == 3
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_full_disk_is_told_by_every_format(tmp_path, monkeypatch, suffix):
+    def fill(sim):
+        if sim.step == 4:
+            monkeypatch.setattr(mdanalysis_writer, "disk_usage", lambda folder: usage(folder)._replace(free=1000))
+
+    usage = mdanalysis_writer.disk_usage
+    with pytest.raises(OSError, match=rf"a\.{suffix}' could not take the frame of step 6: no room"):
+        simulation().run(20, every=2, trajectory=tmp_path / f"a.{suffix}", observers=[fill])
+    assert len(MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / f"a.{suffix}")).trajectory) == 3
+
+
+def test_failing_foreign_write_is_told_once(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError("write error")
+
+    monkeypatch.setattr(MDAnalysis.coordinates.TRR.TRRWriter, "write", full)
+    monkeypatch.setattr(MDAnalysis.coordinates.TRR.TRRWriter, "close", full)
+    with pytest.raises(OSError, match=r"a\.trr' could not take the frame of step 0: write error"):
+        simulation().run(4, every=2, trajectory=tmp_path / "a.trr")
+    monkeypatch.undo()

@@ -12,6 +12,7 @@ from minimd.diagnosis.hessian import bonded_pairs
 from minimd.potentials.bonded import BondPotential
 from minimd.potentials.law import law_at
 from minimd.potentials.laws import HarmonicLaw, LennardJonesLaw
+from minimd.potentials.lennard_jones import curvature_at_minimum
 from minimd.potentials.pair import PairPotential
 from minimd.potentials.tabulated import reads_table
 from minimd.potentials.user_laws import is_user_law
@@ -118,7 +119,7 @@ def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass:
     length, rest = None, nan  # σ or r₀, and u″ at the minimum
     if isinstance(potential, PairPotential) and isinstance(potential.plain_law, LennardJonesLaw):
         epsilon, length = numbers[-2:]
-        rest = 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * length * length)
+        rest = curvature_at_minimum(epsilon, length)
     elif isinstance(potential.law, HarmonicLaw):
         rest, length = numbers
     kind = type(potential).__name__, isinstance(potential, BondPotential), is_user_law(potential.law) or reads_table(potential.law)

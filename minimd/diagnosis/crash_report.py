@@ -13,7 +13,7 @@ from minimd.neighbors.queries import ClosestPair, closest_pair
 from minimd.structure.bond_graph import among
 from minimd.structure.checks import LARGEST
 from minimd.structure.constraints import DistanceConstraints
-from minimd.structure.observables import Array, longest, temperature
+from minimd.structure.observables import Array, kinetic_energy, longest, temperature
 from minimd.structure.system import System
 
 OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
@@ -179,7 +179,7 @@ def too_hot(evidence: Evidence) -> Verdict | None:
     speed, mean, others = np.sqrt([squares[atom], squares.mean(), (squares.sum() - squares[atom]) / n_others])
     passes = f"atom {atom} moves {speed * dt / sigma:.2g} σ in a step"
     if mean > fast and speed <= HOT_SPOT * others:
-        hot = temperature(velocities, evidence.system.masses, units.k_B, n_dof=velocities.size)
+        hot = temperature(kinetic_energy(velocities, evidence.system.masses), velocities.size, units.k_B)
         passes = f"at {hot:.3g} {units.temperature} {passes}"
     elif speed > max(fast, HOT_SPOT * others):
         passes += f", {speed / others:.2g} times as fast as the others" if others > 0.0 else ", the only one in motion"

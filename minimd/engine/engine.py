@@ -12,12 +12,14 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.state import Bath, OpenEnd, State, Surroundings
+from minimd.integrators.splitting.state import Bath, GridState, OpenEnd, State, Surroundings
+from minimd.integrators.splitting.substeps import Kick
 from minimd.neighbors.verlet_list import Built
 from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.checks import shown
 from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint
+from minimd.structure.grid import Grid
 from minimd.structure.observables import Array, kinetic_energy
 from minimd.structure.system import AnySystem, System
 
@@ -80,12 +82,36 @@ class Engine:
         held = self.system.constraints if constraints is None else constraints
         self.constraint_set = ConstraintSet(self.system, held, self.interactions.options.most_threads)
         self.system.constraints = self.constraint_set.kept
-        self._state = State(self.system.positions, self.system.velocities, self.interactions.forces, self.constraint_set.inverse_masses)
+        self._state = self._laid_out()
+        self._fit_grid()
         self._bath = Bath(k_B=self.system.units.k_B)
         self.surroundings = Surroundings(self.constraint_set.bonds, self._bath, keeps_open_end=True)
         self._left: tuple[int, ...] | None = None
         self.is_whole = True
         self._describe_bath()
+
+    def _laid_out(self) -> State:
+        """The state; in fixed-point arithmetic on a grid."""
+        interactions, options = self.interactions, self.interactions.options
+        parts = self.system.positions, self.system.velocities, interactions.forces, self.constraint_set.inverse_masses
+        if options.precision != "fixed-point":
+            return State(*parts)
+        if self.constraint_set.bonds is not None:
+            raise ValueError("precision='fixed-point' keeps no lengths: take precision='double', or harmonic bonds instead of DistanceConstraints")
+        interactions.lay_grid(options.grid or Grid.of_scene(self.system, self.method.timestep, interactions.depth()))
+        return GridState(*parts, impulses=interactions.impulses)
+
+    def _fit_grid(self) -> None:
+        """In fixed-point arithmetic, after the state was changed: larger steps of the grid if it needs them, and the state rounded to it."""
+        interactions, state = self.interactions, self._state
+        if interactions.grid is None or not isinstance(state, GridState):
+            return
+        if interactions.options.grid is None:
+            interactions.grid = interactions.grid.widened(Grid.of_scene(self.system, self.method.timestep, interactions.depth()))
+        state.grid = interactions.grid
+        state.grid.take(self.system, state.inverse_masses)
+        kick = next(substep for substep in self.method.sequence() if isinstance(substep, Kick))
+        interactions.unit = state.unit = self.method.unit(kick) * self.method.timestep
 
     def advance(self, n_steps: int, with_energy: bool = True) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many. step and time stay as they are.
@@ -97,14 +123,15 @@ class Engine:
         self._bath.step, self._bath.contact = self.step + self.noise_shift, 0
         return self.method.advance(self._state, self._compute_forces, n_steps, with_energy, self.surroundings, self.interactions.march)
 
-    def _compute_forces(self, _state: State, with_energy: bool) -> None:
-        self.interactions.compute(TOTALS if with_energy else FORCES)
+    def _compute_forces(self, state: State, with_energy: bool) -> None:
+        self.interactions.compute(TOTALS if with_energy else FORCES, state.unit)
 
     def begin(self) -> None:
         """Prepare a run from the present state: choose images of rigid bonds, project onto the constraints, mark the forces as outdated."""
         self.moved()
         self.is_whole = True
         self._describe_bath()
+        self._fit_grid()
         self.constraint_set.begin(self.system)
         self.surroundings.constraints = self.constraint_set.bonds
 
@@ -144,7 +171,7 @@ class Engine:
         end = self.surroundings.open_end
         is_aside = end is not None and end.drifts_next  # the run itself needs no forces here
         before, n_builds = self.interactions.lists_built() if is_aside else (), self.interactions.n_builds
-        self.interactions.compute(TOTALS)
+        self.interactions.compute(TOTALS, self._state.unit)
         self._state.forces_are_current = True
         if is_aside and self.interactions.n_builds != n_builds:
             self.interactions.build_lists(before)

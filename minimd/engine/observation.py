@@ -21,7 +21,8 @@ class Look:
         self.motion = (engine.velocities, engine.system.masses)
         self.path = (engine.positions, *self.motion)
         self.potential_energy = engine.interactions.potential_energy
-        self.kinetic_energy = observables.kinetic_energy(*self.motion)
+        self.grid = engine.interactions.grid
+        self.kinetic_energy = observables.kinetic_energy(*self.motion, self.grid.energy if self.grid else 0.0)
         self.total_energy = self.potential_energy + self.kinetic_energy
 
     @property
@@ -84,8 +85,8 @@ for _observable in (
     Observable("potential_energy", "energy", lambda look: look.potential_energy),
     Observable("kinetic_energy", "energy", lambda look: look.kinetic_energy),
     Observable("total_energy", "energy", lambda look: look.total_energy),
-    Observable("temperature", "temperature", lambda look: observables.temperature(*look.motion, look.system.units.k_B, look.engine.n_dof)),
-    Observable("momentum", "momentum", lambda look: observables.momentum(*look.motion)),
+    Observable("temperature", "temperature", lambda look: observables.temperature(look.kinetic_energy, look.engine.n_dof, look.system.units.k_B)),
+    Observable("momentum", "momentum", lambda look: observables.momentum(*look.motion, look.grid.momentum if look.grid else 0.0)),
     Observable("angular_momentum", "angular_momentum", lambda look: observables.angular_momentum(*look.path)),
     Observable("absolute_momentum", "momentum", lambda look: observables.absolute_momentum(*look.motion)),
     Observable("absolute_angular_momentum", "angular_momentum", lambda look: observables.absolute_angular_momentum(*look.path)),

@@ -4,28 +4,32 @@ from collections import namedtuple
 
 import numpy as np
 
+from minimd.compiled.fixed_point import MOST, is_fixed
 from minimd.compiled.kernels import by_type, scalar, shared_kernel
 from minimd.compiled.simd import bits_from_mask, load, store, total
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, stop, take, was_stopped
 from minimd.forces.cluster_loop import add_cluster_forces
-from minimd.integrators.splitting.splitting import drifted, kicked
+from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, momentum_in_steps, velocity_of
 from minimd.neighbors.cluster_list import clear, collected, gather, is_mixed, place
 from minimd.neighbors.clusters import DIMENSIONS
 
 
-class Rest(namedtuple("Rest", "")):
-    """No motion: the forces are evaluated once."""
+class Rest(namedtuple("Rest", "steps")):
+    """No motion: the forces are evaluated once.  steps : Steps of fixed-point arithmetic, or ()."""
 
 
-class Motion(namedtuple("Motion", "durations first n limit2 velocities inverse_masses own_positions own_velocities own_inverse_masses")):
+class Motion(namedtuple("Motion", "steps durations units first n limit2 velocities inverse_masses own_positions own_velocities own_inverse_masses")):
     """n kicks and drifts, each kick after an evaluation of the forces; only an evaluation if n is 0.
 
-    durations : (P, 2) of P kicks and drifts, in turn from the first [time].
+    steps : Steps of fixed-point arithmetic, or ().
+
+    durations : (P, 2) of P kicks and drifts, in turn from the first [time].  units : (P, 2), times of which they are whole multiples.
     limit2 : square of the distance that an atom may be from where it was when the list was built [length²].
     velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].
     own_positions, own_velocities, own_inverse_masses : flat, a block for each cluster: the atoms in the order of the clusters. They are read
         at the start and written back at the end. So no two threads write to the same cache line, and vectors of atoms move at a time.
+        In fixed-point arithmetic own_velocities holds momenta, in steps.
     """
 
 
@@ -39,7 +43,7 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
     sums : Sums or ForceSums.  motion : Motion or Rest.
     """
     n, n_moves, n_made = arrays.domain_start.size - 1, moves(motion), 0
-    work = np.empty(DIMENSIONS * count(arrays.clusters.lanes))
+    work, forces_of_cluster = np.empty(DIMENSIONS * count(arrays.clusters.lanes)), np.empty(DIMENSIONS * count(arrays.clusters.lanes), forces.dtype)
     phase = begin(worker, task)
     chunk = take(worker, phase, n)
     while chunk >= 0:
@@ -50,7 +54,7 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
         chunk = take(worker, phase, n)
         while chunk >= 0:
             clear(chunk, arrays)
-            _add_all(chunk, arrays, laws, sums)
+            _add_all(chunk, arrays, laws, sums, motion.steps, which_kick(motion, n_made))
             chunk = finish_and_take(worker, phase, n)
         phase = barrier(worker, phase)
         if is_mixed(arrays):
@@ -59,12 +63,12 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
                 _sum_forces(chunk, arrays)
                 chunk = finish_and_take(worker, phase, n)
             phase = barrier(worker, phase)
-        excess = _excess(arrays, forces)
+        excess, is_in_range = _excess(arrays, forces), are_in_range(arrays, motion.steps)
         chunk = take(worker, phase, n)
         while chunk >= 0:
             if n_moves == 0:
-                _scatter(chunk, arrays, excess, forces, work)
-            elif not _move(chunk, arrays, excess, motion, n_made):
+                _scatter(chunk, arrays, excess, forces, forces_of_cluster)
+            elif not (is_in_range and _move(chunk, arrays, excess, motion, n_made)):
                 stop(worker, phase)
             chunk = finish_and_take(worker, phase, n)
         moved, phase = phase, barrier(worker, phase)
@@ -87,14 +91,37 @@ def moves(motion):
 
 
 @by_type
-def _add_all(domain, arrays, laws, sums):
+def which_kick(motion, n_made):
+    """The number of the next kick in the cycle; 0 of Rest."""
+    if motion.instance_class is Rest:
+        return lambda motion, n_made: 0
+    return lambda motion, n_made: (motion.first + n_made) % motion.durations.shape[0]
+
+
+@by_type
+def are_in_range(arrays, steps):
+    """Whether all forces and momenta are in the range of fixed-point arithmetic."""
+    if not is_fixed(steps):
+        return lambda arrays, steps: True
+
+    def of_all_domains(arrays, steps):
+        answer = True
+        for d in range(arrays.memory.net.shape[0]):
+            answer &= arrays.memory.net[d, 0] == 0.0
+        return answer
+
+    return of_all_domains
+
+
+@by_type
+def _add_all(domain, arrays, laws, sums, steps, which):
     """add_cluster_forces for each law, unrolled by the compiler."""
     if len(laws) == 1:
-        return lambda domain, arrays, laws, sums: add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums)
+        return lambda domain, arrays, laws, sums, steps, which: add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums, steps, which)
 
-    def add(domain, arrays, laws, sums):
-        add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums)
-        _add_all(domain, arrays, laws[1:], sums)
+    def add(domain, arrays, laws, sums, steps, which):
+        add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums, steps, which)
+        _add_all(domain, arrays, laws[1:], sums, steps, which)
 
     return add
 
@@ -117,8 +144,23 @@ def _begin(domain, arrays, positions, motion, work):
             place(k, arrays, motion.own_positions, start)
             for slot in range(k * n_lanes, (k + 1) * n_lanes):
                 motion.own_inverse_masses[slot] = motion.inverse_masses[clusters.atom[slot]]
+            _to_momenta(k, start, n_lanes, motion, motion.steps)
 
     return begin_motion
+
+
+@by_type
+def _to_momenta(k, start, n_lanes, motion, steps):
+    """In fixed-point arithmetic: own velocities of cluster k become momenta."""
+    if not is_fixed(steps):
+        return lambda k, start, n_lanes, motion, steps: None
+
+    def to_momenta(k, start, n_lanes, motion, steps):
+        for at in range(start, start + DIMENSIONS * n_lanes):
+            inverse_mass = motion.own_inverse_masses[k * n_lanes + (at - start) % n_lanes]
+            motion.own_velocities[at] = momentum_in_steps(motion.own_velocities[at], inverse_mass, steps)
+
+    return to_momenta
 
 
 @scalar
@@ -142,7 +184,7 @@ def _sum_forces(domain, arrays):
 def _excess(arrays, forces):
     """Σ F / N (x, y, z) in mixed precision, if finite; else 0. The net force of pairs is only rounding; without it momentum is conserved."""
     net, x, y, z = arrays.memory.net, 0.0, 0.0, 0.0
-    for d in range(net.shape[0]):
+    for d in range(net.shape[0] if is_mixed(arrays) else 0):
         x, y, z = x + net[d, 0], y + net[d, 1], z + net[d, 2]
     if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
         return 0.0, 0.0, 0.0
@@ -151,7 +193,7 @@ def _excess(arrays, forces):
 
 @scalar
 def _scatter(domain, arrays, excess, forces, work):
-    """forces (N, 3) += those on the atoms of a domain, less the excess.  work : (3 n,) float64, scratch."""
+    """forces (N, 3) += those on the atoms of a domain, less the excess.  work : (3 n,) of their type, scratch."""
     clusters, n_lanes = arrays.clusters, count(arrays.clusters.lanes)
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
         for c, force in enumerate(collected(k, arrays)):
@@ -170,24 +212,67 @@ def _move(domain, arrays, excess, motion, n_made):
 
     def move(domain, arrays, excess, motion, n_made):
         clusters, lanes, n_lanes, is_valid = arrays.clusters, arrays.clusters.lanes, count(arrays.clusters.lanes), True
-        kick, drift = motion.durations[(motion.first + n_made) % motion.durations.shape[0]]
+        flows = of_cycle(motion, which_kick(motion, n_made))
         for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
             start = k * DIMENSIONS * n_lanes
             inverse_mass = load(motion.own_inverse_masses, k * n_lanes, lanes)
-            moved2 = 0.0 * inverse_mass
+            moved2 = size2 = 0.0 * inverse_mass
             for c, force in enumerate(collected(k, arrays)):
                 at = start + c * n_lanes
-                velocity = kicked(load(motion.own_velocities, at, lanes), force - excess[c], inverse_mass, kick)
-                position = drifted(load(motion.own_positions, at, lanes), velocity, drift)
+                velocity, position = load(motion.own_velocities, at, lanes), load(motion.own_positions, at, lanes)
+                velocity, position = _moved(velocity, position, force - excess[c], inverse_mass, flows, motion.steps)
                 store(motion.own_velocities, at, velocity)
                 store(motion.own_positions, at, position)
                 moved = position - load(clusters.positions, at, lanes)
                 moved2 = moved2 + moved * moved
-            is_valid &= ~bits_from_mask(moved2 <= motion.limit2) & (1 << clusters.filled[k]) - 1 == 0
+                size2 = size2 + velocity * velocity
+            filled = (1 << clusters.filled[k]) - 1
+            is_valid &= ~bits_from_mask(moved2 <= motion.limit2) & filled == 0
+            is_valid &= _watch_momenta(domain, arrays, size2, filled, motion.steps)
             place(k, arrays, motion.own_positions, start)
         return is_valid
 
     return move
+
+
+@scalar
+def of_cycle(motion, k):
+    """Durations of kick and drift k of the cycle [time], how many units they have, and the unit of the drift [time]."""
+    kick, drift, unit = motion.durations[k, 0], motion.durations[k, 1], motion.units[k, 1]
+    return kick, drift, np.rint(kick / motion.units[k, 0]), np.rint(drift / unit), unit
+
+
+@by_type
+def _moved(velocity, position, force, inverse_mass, flows, steps):
+    """Velocity and position after a kick and a drift.  flows : see of_cycle. In fixed-point arithmetic momentum, and force is an impulse."""
+    if not is_fixed(steps):
+
+        def moved(velocity, position, force, inverse_mass, flows, steps):
+            velocity = kicked(velocity, force, inverse_mass, flows[0])
+            return velocity, drifted(position, velocity, flows[1])
+
+        return moved
+
+    def moved_on_grid(velocity, position, force, inverse_mass, flows, steps):
+        momentum = kicked_on_grid(velocity, force, inverse_mass, flows[2])
+        return momentum, drifted_on_grid(position, momentum, inverse_mass, flows[4], flows[3], steps)
+
+    return moved_on_grid
+
+
+@by_type
+def _watch_momenta(domain, arrays, size2, filled, steps):
+    """Whether the momenta of a cluster are in range, in fixed-point arithmetic.  size2 : sum of squares."""
+    if not is_fixed(steps):
+        return lambda domain, arrays, size2, filled, steps: True
+
+    def watch(domain, arrays, size2, filled, steps):
+        are_in_range = ~bits_from_mask(size2 <= MOST * MOST) & filled == 0
+        if not are_in_range:
+            arrays.memory.net[domain, 1] = 1.0
+        return are_in_range
+
+    return watch
 
 
 @by_type
@@ -203,6 +288,15 @@ def _end(domain, arrays, positions, motion):
                 i = clusters.atom[k * n_lanes + lane]
                 for c in range(3):
                     place = (k * DIMENSIONS + c) * n_lanes + lane
-                    positions[i, c], motion.velocities[i, c] = motion.own_positions[place], motion.own_velocities[place]
+                    positions[i, c] = motion.own_positions[place]
+                    motion.velocities[i, c] = _velocity(motion.own_velocities[place], motion.own_inverse_masses[k * n_lanes + lane], motion.steps)
 
     return end
+
+
+@by_type
+def _velocity(velocity, inverse_mass, steps):
+    """A velocity; in fixed-point arithmetic of a momentum in steps."""
+    if is_fixed(steps):
+        return lambda velocity, inverse_mass, steps: velocity_of(velocity, inverse_mass, steps)
+    return lambda velocity, inverse_mass, steps: velocity

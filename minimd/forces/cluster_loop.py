@@ -11,8 +11,9 @@ import numpy as np
 from numba import types
 from numba.core.errors import NumbaError
 
+from minimd.compiled.fixed_point import is_fixed, on_grid, whole_product
 from minimd.compiled.kernels import by_type, kernel, scalar, without_cache
-from minimd.compiled.simd import broadcast, convert, fma, load, select, store, total
+from minimd.compiled.simd import bits_from_mask, broadcast, convert, fma, load, select, store, total
 from minimd.compiled.simd.lanes import DOUBLE, count, lanes_for
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import DIMENSIONS
@@ -52,7 +53,7 @@ def _loaded(columns, start, lanes):
 class Sums(namedtuple("Sums", "forces energies virials lane_sums detail")):
     """The accumulators of the loop.
 
-    forces : flat, a block for each ghost, of the type of the pair arithmetic [energy/length].
+    forces : flat, a block for each ghost, of the type of the pair arithmetic [energy/length]; in fixed-point arithmetic int64 impulses.
     energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows with PER_ATOM, else (C,) and (C, 6) of their clusters.
     lane_sums : flat, LANE_SUMS · n numbers for each ghost: energies and virials of the lanes; empty unless PER_ATOM.
     detail : TOTALS or PER_ATOM, see term.
@@ -83,13 +84,14 @@ def looks_ahead(vector):
 
 
 @scalar
-def add_cluster_forces(domain, arrays, law, parameters, sums):
+def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
     """Forces between the atoms of a domain and the clusters of their rows.
 
         r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= Σ f r_ij,   W += f r_ij ⊗ r_ij
 
     arrays : ClusterArrays.  law : law type.  parameters : SameForAll or ByLane.
     sums : with TOTALS each pair is added to the cluster of its atom i, with PER_ATOM half of it to each atom.
+    steps : () or, in fixed-point arithmetic, Steps.  which : of its kicks.
     Indices in the inner loop are unsigned: the compiler need not check for those that count from the end.
     """
     rows, homes, coordinates = arrays.rows, arrays.ghosts.home, arrays.memory.coordinates
@@ -104,7 +106,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums):
         after = rows.entries[np.uintp(rows.start[slot])]
         ahead = separations(arrays.memory, after, at, lanes)
         fx = fy = fz = nothing
-        energy = xx = yy = zz = yz = xz = xy = zero
+        energy = xx = yy = zz = yz = xz = xy = size2 = zero
         for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])):
             if looks_ahead(nothing):
                 now, (dx, dy, dz, r2), after = after, ahead, rows.entries[entry + np.uintp(1)]
@@ -117,22 +119,25 @@ def add_cluster_forces(domain, arrays, law, parameters, sums):
             near = r2 < numbers[0]
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
-            fx, fy, fz = fma(f, dx, fx), fma(f, dy, fy), fma(f, dz, fz)
-            push(sums.forces, ghost, f, (dx, dy, dz))
+            g = as_impulse(f, steps, which)
+            size2 = summed_squares(g, size2, steps)
+            fx, fy, fz = plus_product(g, dx, fx), plus_product(g, dy, fy), plus_product(g, dz, fz)
+            push(sums.forces, ghost, g, (dx, dy, dz))
             if with_energy(sums):
                 u, f = convert(select(near, u, 0.0), 0.0), convert(f, 0.0)
                 dx, dy, dz = convert(dx, 0.0), convert(dy, 0.0), convert(dz, 0.0)
-                gx, gy, gz = f * dx, f * dy, f * dz
+                gx, gy, gz, u = f * dx, f * dy, f * dz, in_steps(u, steps)
                 energy = energy + u
-                xx, yy, zz = fma(gx, dx, xx), fma(gy, dy, yy), fma(gz, dz, zz)
-                yz, xz, xy = fma(gy, dz, yz), fma(gx, dz, xz), fma(gx, dy, xy)
+                xx, yy, zz = plus_virial(gx, dx, xx, steps), plus_virial(gy, dy, yy, steps), plus_virial(gz, dz, zz, steps)
+                yz, xz, xy = plus_virial(gy, dz, yz, steps), plus_virial(gx, dz, xz, steps), plus_virial(gx, dy, xy, steps)
                 if sums.detail == PER_ATOM:
                     for c, w in enumerate((u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
                         at_c = (np.intp(ghost) * LANE_SUMS + c) * n_lanes
-                        store(sums.lane_sums, at_c, load(sums.lane_sums, at_c, lanes) + 0.5 * w)
+                        store(sums.lane_sums, at_c, load(sums.lane_sums, at_c, lanes) + 0.5 * in_steps(w, steps))
         sums.forces[place] -= total(fx)
         sums.forces[place + n_lanes] -= total(fy)
         sums.forces[place + 2 * n_lanes] -= total(fz)
+        watch(domain, arrays, size2, steps)
         if with_energy(sums):
             k = slot if sums.detail == PER_ATOM else slot // n_lanes
             sums.energies[k] += own_share * total(energy)
@@ -164,6 +169,52 @@ def separation(coordinates, place, x, unit, lanes):
     return lambda coordinates, place, x, unit, lanes: convert(load(coordinates, place, lanes) - x, np.float32(0.0)) * unit
 
 
+@by_type
+def as_impulse(f, steps, which):
+    """f = −u′/r [energy/length²]; in fixed-point arithmetic in steps of momentum [1/length]."""
+    if is_fixed(steps):
+        return lambda f, steps, which: f * steps.per_force[which]
+    return lambda f, steps, which: f
+
+
+@by_type
+def plus_product(f, x, to):
+    """to + f x, lane by lane; where it is of int64, with the product rounded to a whole number."""
+    return (lambda f, x, to: fma(f, x, to)) if to.is_float else lambda f, x, to: to + whole_product(f, x)
+
+
+@by_type
+def in_steps(u, steps):
+    """An energy; in fixed-point arithmetic rounded to a multiple of its step."""
+    return (lambda u, steps: on_grid(u, steps.energy)) if is_fixed(steps) else lambda u, steps: u
+
+
+@by_type
+def plus_virial(g, x, to, steps):
+    """to + g x, a component of the virial [energy]."""
+    return (lambda g, x, to, steps: to + on_grid(g * x, steps.energy)) if is_fixed(steps) else lambda g, x, to, steps: fma(g, x, to)
+
+
+@by_type
+def summed_squares(f, to, steps):
+    """to + f², lane by lane, where forces are watched: in fixed-point arithmetic."""
+    return (lambda f, to, steps: fma(f, f, to)) if is_fixed(steps) else lambda f, to, steps: to
+
+
+@by_type
+def watch(domain, arrays, size2, steps):
+    """Tell if one of the forces on an atom is too large for fixed-point arithmetic, or no number.  size2 : sum of their squares."""
+    if not is_fixed(steps):
+        return lambda domain, arrays, size2, steps: None
+    all_lanes = (1 << size2.lanes) - 1
+
+    def watch_lanes(domain, arrays, size2, steps):
+        if bits_from_mask(size2 <= steps.limit2) != all_lanes:
+            arrays.memory.net[domain, 0] = 1.0
+
+    return watch_lanes
+
+
 @scalar
 def push(forces, ghost, f, separation):
     """F_j += f r_ij on the lanes of a ghost.  separation : (dx, dy, dz) of r_ij."""
@@ -171,9 +222,9 @@ def push(forces, ghost, f, separation):
     n_lanes = np.uintp(count(f))
     x = ghost * np.uintp(DIMENSIONS) * n_lanes
     y, z = x + n_lanes, x + n_lanes + n_lanes
-    store(forces, x, fma(f, dx, load(forces, x, f)))
-    store(forces, y, fma(f, dy, load(forces, y, f)))
-    store(forces, z, fma(f, dz, load(forces, z, f)))
+    store(forces, x, plus_product(f, dx, load(forces, x, f)))
+    store(forces, y, plus_product(f, dy, load(forces, y, f)))
+    store(forces, z, plus_product(f, dz, load(forces, z, f)))
 
 
 @kernel

@@ -1,33 +1,37 @@
 """Pair laws on the cluster list: eight pairs at a time, on a pool of threads."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiled.fixed_point import MOST, GridSums
 from minimd.compiled.kernels import DirectCalls, kernel, without_cache
 from minimd.compiled.simd.lanes import DOUBLE, MIXED
 from minimd.compiled.threads import thread_pool
 from minimd.forces.cluster_kernel import Motion, Rest, evaluate_clusters
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums
-from minimd.forces.options import Options
+from minimd.forces.options import Options, described
 from minimd.forces.pair_laws import PairLaws, skin_for, widest_skin
-from minimd.integrators.splitting.state import State
+from minimd.integrators.splitting.state import GridState, State, steps_of
 from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.pair_loop import SameForAll
-from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
+from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm
 from minimd.potentials.user_laws import is_recognized
+from minimd.structure.errors import RangeError
+from minimd.structure.grid import TOO_LARGE
 from minimd.structure.system import System
 
 NOTHING = np.zeros((0, 3))
-AT_REST = Motion(np.zeros((1, 2)), 0, 0, 0.0, NOTHING, *(np.zeros(0) for _ in range(4)))  # a Motion: one compiled kernel for both
+AT_REST = Motion((), np.zeros((1, 2)), np.ones((1, 2)), 0, 0, 0.0, NOTHING, *(np.zeros(0) for _ in range(4)))  # one compiled kernel for both
 MOST_MOVED = 4_000_000  # atoms in a call, half a second
 
 
-class ClusterTerm(Term):
+class ClusterTerm(OwnTerm):
     """Laws on all pairs within their cutoffs, eight at a time, found with one cluster list."""
 
     list: ClusterList
@@ -35,11 +39,11 @@ class ClusterTerm(Term):
 
     def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
         self._pool = thread_pool(max(1, min(options.most_threads, len(system) // domains.ATOMS_PER_DOMAIN)))
-        self._is_mixed = options.precision == "mixed"
+        self._is_mixed, self._precision = options.precision == "mixed", described(options.precision)
         if self._is_mixed:
             laws.check_single_precision()
         skin = skin_for(system, laws, options, displacement)
-        self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, self._is_mixed, self._pool)
+        self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, options.precision, self._pool)
         self._pair_laws, self.widest_skin = laws, widest_skin(system, laws)
         are_recognized = all(is_recognized(one.law) for one in laws.members)
         self._evaluate = evaluate_clusters if are_recognized else without_cache(evaluate_clusters)
@@ -48,33 +52,58 @@ class ClusterTerm(Term):
         self._memory = Buffers()
         self._own: tuple[NDArray, ...] = ()
 
-    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
-        """See Term."""
+    def add_to(self, system: System, detail: int, sums: Any) -> None:
+        """See OwnTerm."""
         self._update(system)
-        sums = self._force_sums if detail == FORCES else self._sums(detail)
-        arguments = (system.positions, self.list.arrays, self._laws, sums, forces, AT_REST if detail == FORCES else Rest())
+        own = self._force_sums if detail == FORCES else self._sums(detail)
+        steps = self._steps(sums.steps) if isinstance(sums, GridSums) else ()
+        arguments = (system.positions, self.list.arrays, self._laws, own, sums[0], AT_REST._replace(steps=steps) if detail == FORCES else Rest(steps))
         self._pool.run(self._evaluate, *arguments, calls=self._calls[detail])
         if detail == TOTALS:
-            energies[0] += sums.energies.sum()
-            virials[0] += sums.virials.sum(axis=0)
+            sums[1][0] += own.energies.sum()
+            sums[2][0] += own.virials.sum(axis=0)
         elif detail == PER_ATOM:
-            self._add_each(sums, energies, virials)
+            self._add_each(own, sums[1], sums[2])
+        if isinstance(sums, GridSums) and not self._is_in_range():
+            sums.faults[0] = 1
 
-    def prepare(self, system: System, forces: NDArray) -> None:
+    def _steps(self, steps: Any) -> Any:
+        """With the limit of forces divided by distances: all distances are below the cutoff. () without a grid."""
+        return steps._replace(limit2=(MOST / self._pair_laws.cutoff) ** 2) if steps else ()
+
+    def _is_in_range(self) -> bool:
+        """Whether the kernel found no force and no momentum beyond its range since the last question."""
+        was_in_range = not self.list.memory.net.any()
+        self.list.memory.net[:] = 0.0
+        return was_in_range
+
+    def _check(self, state: GridState) -> None:
+        """Raise RangeError if something has left its range."""
+        if not self._is_in_range():
+            state.grid.check_momenta(state.velocities, state.inverse_masses)
+            raise RangeError(TOO_LARGE)
+        state.grid.check_positions(state.positions)
+
+    def prepare(self, system: System, forces: NDArray, steps: Any = ()) -> None:
         """See Term."""
-        arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, forces, AT_REST)
+        motion = AT_REST._replace(steps=self._steps(steps))
+        arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion)
         self._pool.compile(self._evaluate, *arguments, calls=self._calls[FORCES])
 
     def march(self, system: System, state: State, durations: NDArray, n: int) -> int:
         """See Term. Between two list builds all threads stay in one kernel; only so many atoms move in a call that Ctrl-C is answered soon."""
         n_cycles = min(n, max(1, MOST_MOVED // (state.velocities.shape[0] * len(durations))))
         n_pairs, made, state.forces_are_current = n_cycles * len(durations), 0, False
+        lasting, units = np.ascontiguousarray(durations[:, :, 0]), np.ascontiguousarray(durations[:, :, 1])
+        forces, steps = (state.impulses, self._steps(steps_of(state.grid, units[:, 0]))) if isinstance(state, GridState) else (state.forces, ())
         while made < n_pairs:
             self._update(system)
             self._own = self._own or self._own_arrays()
-            motion = Motion(durations, made, n_pairs - made, self.list.limit2, state.velocities, state.inverse_masses, *self._own)
-            arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, state.forces, motion)
+            motion = Motion(steps, lasting, units, made, n_pairs - made, self.list.limit2, state.velocities, state.inverse_masses, *self._own)
+            arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion)
             made += self._pool.run(self._evaluate, *arguments, calls=self._calls[FORCES])
+            if isinstance(state, GridState):
+                self._check(state)
         return n_cycles
 
     def _update(self, system: System) -> None:
@@ -119,7 +148,7 @@ class ClusterTerm(Term):
         n = min(self._pool.n_threads, self.list.n_domains) if self.list.n_builds else self._pool.n_threads
         threads = f"{n} thread{'s' if n > 1 else ''}"
         vectors = f"vectors of {self.list.lanes.size} × {MIXED if self._is_mixed else DOUBLE} bits"
-        return f"cluster list (skin {self.list.skin:.3g}, {threads}, {'mixed' if self._is_mixed else 'double'} precision) on {vectors}"
+        return f"cluster list (skin {self.list.skin:.3g}, {threads}, {self._precision}) on {vectors}"
 
     def skipped(self) -> Iterable[str]:
         """See Term."""

@@ -12,12 +12,13 @@ import numpy as np
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
+from minimd.compiled.fixed_point import GridSums
 from minimd.compiled.kernels import announce_compilation
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
-from minimd.forces.pair_laws import PairLaws
+from minimd.forces.pair_laws import PairLaws, deepest
 from minimd.forces.pair_list_term import PairListTerm
-from minimd.integrators.splitting.state import State
+from minimd.integrators.splitting.state import State, steps_of
 from minimd.neighbors.queries import closest_pair
 from minimd.neighbors.verlet_list import Built, VerletList
 from minimd.potentials.laws import Scaled
@@ -25,7 +26,8 @@ from minimd.potentials.pair_loop import FixedPairs
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, as_potentials, bound
 from minimd.structure.console import outside_minimd
 from minimd.structure.display import Displayed, Rows
-from minimd.structure.errors import NonFiniteError
+from minimd.structure.errors import NonFiniteError, RangeError
+from minimd.structure.grid import TOO_LARGE, Grid
 from minimd.structure.observables import longest
 from minimd.structure.system import System, check_resolution
 
@@ -51,6 +53,8 @@ class Forces:
     forces : (N, 3) [energy/length], of the last compute.  terms : those that compute adds up.
     displacement : of the fastest atom in a step, for which skins were chosen [length]; 0 if unknown.
     n_evaluations : calls of compute since the last reset_counts.
+    grid : of fixed-point arithmetic, see lay_grid; None in float64.  impulses : (N, 3) int64 in its steps of momentum, of the last compute.
+    unit : of time, over which they are computed if compute is given no other [time].
 
     Raises
     ------
@@ -63,6 +67,7 @@ class Forces:
         self.potentials = as_potentials(potentials)
         self.terms: list[Term] = []
         self.n_evaluations, self._builds_before, self.displacement = 0, 0, 0.0
+        self.grid: Grid | None = None
         self._bind()
         self.check_resolution()
         for term in self._bound:
@@ -73,6 +78,7 @@ class Forces:
             warnings.warn(f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used: {why}", stacklevel=outside_minimd())
         self.forces = np.zeros_like(system.positions)
         self._energies, self._virials, self._detail = np.zeros(0), np.zeros((0, 6)), FORCES
+        self.impulses, self.unit = np.zeros((0, 3), dtype=np.int64), 1.0
 
     def _bind(self) -> None:
         """Bind the potentials to the system, as it is in its present cell, and plan the terms."""
@@ -80,10 +86,29 @@ class Forces:
 
     def _plan(self, terms_bound: list[Term], skins: Sequence[float] = ()) -> None:
         """Choose lists, and skins unless they are given; both depend on the cell and on how fast the atoms move."""
-        terms = plan(terms_bound, self.system, self.options, self.displacement, skins)
+        options = replace(self.options, precision="double", grid=None) if self._is_in_double() else self.options
+        terms = plan(terms_bound, self.system, options, self.displacement, skins)
         self._builds_before += _n_builds(self.terms) - _n_builds(terms)
         self.terms, self._bound, self._planned_for = terms, terms_bound, self.system.cell
         self._compiled: set[int] = set()  # details that the terms have been computed with
+
+    def _is_in_double(self) -> bool:
+        """Whether arithmetic is float64 although fixed-point was asked for: without a grid, as where nothing moves by a splitting."""
+        return self.grid is None and self.options.precision == "fixed-point"
+
+    def lay_grid(self, grid: Grid) -> None:
+        """Compute impulses on a grid from now on.  Raises ValueError for a term that cannot."""
+        self.grid, self.impulses = grid, np.zeros(self.forces.shape, dtype=np.int64)
+        self._plan(self._bound)
+        for term in self.terms:
+            if not term.fits_grid:
+                kinds = "laws u(r) of pairs and bonds, and angles"
+                raise ValueError(f"precision='fixed-point' is for {kinds}; {type(term).__name__} cannot round its forces: take precision='double'")
+
+    def depth(self) -> float:
+        """Of the deepest well of a pair law [energy], at distances from a tenth of the cutoff to the cutoff."""
+        laws = [term.pair_law for term in self._bound if term.pair_law is not None]
+        return max((deepest(law) for law in laws), default=0.0)
 
     def check_resolution(self) -> None:
         """Raise ValueError if atoms are so far from the origin that their separations are lost in rounding."""
@@ -127,31 +152,48 @@ class Forces:
     def counts(self, counts: tuple[int, int]) -> None:
         self.n_evaluations, self._builds_before = counts[0], self._builds_before + counts[1] - self.n_builds
 
-    def compute(self, detail: int = FORCES) -> NDArray[np.float64]:
+    def compute(self, detail: int = FORCES, unit: float | None = None) -> NDArray[np.float64]:
         """Evaluate the forces at system.positions and return them; TOTALS and PER_ATOM also evaluate energy and virial.
+
+        unit : over which impulses are computed on a grid [time].
 
         Raises
         ------
-        NonFiniteError : if a position is not finite.  ValueError : as Forces, if the cell has changed and no longer fits.
+        NonFiniteError : if a position is not finite.  RangeError : if an impulse leaves the range of a grid.
+        ValueError : as Forces, if the cell has changed and no longer fits.
         """
         if not self.system.cell.same_as(self._planned_for):
             self._bind()
-        self.forces[:] = 0.0
         if detail != FORCES:
             self._clear_accumulators(detail)
         with KNOWN if detail in self._compiled else self._compiling(detail):
-            for term in self.terms:
-                term.add(self.system, detail, self.forces, self._energies, self._virials)
+            if self.grid is None:
+                self.forces[:] = 0.0
+                for term in self.terms:
+                    term.add(self.system, detail, self.forces, self._energies, self._virials)
+            else:
+                self._add_on_grid(self.grid, detail, self.unit if unit is None else unit)
         self.n_evaluations += 1
         self._detail = detail
         return self.forces
+
+    def _add_on_grid(self, grid: Grid, detail: int, unit: float) -> None:
+        """Impulses over a unit of time, and the forces that they are of."""
+        sums = GridSums(self.impulses, self._energies, self._virials, steps_of(grid, (unit,)), np.zeros(1, dtype=np.int64))
+        self.impulses[:] = 0
+        for term in self.terms:
+            term.add_on_grid(self.system, detail, sums)
+        if sums.faults[0]:
+            raise RangeError(TOO_LARGE)
+        np.multiply(self.impulses, grid.momentum / unit, out=self.forces)
 
     def prepare(self) -> None:
         """Compile all that steps need, before the first of them.  Raises as compute."""
         if FORCES not in self._compiled and self.system.cell.same_as(self._planned_for):
             with self._compiling(FORCES):
+                steps = () if self.grid is None else steps_of(self.grid, (self.unit,))
                 for term in self.terms:
-                    term.prepare(self.system, self.forces)
+                    term.prepare(self.system, self.forces if self.grid is None else self.impulses, steps)
 
     def march(self, state: State, durations: NDArray[np.float64], n: int) -> int:
         """See March in integrators.splitting; for scenes with one term that can.  Raises as compute."""

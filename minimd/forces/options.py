@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from minimd.compiled.machine import available_cores
-from minimd.structure.checks import checked_choice, checked_count, checked_number
+from minimd.structure.checks import checked_choice, checked_count, checked_number, shown
+from minimd.structure.grid import Grid
 
-Precision = Literal["double", "mixed"]
+Precision = Literal["double", "mixed", "fixed-point"]
 
 
 @dataclass(frozen=True)
@@ -16,17 +17,24 @@ class Options:
     threads : maximum number; all cores of the process if not given. The result has the same bits for any number.
     precision : "double": all arithmetic in float64. "mixed": pairs of cluster lists, and the sums of their forces
         within a domain, in float32; positions, velocities, energies, virials and the sums over ghosts in float64.
+        "fixed-point": positions, momenta and the impulse of each pair are whole multiples of the steps of a grid, so that all sums are exact.
     skin : of the lists of neighbors [length]; chosen by neighbors.verlet_list.best_skin if not given.
+    grid : of fixed-point arithmetic; chosen by Grid.of_scene if not given.
 
-    Raises ValueError for a number of threads below one, another precision, a skin that is negative or not finite.
+    Raises ValueError for a number of threads below one, another precision, a skin that is negative or not finite, a grid without fixed-point.
     """
 
     threads: int | None = None
     precision: Precision = "double"
     skin: float | None = None
+    grid: Grid | None = None
 
     def __post_init__(self) -> None:
         checked_choice("precision", self.precision, get_args(Precision))
+        if self.grid is not None and not isinstance(self.grid, Grid):
+            raise TypeError(f"grid must be a minimd.Grid; grid = {shown(self.grid)}")
+        if self.grid is not None and self.precision != "fixed-point":
+            raise ValueError(f"a grid is for precision='fixed-point'; precision = {self.precision!r}")
         if self.threads is not None:
             object.__setattr__(self, "threads", checked_count("threads", self.threads))
         if self.skin is not None:
@@ -36,3 +44,8 @@ class Options:
     def most_threads(self) -> int:
         """The number of threads given, or that of all cores."""
         return self.threads or available_cores()
+
+
+def described(precision: Precision) -> str:
+    """A precision in words."""
+    return "fixed-point arithmetic" if precision == "fixed-point" else f"{precision} precision"

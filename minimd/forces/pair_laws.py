@@ -17,6 +17,7 @@ CLUSTERS_FROM = 64  # atoms: below, the pair list is as fast
 ROUNDED_DOWN = 1.0 - 1e-9
 SINGLE = (1e-34, 1e30)  # float32 ends at 1e-38 and 3e38; the products in a law need room beside their results
 TRIED_AT = (0.3, 0.5, 0.7, 0.9)  # of the cutoff
+SOUGHT_AT = np.geomspace(0.2, 1.0, 60).tolist()  # of the cutoff, for the deepest well
 
 
 class PairLaws:
@@ -56,6 +57,13 @@ class PairLaws:
                     room = f"precision='mixed' has room for squared distances, energies and forces from {SINGLE[0]:g} to {SINGLE[1]:g}"
                     found = f"those of {one.name} go from {min(sizes):.1e} to {max(sizes):.1e}"
                     raise ValueError(f"{room}; {found}: take other units, or precision='double'")
+
+
+def deepest(one: PairLaw) -> float:
+    """The depth of the deepest well of a law, for any pair of species, at some distances below the cutoff [energy]."""
+    rows = one.table.reshape(-1, one.table.shape[-1]).tolist()
+    energies = [law_at(one.law, x * cutoff2**0.5, tuple(numbers))[0] for cutoff2, *numbers in rows for x in SOUGHT_AT if cutoff2 < np.inf]
+    return max((-u for u in energies if isfinite(u)), default=0.0)
 
 
 def skin_for(system: System, laws: PairLaws, options: Options, displacement: float) -> float:

@@ -28,7 +28,8 @@ class Memory(namedtuple("Memory", "coordinates shift origin unit forces far net"
     coordinates, forces : flat, a block for each ghost.
     shift : (M, 3) of each ghost, as the coordinates.  origin : (3,) [length] and unit [length]: coordinate = (x − origin) / unit.
     far : flat, n numbers for each set of lanes: 0 for lanes in it, ∞ for others, which are then infinitely far [length²].
-    net : (K, 3) sum of the forces on the atoms of each domain [energy/length], in mixed precision only.
+    net : (K, 3); in mixed precision the sum of the forces on the atoms of each domain [energy/length]; in fixed-point arithmetic not zero where
+        a force (first column) or a momentum (second) of the domain has left its range.
     """
 
 
@@ -42,22 +43,22 @@ class ClusterList(VerletList):
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
     cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.
-    is_mixed : whether the pair arithmetic is float32.  pool : the threads that build it.
+    precision : see Options.  pool : the threads that build it.
     lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.
     arrays : what the loop needs of them.  n_domains : number of chunks of a task.
     """
 
-    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_mixed: bool, pool: ThreadPool) -> None:
+    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool) -> None:
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
-        self._n_atoms, self._pool, self._is_mixed = n_atoms, pool, is_mixed
+        self._n_atoms, self._pool, self._is_mixed, self._is_fixed = n_atoms, pool, precision == "mixed", precision == "fixed-point"
         self._columns_of: Cell | None = None
         self._calls = DirectCalls()
-        self.lanes = lanes_for(MIXED if is_mixed else DOUBLE)
+        self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
         self._memory = Buffers()
         sets = far(self.lanes.size)
-        self._far = self._memory.array("far", np.float32 if is_mixed else np.float64, len(sets))
+        self._far = self._memory.array("far", np.float32 if self._is_mixed else np.float64, len(sets))
         self._far[:] = sets
 
     def _has_moved(self, positions: NDArray[np.float64]) -> bool:
@@ -110,10 +111,10 @@ class ClusterList(VerletList):
         self._entry_start, self._entries = start, np.empty(start[-1], dtype=np.uint32)
 
     def _make_memory(self, exact: NDArray[np.float64]) -> Memory:
-        ghosts, number = self.ghosts, np.float32 if self._is_mixed else np.float64
+        ghosts, number = self.ghosts, np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64
         (forces,) = self._memory.carve("scratch", (number, (len(exact),)), in_page=HALF_A_PAGE)  # sorting is over
         if not self._is_mixed:
-            return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces, self._far, np.zeros((0, 3)))
+            return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces, self._far, np.zeros((self.n_domains if self._is_fixed else 0, 3)))
         shift, origin = self._memory.array("grid shift", np.int32, len(ghosts.owner), 3), np.empty(3)
         unit = self._calls(lay_grid, ghosts, self.cutoff + self.skin, self.skin, origin, shift)
         if unit > COARSEST * self.cutoff:
@@ -215,17 +216,23 @@ def clear(domain, arrays):
 
 @scalar
 def collected(k, arrays):
-    """The forces on the atoms of cluster k, sums of those on all its ghosts: vectors x, y, z in double precision."""
+    """The forces on the atoms of cluster k, sums of those on all its ghosts: vectors x, y, z in double precision, or of int64."""
     return _collected(k, 0, arrays), _collected(k, 1, arrays), _collected(k, 2, arrays)
 
 
 @scalar
 def _collected(k, c, arrays):
     ghosts, forces, lanes = arrays.ghosts, arrays.memory.forces, arrays.clusters.lanes
-    force = convert(load(forces, (ghosts.of[ghosts.start[k]] * DIMENSIONS + c) * count(lanes), lanes), 0.0)
+    force = in_full(load(forces, (ghosts.of[ghosts.start[k]] * DIMENSIONS + c) * count(lanes), lanes))
     for p in range(ghosts.start[k] + 1, ghosts.start[k + 1]):
-        force = force + convert(load(forces, (ghosts.of[p] * DIMENSIONS + c) * count(lanes), lanes), 0.0)
+        force = force + in_full(load(forces, (ghosts.of[p] * DIMENSIONS + c) * count(lanes), lanes))
     return force
+
+
+@by_type
+def in_full(force):
+    """A vector of forces in double precision; whole numbers as they are."""
+    return (lambda force: convert(force, 0.0)) if force.is_float else lambda force: force
 
 
 @by_type

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.kernels import kernel
-from minimd.potentials.term import FORCES, PER_ATOM, NoTerm, OwnPotential, Term, no_bonds
+from minimd.potentials.accumulators import force_along, in_steps, watch
+from minimd.potentials.term import FORCES, PER_ATOM, NoTerm, OwnPotential, OwnTerm, Term, no_bonds
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.checks import checked_numbers, shown
@@ -74,11 +75,11 @@ def add_angle_forces(positions, angles, detail, sums):
 
         F_i = s (b/(|a||b|) − cos θ a/|a|²),   F_k = s (a/(|a||b|) − cos θ b/|b|²),   F_j = −F_i − F_k,   s = u′(θ)/sin θ
 
-    positions : (N, 3) [length].  angles : Angles.  detail : see Term.add.  sums : its accumulators forces, energies and virials.
+    positions : (N, 3) [length].  angles : Angles.  detail : see Term.add.  sums : its accumulators forces, energies and virials; or GridSums.
     The virial a ⊗ F_i + b ⊗ F_k is symmetric because angles feel no torque. TOTALS adds an angle to its middle atom, PER_ATOM a third of it
     to each atom.
     """
-    forces, energies, virials = sums
+    forces, energies, virials = sums[0], sums[1], sums[2]
     for t in range(angles.middle.size):
         i, j, l = angles.first[t], angles.middle[t], angles.last[t]
         a, b = np.empty(3), np.empty(3)
@@ -91,26 +92,30 @@ def add_angle_forces(positions, angles, detail, sums):
         stretch = np.arccos(cosine) - angles.angle[t]
         slope = angles.k[t] * stretch
         s = slope / max(STRAIGHT, (1.0 - cosine * cosine) ** 0.5)
+        size2 = 0.0
         for c in range(3):
             force_i, force_l = s * (b[c] / ab - cosine * a[c] / a2), s * (a[c] / ab - cosine * b[c] / b2)
-            forces[i, c] += force_i
-            forces[l, c] += force_l
-            forces[j, c] -= force_i + force_l
+            on_i, on_l = force_along(force_i, 1.0, sums), force_along(force_l, 1.0, sums)
+            forces[i, c] += on_i
+            forces[l, c] += on_l
+            forces[j, c] -= on_i + on_l
+            size2 += force_i * force_i + force_l * force_l
             for d in range(c, 3 if detail != FORCES else c):
                 w, component = a[d] * force_i + b[d] * force_l, c if c == d else 6 - c - d
                 if detail == PER_ATOM:
                     for atom in (i, j, l):
-                        virials[atom, component] += w / 3.0
+                        virials[atom, component] += in_steps(w / 3.0, sums)
                 else:
-                    virials[j, component] += w
+                    virials[j, component] += in_steps(w, sums)
+        watch(size2, sums)
         if detail == PER_ATOM:
             for atom in (i, j, l):
-                energies[atom] += 0.5 * slope * stretch / 3.0
+                energies[atom] += in_steps(0.5 * slope * stretch / 3.0, sums)
         elif detail != FORCES:
-            energies[j] += 0.5 * slope * stretch
+            energies[j] += in_steps(0.5 * slope * stretch, sums)
 
 
-class AngleTerm(Term):
+class AngleTerm(OwnTerm):
     """Harmonic angles, each arm taken at its nearest image."""
 
     def __init__(self, triples: NDArray[np.int64], k: NDArray[np.float64], angle: NDArray[np.float64]) -> None:
@@ -118,14 +123,14 @@ class AngleTerm(Term):
         translations = np.zeros((2, len(triples), 3))
         self._angles = Angles(first, middle, last, translations[0], translations[1], k, angle)
 
-    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
-        """See Term."""
+    def add_to(self, system: System, detail: int, sums: Any) -> None:
+        """See OwnTerm."""
         cell, angles = system.cell, self._angles
         if cell.is_periodic:
             lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
             minimum_image_translations(system.positions, angles.middle, angles.first, *lattice, angles.first_translations)
             minimum_image_translations(system.positions, angles.middle, angles.last, *lattice, angles.last_translations)
-        add_angle_forces(system.positions, angles, detail, (forces, energies, virials))
+        add_angle_forces(system.positions, angles, detail, sums)
 
 
 def _one_each(name: str, values: ArrayLike, n: int | None) -> NDArray[np.float64]:

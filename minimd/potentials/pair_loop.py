@@ -1,15 +1,18 @@
 """The plain loop over pairs: the one place where a pair law becomes forces, energies and virial; bonds run through it too."""
 
 from collections import namedtuple
+from typing import Any
 
 import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import by_type, kernel, without_cache
+from minimd.compiled.simd import fma
 from minimd.neighbors.pair_list import fixed_pairs
+from minimd.potentials.accumulators import force_along, in_steps, no_force, watch
 from minimd.potentials.law import evaluate_law
-from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, Term
+from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, OwnTerm
 from minimd.potentials.user_laws import is_recognized
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.system import System
@@ -75,39 +78,44 @@ def add_pair_forces(positions, pairs, law, parameters, detail, sums):
     positions : (N, 3) [length].  pairs : Pairs.  law : law type.  parameters : see parameters_of_pair.
     detail : with FORCES only forces are changed. TOTALS adds each pair to energies and virials of its first atom, so that their
         sums are right; PER_ATOM adds half of it to both atoms.
-    sums : the accumulators forces, energies and virials, see Term.add.
+    sums : the accumulators forces, energies and virials, see Term.add; or GridSums.
     """
-    forces, energies, virials = sums
+    forces, energies, virials = sums[0], sums[1], sums[2]
     shifted = pairs.translations.shape[0] > 0
     own_share = 0.5 if detail == PER_ATOM else 1.0
     for i in range(pairs.start.size - 1):
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
-        fx = fy = fz = energy = xx = yy = zz = yz = xz = xy = 0.0
+        fx = fy = fz = no_force(sums)
+        energy = xx = yy = zz = yz = xz = xy = size2 = 0.0
         for p in range(pairs.start[i], pairs.start[i + 1]):
             j = pairs.second[p]
             dx, dy, dz = positions[j, 0] - x, positions[j, 1] - y, positions[j, 2] - z
             if shifted:
                 t = pairs.image[p]
                 dx, dy, dz = dx + pairs.translations[t, 0], dy + pairs.translations[t, 1], dz + pairs.translations[t, 2]
-            r2 = dx * dx + dy * dy + dz * dz
+            r2 = fma(dx, dx, fma(dy, dy, dz * dz))
             numbers = parameters_of_pair(parameters, p, i, j)
             if r2 < numbers[0]:
                 u, f = evaluate_law(law, r2, numbers[1:])
-                gx, gy, gz = f * dx, f * dy, f * dz
+                gx, gy, gz = force_along(f, dx, sums), force_along(f, dy, sums), force_along(f, dz, sums)
                 fx, fy, fz = fx - gx, fy - gy, fz - gz
                 forces[j, 0] += gx
                 forces[j, 1] += gy
                 forces[j, 2] += gz
+                size2 += f * f * r2
                 if detail != FORCES:
+                    hx, hy, hz = f * dx, f * dy, f * dz
+                    u, wxx, wyy, wzz = in_steps(u, sums), in_steps(hx * dx, sums), in_steps(hy * dy, sums), in_steps(hz * dz, sums)
+                    wyz, wxz, wxy = in_steps(hy * dz, sums), in_steps(hx * dz, sums), in_steps(hx * dy, sums)
                     energy += u
-                    xx, yy, zz = xx + gx * dx, yy + gy * dy, zz + gz * dz
-                    yz, xz, xy = yz + gy * dz, xz + gx * dz, xy + gx * dy
+                    xx, yy, zz, yz, xz, xy = xx + wxx, yy + wyy, zz + wzz, yz + wyz, xz + wxz, xy + wxy
                     if detail == PER_ATOM:
                         energies[j] += 0.5 * u
-                        for c, w in enumerate((gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
+                        for c, w in enumerate((wxx, wyy, wzz, wyz, wxz, wxy)):
                             virials[j, c] += 0.5 * w
         for c, g in enumerate((fx, fy, fz)):
             forces[i, c] += g
+        watch(size2, sums)
         if detail != FORCES:
             energies[i] += own_share * energy
             for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
@@ -119,7 +127,7 @@ def pair_loop_for(law: tuple):
     return add_pair_forces if is_recognized(law) else without_cache(add_pair_forces)
 
 
-class FixedPairs(Term):
+class FixedPairs(OwnTerm):
     """A law on pairs that never change, each taken at its nearest image.
 
     pairs : (P, 2) int.  law : law type.  table : (P, 1 + n) numbers of each pair, the squared cutoff first.
@@ -133,10 +141,10 @@ class FixedPairs(Term):
         self._law, self._loop = law, pair_loop_for(law)
         self._parameters = ByPair(from_table(table[order]))
 
-    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
-        """See Term."""
+    def add_to(self, system: System, detail: int, sums: Any) -> None:
+        """See OwnTerm."""
         cell = system.cell
         if cell.is_periodic:
             lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
             minimum_image_translations(system.positions, self._first, self._second, *lattice, self._pairs.translations)
-        self._loop(system.positions, self._pairs, self._law, self._parameters, detail, (forces, energies, virials))
+        self._loop(system.positions, self._pairs, self._law, self._parameters, detail, sums)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 
+from minimd.compiled.fixed_point import GridSums
 from minimd.neighbors.verlet_list import VerletList
 from minimd.structure.checks import shown
 from minimd.structure.display import Displayed, Rows, as_text, call_of
@@ -63,6 +64,7 @@ class Term:
     acts_from_outside : whether its forces need not add up to zero, as those of fields and walls: the total momentum is then no constant.
     needs_one_accumulator : whether add with TOTALS adds to the first elements of energies and virials only.
     marches : whether march does anything.
+    fits_grid : whether it has add_on_grid, for precision="fixed-point".
     """
 
     pair_law: PairLaw | None = None
@@ -76,6 +78,7 @@ class Term:
     acts_from_outside: bool = False
     needs_one_accumulator: bool = False
     marches: bool = False
+    fits_grid: bool = False
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """Add to forces (N, 3), and unless detail is FORCES to energies (N,) and virials (N, 6), xx yy zz yz xz xy.
@@ -84,7 +87,11 @@ class Term:
         """
         raise NotImplementedError(f"{type(self).__name__} has no add")
 
-    def prepare(self, system: System, forces: NDArray) -> None:
+    def add_on_grid(self, system: System, detail: int, sums: GridSums) -> None:
+        """add in fixed-point arithmetic."""
+        raise NotImplementedError(f"{type(self).__name__} has no add_on_grid")
+
+    def prepare(self, system: System, forces: NDArray, steps: Any = ()) -> None:
         """After add: compile what steps need and looks do not, kernels of add with FORCES and of march. Nothing is added, no list built."""
 
     def march(self, system: System, state: Any, durations: NDArray, n: int) -> int:
@@ -100,14 +107,32 @@ class Term:
         return 0.0, 0.0
 
 
-class NoTerm(Term):
+class OwnTerm(Term):
+    """Base of minimd's own terms: add_to does what add and add_on_grid do, for their accumulators."""
+
+    fits_grid = True
+
+    def add_to(self, system: System, detail: int, sums: Any) -> None:
+        """Add to sums: forces, energies, virials, see Term.add; or GridSums."""
+        raise NotImplementedError(f"{type(self).__name__} has no add_to")
+
+    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+        """See Term."""
+        self.add_to(system, detail, (forces, energies, virials))
+
+    def add_on_grid(self, system: System, detail: int, sums: GridSums) -> None:
+        """See Term."""
+        self.add_to(system, detail, sums)
+
+
+class NoTerm(OwnTerm):
     """The term of a potential in a system where it has nothing to act on."""
 
     def __init__(self, warning: str = "") -> None:
         self.warning = warning
 
-    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
-        """See Term."""
+    def add_to(self, system: System, detail: int, sums: Any) -> None:
+        """See OwnTerm."""
 
 
 class Potential(Protocol):

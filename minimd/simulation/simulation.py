@@ -31,6 +31,7 @@ from minimd.structure.checks import checked_count, checked_flag, checked_number,
 from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
 from minimd.structure.display import Displayed, Rows
+from minimd.structure.grid import Grid
 from minimd.structure.observables import Array
 from minimd.structure.system import AnySystem, System
 from minimd.structure.velocities import maxwell_boltzmann, rescaled
@@ -49,7 +50,8 @@ class Simulation(Displayed):
     method : a splitting with its time step, such as VelocityVerlet(0.005).
     constraints : DistanceConstraints, FixedAtoms, or both, instead of those of the system; () for none.
     threads : at most so many; all cores of the process if not given. The bits are the same for any number.
-    precision : "double", or "mixed": pairs in float32, their sums in float64.  skin : of neighbor lists [length]; the best one if not given.
+    precision : "double"; "mixed": pairs in float32, their sums in float64; or "fixed-point": all sums exact, see docs/fixed-point.md.
+    skin : of neighbor lists [length]; the best one if not given.  grid : Grid of fixed-point arithmetic; a good one if not given.
 
     Attributes
     ----------
@@ -95,8 +97,9 @@ class Simulation(Displayed):
         threads: int | None = None,
         precision: Precision = "double",
         skin: float | None = None,
+        grid: Grid | None = None,
     ) -> None:
-        self._hold(Engine(system, potentials, method, constraints, Options(threads, precision, skin)))
+        self._hold(Engine(system, potentials, method, constraints, Options(threads, precision, skin, grid)))
 
     def _hold(self, engine: Engine) -> None:
         self.engine, self.guard, self._is_running = engine, RunGuard(engine), False

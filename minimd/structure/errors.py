@@ -15,6 +15,10 @@ class NonFiniteError(ArithmeticError):
     file: Any = None
 
 
+class RangeError(NonFiniteError):
+    """A force, a momentum or a position has left the range of fixed-point numbers. Nothing has wrapped round."""
+
+
 class ConstraintError(ArithmeticError):
     """A constraint solver did not reach its tolerance.  atoms : the two it holds.  crash_report, file : as of NonFiniteError."""
 

@@ -9,17 +9,18 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiled.fixed_point import on_grid
 from minimd.compiled.kernels import kernel
 
 Array = NDArray[np.float64]
 
 
 @kernel
-def kinetic_energy(velocities, masses):
-    """K = Σ ½ m v² [energy]."""
+def kinetic_energy(velocities, masses, step=0.0):
+    """K = Σ ½ m v² [energy].  step : of which each atom's share is rounded to a multiple, so that their order does not matter; 0 for none."""
     total = 0.0
     for i in range(velocities.shape[0]):
-        total += 0.5 * masses[i] * (velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
+        total += on_grid(0.5 * masses[i] * (velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2), step)
     return total
 
 
@@ -38,12 +39,9 @@ def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum:
     return n_dof
 
 
-def temperature(velocities: Array, masses: Array, k_B: float = 1.0, n_dof: int | None = None) -> float:  # noqa: N803
-    """Kinetic temperature T = 2K / (n_dof k_B), for total momentum zero; n_dof is 3N − 3 if not given, see degrees_of_freedom.
-
-    Raises ValueError if no degree of freedom is left.
-    """
-    return 2.0 * kinetic_energy(velocities, masses) / ((n_dof or degrees_of_freedom(len(masses))) * k_B)
+def temperature(kinetic: float, n_dof: int, k_B: float = 1.0) -> float:  # noqa: N803
+    """Kinetic temperature T = 2K / (n_dof k_B).  n_dof : see degrees_of_freedom."""
+    return 2.0 * kinetic / (n_dof * k_B)
 
 
 def pressure(kinetic: float, virial: Array, volume: float) -> float:
@@ -64,13 +62,13 @@ def stress(velocities: Array, masses: Array, virial: Array, volume: float) -> Ar
 
 
 @kernel
-def momentum(velocities, masses):
-    """P = Σ m v [mass length/time], (3,)."""
+def momentum(velocities, masses, step=0.0):
+    """P = Σ m v [mass length/time], (3,).  step : as of kinetic_energy; with that of a Grid, the sum is exact."""
     px = py = pz = 0.0
     for i in range(masses.size):
-        px += masses[i] * velocities[i, 0]
-        py += masses[i] * velocities[i, 1]
-        pz += masses[i] * velocities[i, 2]
+        px += on_grid(masses[i] * velocities[i, 0], step)
+        py += on_grid(masses[i] * velocities[i, 1], step)
+        pz += on_grid(masses[i] * velocities[i, 2], step)
     return np.array([px, py, pz])
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from minimd.structure.checks import checked_count, checked_number
-from minimd.structure.observables import Array, momentum, temperature
+from minimd.structure.observables import Array, degrees_of_freedom, kinetic_energy, momentum, temperature
 
 SEEDS = 2**128
 
@@ -35,7 +35,7 @@ def rescaled(velocities: Array, masses: Array, target: float, k_B: float = 1.0, 
     Raises ValueError if the target is negative or not finite, or nothing moves.
     """
     target = checked_number("temperature", target, "finite and not negative")
-    now = temperature(velocities, masses, k_B, n_dof)
+    now = temperature(kinetic_energy(velocities, masses), n_dof or degrees_of_freedom(len(masses)), k_B)
     if now == 0.0:
         raise ValueError("velocities are all zero and cannot be rescaled; draw them with set_temperature")
     return velocities * np.sqrt(target / now)

@@ -40,9 +40,21 @@ _square_root, _magnitude = _function("sqrt"), _function("fabs")
 
 
 @intrinsic
-def fma(_context, a, b, c):
-    """a · b + c for vectors of one type, rounded once where the processor has an instruction for it."""
-    return a(a, b, c), lambda context, builder, signature, arguments: call(builder, f"llvm.fmuladd.{a.suffix}", arguments[0].type, arguments)
+def _multiply_add(_context, a, b, c):
+    suffix = a.suffix if isinstance(a, Vector) else f"f{a.bitwidth}"
+    return a(a, b, c), lambda context, builder, signature, arguments: call(builder, f"llvm.fmuladd.{suffix}", arguments[0].type, arguments)
+
+
+def fma(a, b, c):
+    """a · b + c for three numbers or three vectors of one type, rounded once where the processor has an instruction for it; c may be a number."""
+    return a * b + c
+
+
+@overload(fma)
+def _fma(a, b, c):
+    if isinstance(a, Vector):
+        return lambda a, b, c: _multiply_add(a, b, broadcast(c, a))
+    return lambda a, b, c: _multiply_add(a, b, c)
 
 
 @intrinsic

@@ -12,49 +12,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from minimd.compiled.kernels import kernel, scalar
 from minimd.integrators.method import Array, ClassProperty, Method, Problem, Step
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.state import State, Surroundings
-from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize, is_palindrome, mechanical, merged
+from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, Thermalize, is_palindrome, mechanical, merged
 
 __all__ = ["Splitting"]
 
 ComputeForces = Callable[[State, bool], None]  # fills state.forces; with True, evaluates the energy too
 
-# (state, durations, n): up to n times the kicks and drifts that last durations (P, 2) [time], forces evaluated before each kick; returns how
-# many times, 0 if it can't. The forces are then outdated.
+# (state, durations, n): up to n times the kicks and drifts that last durations (P, 2, 2) [time], see Splitting._durations, forces evaluated before
+# each kick; returns how many times, 0 if it can't. The forces are then outdated.
 March = Callable[[State, Array, int], int]
-
-
-@scalar
-def kicked(velocity, force, inverse_mass, duration):
-    """v + duration · F/m, of numbers or of vectors."""
-    return velocity + duration * inverse_mass * force
-
-
-@scalar
-def drifted(position, velocity, duration):
-    """r + duration · v, of numbers or of vectors."""
-    return position + duration * velocity
-
-
-@kernel
-def kick(velocities, forces, inverse_masses, duration):
-    """velocities += duration · forces / m.  (N, 3) [length/time], (N, 3) [energy/length], (N,) [1/mass], [time]."""
-    for i in range(velocities.shape[0]):
-        velocities[i, 0] = kicked(velocities[i, 0], forces[i, 0], inverse_masses[i], duration)
-        velocities[i, 1] = kicked(velocities[i, 1], forces[i, 1], inverse_masses[i], duration)
-        velocities[i, 2] = kicked(velocities[i, 2], forces[i, 2], inverse_masses[i], duration)
-
-
-@kernel
-def drift(positions, velocities, duration):
-    """positions += duration · velocities.  (N, 3) [length], (N, 3) [length/time], [time]."""
-    for i in range(positions.shape[0]):
-        positions[i, 0] = drifted(positions[i, 0], velocities[i, 0], duration)
-        positions[i, 1] = drifted(positions[i, 1], velocities[i, 1], duration)
-        positions[i, 2] = drifted(positions[i, 2], velocities[i, 2], duration)
 
 
 def stages(method: "type[Splitting]") -> int:
@@ -96,6 +65,7 @@ class Splitting(Method):
     order = ClassProperty(lambda method: nystrom_order(method.sequence()))
     is_symmetric = ClassProperty(lambda method: is_palindrome(method.sequence()))
     stages = ClassProperty(stages)
+    _ends = ClassProperty(lambda method: method.sequence())
 
     @classmethod
     def sequence(cls) -> Substeps:
@@ -144,18 +114,19 @@ class Splitting(Method):
             for k, substep in enumerate(substeps):
                 if march is not None and durations is not None and substeps is cycle and k == first_kick and not state.forces_are_current:
                     step += march(state, durations, n_steps - 1 - step)
-                duration = substep.coefficient * self.timestep
+                duration, unit = substep.coefficient * self.timestep, self.unit(substep) * self.timestep
                 if isinstance(substep, Kick):
-                    if not state.forces_are_current:
+                    if not state.has_forces_over(unit):
                         is_last = k == len(substeps) - 1 and step == (n_steps if end else n_steps - 1)
                         compute_forces(state, with_energy and is_last)
                         state.forces_are_current = True
-                    kick(state.velocities, state.forces, state.inverse_masses, duration)
+                    state.kick(duration, unit)
                 elif isinstance(substep, Thermalize):
                     self.thermalize(state, duration, around)
+                    state.settle()
                 else:
                     if around.constraints is None:
-                        drift(state.positions, state.velocities, duration)
+                        state.drift(duration, unit)
                     else:
                         around.constraints.drift(state.positions, state.velocities, duration)
                     state.forces_are_current = False
@@ -183,8 +154,20 @@ class Splitting(Method):
         body, both = self.substeps[1:-1], type(first)(first.coefficient + last.coefficient)
         return (*self.opening, first, *body), (both, *body), (last, *self.closing)
 
+    @classmethod
+    def unit(cls, substep: Substep) -> float:
+        """The coefficient of which that of a substep is a whole multiple: what it changes is rounded over this unit, in fixed-point arithmetic.
+
+        It is that of the substep with which a step begins or ends, if these are made of several of them: two merged half kicks then have the bits
+        of two half kicks.
+        """
+        for end in (cls._ends[0], cls._ends[-1]):
+            if type(end) is type(substep) and substep.coefficient % end.coefficient == 0.0:
+                return end.coefficient
+        return substep.coefficient
+
     def _durations(self, cycle: Substeps) -> Array | None:
-        """Times of the kicks and drifts of a cycle, (P, 2) [time]; None unless they alternate."""
+        """Times of the kicks and drifts of a cycle, and their units, (P, 2, 2) [time]; None unless they alternate."""
         if [type(substep) for substep in cycle] != [Kick, Drift] * (len(cycle) // 2):
             return None
-        return self.timestep * np.array([substep.coefficient for substep in cycle]).reshape(-1, 2)
+        return self.timestep * np.array([(substep.coefficient, self.unit(substep)) for substep in cycle]).reshape(-1, 2, 2)

@@ -1,14 +1,19 @@
 """What a splitting moves, and what acts on it beside the forces."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from minimd.compiled.fixed_point import Steps
 from minimd.constraints.solver import ConstraintSolver
 from minimd.integrators.method import Array
+from minimd.integrators.splitting.flows import drift, drift_on_grid, kick, kick_on_grid
 from minimd.integrators.splitting.substeps import Drift, Substeps, mechanical
+from minimd.structure.grid import Grid
+from minimd.structure.observables import kinetic_energy, momentum
 
 __all__ = ["Bath", "OpenEnd", "State", "Surroundings"]
 
@@ -20,6 +25,7 @@ class State:
     positions, velocities, forces : (N, 3) [length], [length/time], [energy/length].
     inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
     forces_are_current : whether forces belong to positions; whoever moves positions sets it to False.
+    unit : in fixed-point arithmetic, the time over which impulses are, or will be, computed [time].
     """
 
     positions: Array
@@ -27,12 +33,81 @@ class State:
     forces: Array
     inverse_masses: Array
     forces_are_current: bool = False
+    unit: float = 1.0
+
+    def has_forces_over(self, unit: float) -> bool:
+        """Whether the forces of the next kick are computed.  unit : of time, of which the kick is a multiple; see Splitting.unit [time]."""
+        return self.forces_are_current
+
+    def kick(self, duration: float, _unit: float) -> None:
+        """Velocities += duration · forces / m.  unit : of the duration, see Splitting.unit [time]."""
+        kick(self.velocities, self.forces, self.inverse_masses, duration)
+
+    def drift(self, duration: float, _unit: float) -> None:
+        """Positions += duration · velocities.  unit : likewise."""
+        drift(self.positions, self.velocities, duration)
+
+    def settle(self) -> None:
+        """After velocities were changed by a bath: those that a state can have."""
+
+    def kinetic_energy(self) -> float:
+        """K [energy] of the atoms that move."""
+        return kinetic_energy(self.velocities, self.masses)
+
+    def momentum(self) -> Array:
+        """Σ m v [mass length/time], (3,), of the atoms that move."""
+        return momentum(self.velocities, self.masses)
 
     @cached_property
     def masses(self) -> Array:
         """(N,) [mass] of the atoms that move, zero for those that are held fixed."""
         moving = self.inverse_masses > 0.0
         return np.divide(1.0, self.inverse_masses, out=np.zeros(moving.shape), where=moving)
+
+
+@dataclass
+class GridState(State):
+    """A state in fixed-point arithmetic.
+
+    impulses : (N, 3) int64 in steps of momentum, those of the forces over a unit of time.
+    grid : Grid.
+    """
+
+    impulses: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
+    grid: Grid = Grid(1.0, 1.0, 1.0)  # noqa: RUF009 - frozen
+
+    def has_forces_over(self, unit: float) -> bool:
+        """See State."""
+        self.forces_are_current &= unit == self.unit
+        self.unit = unit
+        return self.forces_are_current
+
+    def kick(self, duration: float, unit: float) -> None:
+        """See State.  Raises RangeError if a momentum leaves its range."""
+        if kick_on_grid(self.velocities, self.impulses, self.inverse_masses, round(duration / unit), steps_of(self.grid, (unit,))):
+            self.grid.check_momenta(self.velocities, self.inverse_masses)
+
+    def drift(self, duration: float, unit: float) -> None:
+        """See State.  Raises RangeError if a position leaves its range."""
+        drift_on_grid(self.positions, self.velocities, self.inverse_masses, unit, round(duration / unit), steps_of(self.grid, (unit,)))
+        self.grid.check_positions(self.positions)
+
+    def settle(self) -> None:
+        """See State."""
+        self.grid.take_velocities(self.velocities, self.inverse_masses)
+
+    def kinetic_energy(self) -> float:
+        """See State."""
+        return kinetic_energy(self.velocities, self.masses, self.grid.energy)
+
+    def momentum(self) -> Array:
+        """See State."""
+        return momentum(self.velocities, self.masses, self.grid.momentum)
+
+
+def steps_of(grid: Grid, units: ArrayLike) -> Steps:
+    """Steps for a kernel.  units : over which the impulses of each kick are computed [time]."""
+    return Steps(np.asarray(units) / grid.momentum, grid.length, grid.momentum, grid.energy, 0.0)
 
 
 @dataclass

@@ -17,7 +17,6 @@ from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath, State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Thermalize
 from minimd.structure.checks import checked_count, checked_number
-from minimd.structure.observables import kinetic_energy, momentum
 
 __all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
 
@@ -111,11 +110,12 @@ class LangevinBAOAB(Thermostat):
         bath, kept = self.bath_of(around), exp(-self.friction * duration)
         spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
         around.project(state)
-        before = kinetic_energy(state.velocities, state.masses)
+        before = state.kinetic_energy()
         noise = self.noise(bath).standard_normal(state.velocities.shape)
         mix(state.velocities, noise, state.inverse_masses, kept, spread)
         around.project(state)
-        bath.energy += kinetic_energy(state.velocities, state.masses) - before
+        state.settle()
+        bath.energy += state.kinetic_energy() - before
 
 
 class StochasticVelocityRescaling(Thermostat):
@@ -156,9 +156,9 @@ class StochasticVelocityRescaling(Thermostat):
         """The exact change of the kinetic energy over a duration."""
         bath = self.bath_of(around)
         around.project(state)
-        whole, drift = kinetic_energy(state.velocities, state.masses), np.zeros(3)
+        whole, drift = state.kinetic_energy(), np.zeros(3)
         if bath.conserves_momentum:
-            drift = momentum(state.velocities, state.masses) / state.masses.sum()
+            drift = state.momentum() / state.masses.sum()
         kinetic = whole - 0.5 * state.masses.sum() * float(drift @ drift)
         if kinetic <= AT_REST * whole:
             return

@@ -1,0 +1,80 @@
+"""Arithmetic on grids: numbers that are whole multiples of a step, so that their sums have no rounding error, in whatever order.
+
+A step is a power of two. Its multiples are then float64 up to 2⁵³ of them, and adding two of them is exact. Forces of pairs are summed as
+int64: sums are then right modulo 2⁶⁴, and so right as soon as the last one is in range.
+
+Rounding uses how float64 are spaced: from 2⁵² to 2⁵³ they are the whole numbers. Who adds 1.5 · 2⁵² to a number between −2⁵¹ and 2⁵¹
+rounds it to a whole number, of two equally near ones to the even one, and finds it in the lowest bits of the sum. The rounding of −x is
+that of x with the other sign: so a force and its reaction stay opposite.
+"""
+
+from collections import namedtuple
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, overload
+
+from minimd.compiled.kernels import by_type
+from minimd.compiled.simd import fma
+from minimd.compiled.simd.vector import Vector, convert
+
+MAGIC = 1.5 * 2.0**52
+MAGIC_BITS = int(np.float64(MAGIC).view(np.int64))
+MOST = 2.0**50  # steps in a momentum or in the impulse of a pair: the rounding of v = p/m and p = m v leads back to the same p
+
+
+@intrinsic
+def _bits(_context, x):
+    """The bits of a float64, or of a vector of them, as int64."""
+    kind = Vector(types.int64, x.lanes) if isinstance(x, Vector) else types.int64
+    llvm = ir.VectorType(ir.IntType(64), x.lanes) if isinstance(x, Vector) else ir.IntType(64)
+    return kind(x), lambda context, builder, signature, arguments: builder.bitcast(arguments[0], llvm)
+
+
+def whole_product(a, b):
+    """a · b as a whole number (int64), rounded once; for |a b| < 2⁵¹. Of numbers or of vectors."""
+    return int(np.rint(a * b))
+
+
+@overload(whole_product)
+def _whole_product(a, b):
+    return lambda a, b: _bits(fma(a, b, MAGIC)) - MAGIC_BITS
+
+
+def on_grid(x, step):
+    """x as a multiple of a step, a power of two; for |x| < 2⁵¹ steps. With step = 0 as it is. Of numbers or of vectors."""
+    return (x + MAGIC * step) - MAGIC * step
+
+
+@overload(on_grid)
+def _on_grid(x, step):
+    return lambda x, step: (x + MAGIC * step) - MAGIC * step
+
+
+@by_type
+def as_float(whole):
+    """An int64, or a vector of them, as float64."""
+    return (lambda whole: convert(whole, 0.0)) if isinstance(whole, Vector) else lambda whole: np.float64(whole)
+
+
+class Steps(namedtuple("Steps", "per_force length momentum energy limit2")):
+    """The steps of a grid for a kernel.
+
+    per_force : (P,) impulses of P kicks, in steps of momentum, for a unit of force: duration / momentum [length/energy].
+    length, momentum, energy : the steps [length], [mass length/time], [energy].
+    limit2 : square of what the forces on an atom may be, divided by its distances, in these impulses [1/length²].
+    """
+
+
+class GridSums(namedtuple("GridSums", "impulses energies virials steps faults")):
+    """What terms add to, in fixed-point arithmetic.
+
+    impulses : (N, 3) int64, in steps of momentum.  energies : (N,), virials : (N, 6), multiples of the step of energies.
+    steps : Steps.  faults : (1,) int64, to be set to 1 by a force too large for its range.
+    """
+
+
+def is_fixed(steps: types.Type) -> bool:
+    """Whether a type is that of Steps, not of () where there is no grid."""
+    return isinstance(steps, types.BaseNamedTuple)

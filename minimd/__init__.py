@@ -19,7 +19,8 @@ from minimd.simulation.simulation import Simulation
 from minimd.structure import lattice, units
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints, FixedAtoms
-from minimd.structure.errors import ConstraintError, ConvergenceError, NonFiniteError
+from minimd.structure.errors import ConstraintError, ConvergenceError, NonFiniteError, RangeError
+from minimd.structure.grid import Grid
 from minimd.structure.system import System
 from minimd.view import view, view_record
 
@@ -36,6 +37,7 @@ __all__ = [
     "Evaluation",
     "FixedAtoms",
     "Forces",
+    "Grid",
     "HarmonicAngle",
     "HarmonicBond",
     "LangevinBAOAB",
@@ -46,6 +48,7 @@ __all__ = [
     "PairPotential",
     "PositionVerlet",
     "Potential",
+    "RangeError",
     "Record",
     "Report",
     "Reversibility",

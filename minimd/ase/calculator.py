@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from ase import Atoms
@@ -13,7 +13,7 @@ from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import ArrayLike
 
 from minimd.forces.forces import Forces, Potential
-from minimd.forces.options import Options
+from minimd.forces.options import Options, Precision
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM, TOTALS
 from minimd.structure.ase_atoms import cell_of, same_labels, same_scene, system_arguments, volume_of
@@ -49,7 +49,7 @@ class Calculator(ASECalculator):
         skin: float | None = None,
         *,
         threads: int | None = None,
-        precision: Literal["double", "mixed"] = "double",
+        precision: Precision = "double",
     ) -> None:
         super().__init__()
         self._plan: tuple[Atoms, Forces] | None = None

@@ -20,7 +20,7 @@ from minimd.compiled.simd import fma
 from minimd.compiled.simd.vector import Vector, convert
 
 MAGIC = 1.5 * 2.0**52
-MAGIC_BITS = int(np.float64(MAGIC).view(np.int64))
+BIAS = int(np.float64(MAGIC).view(np.int64))
 MOST = 2.0**50  # steps in a momentum or in the impulse of a pair: the rounding of v = p/m and p = m v leads back to the same p
 
 
@@ -32,6 +32,12 @@ def _bits(_context, x):
     return kind(x), lambda context, builder, signature, arguments: builder.bitcast(arguments[0], llvm)
 
 
+@by_type
+def biased_product(a, b):
+    """whole_product + BIAS: one instruction less for loops that know how many of them they add."""
+    return lambda a, b: _bits(fma(a, b, MAGIC))
+
+
 def whole_product(a, b):
     """a · b as a whole number (int64), rounded once; for |a b| < 2⁵¹. Of numbers or of vectors."""
     return int(np.rint(a * b))
@@ -39,7 +45,7 @@ def whole_product(a, b):
 
 @overload(whole_product)
 def _whole_product(a, b):
-    return lambda a, b: _bits(fma(a, b, MAGIC)) - MAGIC_BITS
+    return lambda a, b: biased_product(a, b) - BIAS
 
 
 def on_grid(x, step):

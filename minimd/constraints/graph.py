@@ -45,6 +45,31 @@ class Graph(NamedTuple):
     components: Components
 
 
+class Bodies(NamedTuple):
+    """Atoms that constraints tie together.
+
+    label : (N,) the body of each atom; an atom without constraints is one.  last : (B,) the last atom of each body.
+    is_free : (B,) whether no atom of it is held fixed, so that constraints leave its momentum as it is.
+    """
+
+    label: Ints
+    last: Ints
+    is_free: NDArray[np.bool_]
+
+
+def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
+    """The bodies that (K, 2) pairs of atoms make, with (N,) 1/mass, zero for atoms that are held fixed."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(inverse_masses)
+    n_bodies, label = connected_components(coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)
+    last, is_free = np.zeros(n_bodies, dtype=np.int64), np.ones(n_bodies, dtype=bool)
+    last[label] = np.arange(n)
+    is_free[label[inverse_masses == 0.0]] = False
+    return Bodies(label, last, is_free)
+
+
 def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
     """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for atoms that are held fixed.  ids : (K,) numbers of the pairs."""
     from scipy.sparse import coo_array  # loaded only if there are constraints

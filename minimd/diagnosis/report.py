@@ -207,7 +207,8 @@ class Report(Displayed):
             tell("shadow energy", f"drift {shadow} {per} per {time}: {said}")
             tell("", f"oscillation {self.shadow_oscillation:.2e} {per}")
         if self.momentum_change is not None:
-            tell("momentum", f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}")
+            change = f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}"
+            tell("momentum", change if self.momentum_change else "exactly constant")
         if self.angular_momentum_change is not None:
             tell("ang. momentum", f"change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {KEPT[self.angular_momentum_is_conserved]}")
         if self.constraint_violation is not None:
@@ -233,8 +234,9 @@ class Report(Displayed):
         energy = f"the {name} is conserved" if self.energy_is_conserved else f"THE {name.upper()} DRIFTS: {why}"
         if self.momentum_change is None:
             return f"{energy}; momentum is not a constant here."
-        momentum = "momentum is conserved to rounding" if self.momentum_is_conserved else "THE TOTAL MOMENTUM CHANGES: a force is not pairwise"
-        return f"{energy}; {momentum}."
+        if self.momentum_is_conserved:
+            return f"{energy}; momentum is {'conserved to rounding' if self.momentum_change else 'exactly constant'}."
+        return f"{energy}; THE TOTAL MOMENTUM CHANGES: a force is not pairwise."
 
 
 @np.errstate(all="ignore")  # the report tells what is not finite

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from minimd.diagnosis.run_guard import RunGuard
+from minimd.engine.engine import Engine
+from minimd.structure.console import stop_on_signals
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.observables import longest
 
-ROUNDING = {"double": 2.0**-52, "mixed": 2.0**-23}  # of the forces
+ROUNDING = {"double": 2.0**-52, "mixed": 2.0**-23, "fixed-point": 2.0**-52}  # of the forces
 AMPLIFIED = 1e3  # how many roundings the turning point is moved by, so that nothing else is taken for their growth
 ENOUGH = 3.0  # times what one rounding grows to, times the square root of the steps: rounding; anything worse is not
 CHAOS = 0.01  # of the way that atoms went: beyond it, rounding has grown too much to tell
@@ -27,6 +29,8 @@ class Reversibility(Displayed):
     ----------
     n_steps : in each direction.  distance : largest of an atom from its start, at the end [length].  way : the same, at the reversal [length].
     rounding : growth of one rounding error from the turning point to the end, times √(2 n_steps) [length]; infinite if too chaotic to tell.
+        Not measured, and 0, if is_exact.
+    is_exact : whether all bits of positions and velocities came back.
     """
 
     n_steps: int
@@ -34,6 +38,7 @@ class Reversibility(Displayed):
     way: float
     rounding: float
     unit: str
+    is_exact: bool = False
 
     @property
     def is_reversible(self) -> bool | None:
@@ -43,6 +48,8 @@ class Reversibility(Displayed):
         return None if self.rounding > CHAOS * self.way else self.distance <= ENOUGH * self.rounding
 
     def __str__(self) -> str:
+        if self.is_exact:
+            return f"{self.n_steps} steps and back, atoms went up to {self.way:.3g} {self.unit}: returned to the first bit"
         words = {True: "reversible to rounding", None: "too chaotic to tell, take fewer steps", False: "NOT REVERSIBLE"}[self.is_reversible]
         back = f"{self.n_steps} steps and back: {self.distance:.1e} {self.unit} from the start"
         return f"{back} (rounding grows to {self.rounding:.1e}): {words}"
@@ -53,17 +60,65 @@ class Reversibility(Displayed):
         return [("reversibility", words), ("", verdict)]
 
 
+def make_steps_back(guard: RunGuard, n_steps: int) -> None:
+    """See Simulation.run_back. At the end step, time and velocities are those of the run that is retraced.
+
+    Raises ValueError for an engine whose steps cannot be retraced to the last bit.
+    """
+    engine = guard.engine
+    if engine.interactions.grid is None:
+        raise ValueError(f"only precision='fixed-point' retraces its steps; it is {engine.interactions.options.precision!r}")
+    if engine.constraint_set.bonds is not None:
+        raise ValueError("steps with constraints cannot be retraced to the last bit: their impulses are rounded after they were solved for")
+    if not engine.method.is_symmetric:
+        symmetric = "velocity Verlet, position Verlet, leapfrog and symmetric compositions"
+        raise ValueError(f"steps of {engine.method.name} cannot be retraced, because it is not symmetric: take {symmetric}")
+    with guard.uncounted(), stop_on_signals(engine.surroundings):
+        guard.check_start()
+        step, time = engine.step, engine.time
+        turn(engine)
+        try:
+            guard.make_steps(n_steps)
+        finally:
+            made = engine.step - step
+            turn(engine)
+            engine.step, engine.time = step - made, time - made * engine.method.timestep
+            engine.leave()
+
+
+def turn(engine: Engine) -> None:
+    """Reverse all velocities; zeros keep their sign."""
+    engine.velocities[:] = 0.0 - engine.velocities
+    engine.turned()
+
+
 def probe(guard: RunGuard, n_steps: int) -> Reversibility:
-    """See Simulation.probe_reversibility; the caller restores the state."""
+    """See Simulation.probe_reversibility."""
+    engine = guard.engine
+    if engine.method.is_thermostat:
+        raise ValueError(f"{engine.method.name} is a thermostat: its noise cannot be undone, so that no run of it is reversible")
+    before = engine.snapshot()
+    with guard.uncounted():
+        guard.check_start()
+        try:
+            with stop_on_signals(engine.surroundings):
+                return _probed(guard, n_steps)
+        finally:
+            engine.restore(before)
+
+
+def _probed(guard: RunGuard, n_steps: int) -> Reversibility:
+    """The state is not restored."""
     engine = guard.engine
     start = engine.snapshot()
     guard.make_steps(n_steps)
     way = longest(engine.positions - start.positions)[1]
-    engine.velocities[:] *= -1.0
-    engine.turned()
+    turn(engine)
     turning, forces = engine.snapshot(), engine.forces.copy()
     guard.make_steps(n_steps)
     returned = engine.positions.copy()
+    if np.array_equal(returned, start.positions) and np.array_equal(-engine.velocities, start.velocities):
+        return Reversibility(n_steps, 0.0, way, 0.0, engine.system.units.length, is_exact=True)
     engine.restore(turning)
     # the turning point is displaced by some roundings of random sign: of coordinates (or the tolerance of a solver), forces and velocities
     random, shape, moving = np.random.default_rng(1), engine.positions.shape, engine.constraint_set.inverse_masses[:, None]

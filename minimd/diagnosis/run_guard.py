@@ -17,7 +17,7 @@ from minimd.engine.record import Frame
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM
 from minimd.structure.console import outside_minimd
-from minimd.structure.errors import ConstraintError, NonFiniteError
+from minimd.structure.errors import ConstraintError, NonFiniteError, RangeError
 from minimd.structure.observables import Array, longest
 
 BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
@@ -134,7 +134,8 @@ class RunGuard:
                     engine.evaluate()  # a method that ends with a drift has not
                     fault = runaway(engine, self._first) if self._first is not None else None
             except (NonFiniteError, ConstraintError) as reason:
-                self._reason, fault = reason, fault_of(engine) or "the forces are not finite"
+                words = str(reason) if isinstance(reason, RangeError) else "the forces are not finite"
+                self._reason, fault = reason, fault_of(engine) or words
             if fault:
                 at = engine.positions.copy()
                 engine.restore(good)
@@ -189,18 +190,18 @@ class RunGuard:
         engine.is_whole = True  # a good state, worth keeping, though the roundings of a run from it may be others
         snapshots = self._snapshots or [engine.snapshot()]
         self.failed_from = start = next((one for one in reversed(snapshots) if engine.step - one.step >= LEAST_REPLAY), snapshots[0])
-        kind, fault = (ConstraintError, str(reason)) if isinstance(reason, ConstraintError) else (NonFiniteError, fault)
+        kind, fault = (type(reason), str(reason)) if isinstance(reason, ConstraintError | RangeError) else (NonFiniteError, fault)
         report, why = None, ""
         try:
             engine.interactions.compute(PER_ATOM)
         except Exception as broken:  # whatever a term of the user's own raises
-            why = f"There is no crash report: {type(broken).__name__}: {broken}"
+            why = f"There is no crash report: {type(broken).__name__}: {broken}\n"
         else:
             failure = Failure(fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step)
             report = examine(engine, failure)
-            why = f"Likely cause: {report.cause}; {report.advice}"
+            why = "" if isinstance(reason, RangeError) else f"Likely cause: {report.cause}; {report.advice}\n"
         pair = closest_pair(engine.system)
         near = f"; the closest pair before it is {pair}" if pair else ""
-        error = kind(f"{why}\nAt step {step}: {fault}{near}. The system holds the last good state, that of step {engine.step}")
+        error = kind(f"{why}At step {step}: {fault}{near}. The system holds the last good state, that of step {engine.step}")
         error.crash_report = report
         return error

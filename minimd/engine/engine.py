@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from minimd.constraints.constraint_set import ConstraintSet
+from minimd.constraints.graph import bodies_of
 from minimd.forces.forces import Forces, Potential
-from minimd.forces.options import Options
+from minimd.forces.options import FIXED_POINT, Options
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath, GridState, OpenEnd, State, Surroundings
 from minimd.integrators.splitting.substeps import Kick
@@ -45,6 +46,7 @@ class Checkpoint(NamedTuple):
     state : Snapshot.
     displacement : of the fastest atom in a step, for which skins were chosen [length].  lists : Built of each list of neighbors.
     images : (K, 3) lattice vectors of rigid bonds [length], and their tolerance; None without.  equilibrated : of the engine.
+    grid : of fixed-point arithmetic; None without.
     """
 
     state: Snapshot
@@ -52,6 +54,7 @@ class Checkpoint(NamedTuple):
     lists: tuple[Built, ...]
     images: tuple[Array, float] | None
     equilibrated: int
+    grid: Grid | None = None
 
 
 class Engine:
@@ -94,22 +97,29 @@ class Engine:
         """The state; in fixed-point arithmetic on a grid."""
         interactions, options = self.interactions, self.interactions.options
         parts = self.system.positions, self.system.velocities, interactions.forces, self.constraint_set.inverse_masses
-        if options.precision != "fixed-point":
+        if options.precision != FIXED_POINT:
             return State(*parts)
-        if self.constraint_set.bonds is not None:
-            raise ValueError("precision='fixed-point' keeps no lengths: take precision='double', or harmonic bonds instead of DistanceConstraints")
         interactions.lay_grid(options.grid or Grid.of_scene(self.system, self.method.timestep, interactions.depth()))
-        return GridState(*parts, impulses=interactions.impulses)
+        bonds = self.constraint_set.bonds
+        bodies = None if bonds is None else bodies_of(bonds.pairs, self.constraint_set.inverse_masses)
+        return GridState(*parts, impulses=interactions.impulses, bodies=bodies)
 
     def _fit_grid(self) -> None:
         """In fixed-point arithmetic, after the state was changed: larger steps of the grid if it needs them, and the state rounded to it."""
         interactions, state = self.interactions, self._state
         if interactions.grid is None or not isinstance(state, GridState):
             return
-        if interactions.options.grid is None:
-            interactions.grid = interactions.grid.widened(Grid.of_scene(self.system, self.method.timestep, interactions.depth()))
-        state.grid = interactions.grid
+        is_given = interactions.options.grid is not None
+        wanted = interactions.grid if is_given else Grid.of_scene(self.system, self.method.timestep, interactions.depth())
+        self._lay(interactions.grid.widened(wanted))
         state.grid.take(self.system, state.inverse_masses)
+
+    def _lay(self, grid: Grid | None) -> None:
+        """Take a grid for the steps to come, if this engine has one."""
+        interactions, state = self.interactions, self._state
+        if grid is None or not isinstance(state, GridState):
+            return
+        interactions.grid = state.grid = grid
         kick = next(substep for substep in self.method.sequence() if isinstance(substep, Kick))
         interactions.unit = state.unit = self.method.unit(kick) * self.method.timestep
 
@@ -131,8 +141,8 @@ class Engine:
         self.moved()
         self.is_whole = True
         self._describe_bath()
-        self._fit_grid()
         self.constraint_set.begin(self.system)
+        self._fit_grid()
         self.surroundings.constraints = self.constraint_set.bonds
 
     def moved(self) -> None:
@@ -209,11 +219,12 @@ class Engine:
         """A copy of all that decides the bits of the steps to come, for go_on_from."""
         bonds, interactions = self.constraint_set.bonds, self.interactions
         images = None if bonds is None else (bonds.offsets, bonds.tolerance)
-        return Checkpoint(self.snapshot(), interactions.displacement, interactions.lists_built(), images, self.equilibrated)
+        return Checkpoint(self.snapshot(), interactions.displacement, interactions.lists_built(), images, self.equilibrated, interactions.grid)
 
     def go_on_from(self, checkpoint: Checkpoint) -> None:
         """Take the place of the engine that the checkpoint is of: the next steps have the bits that its next steps have."""
         self.restore(checkpoint.state)
+        self._lay(checkpoint.grid)
         self.equilibrated, self.is_whole = checkpoint.equilibrated, True
         if checkpoint.images is not None:
             self.constraint_set.restore(self.system, *checkpoint.images)

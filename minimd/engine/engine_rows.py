@@ -1,6 +1,7 @@
 """An engine in words: what a simulation shows of itself."""
 
 from minimd.engine.engine import Engine
+from minimd.forces.options import described
 from minimd.structure.display import Rows
 
 
@@ -13,5 +14,6 @@ def simulation_rows(engine: Engine) -> Rows:
     rows += [("potential", repr(one)) for one in engine.interactions.potentials]
     rows += [("method", repr(engine.method)), *(("constraint", repr(one)) for one in engine.constraints)]
     rows += [("observed too", ", ".join(engine.extra_observables))] if engine.extra_observables else []
-    rows += [("options", ", ".join([f"{options.precision} precision", *words]))]
+    rows += [("options", ", ".join([described(options.precision), *words]))]
+    rows += [("grid", repr(engine.interactions.grid))] if engine.interactions.grid else []
     return [*rows, ("at", f"step {engine.step}, {units.shown(engine.time)}")]

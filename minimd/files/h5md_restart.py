@@ -15,6 +15,7 @@ import numpy as np
 from minimd.engine.engine import Checkpoint, Snapshot
 from minimd.integrators.splitting.state import OpenEnd
 from minimd.neighbors.verlet_list import Built
+from minimd.structure.grid import Grid
 
 RESTART, EARLIER, SPARE = "minimd/restart", "minimd/earlier_restart", "minimd/spare"
 DIGEST = "digest"
@@ -38,6 +39,8 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
     numbers["drifts_next"] = int(state.open_end is not None and state.open_end.drifts_next)
     numbers |= {"clock_step": clock[0], "clock_time": clock[1], "equilibrated": checkpoint.equilibrated}
     numbers |= {"skins": np.array([one.skin for one in checkpoint.lists]), "tolerance": 0.0 if images is None else images[1]}
+    if checkpoint.grid is not None:
+        numbers["grid"] = np.array([checkpoint.grid.length, checkpoint.grid.momentum, checkpoint.grid.energy])
     return {name: array for name, array in arrays.items() if array is not None}, numbers
 
 
@@ -55,6 +58,7 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
         lists=lists,
         images=(arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None,
         equilibrated=int(numbers["equilibrated"]),
+        grid=Grid(*map(float, numbers["grid"])) if "grid" in numbers else None,
     )
 
 

@@ -9,7 +9,7 @@ from minimd.compiled.kernels import by_type, scalar, shared_kernel
 from minimd.compiled.simd import bits_from_mask, load, store, total
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, stop, take, was_stopped
-from minimd.forces.cluster_loop import add_cluster_forces
+from minimd.forces.cluster_loop import add_cluster_forces, lanes_beyond
 from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, momentum_in_steps, velocity_of
 from minimd.neighbors.cluster_list import clear, collected, gather, is_mixed, place
 from minimd.neighbors.clusters import DIMENSIONS
@@ -228,7 +228,8 @@ def _move(domain, arrays, excess, motion, n_made):
                 size2 = size2 + velocity * velocity
             filled = (1 << clusters.filled[k]) - 1
             is_valid &= ~bits_from_mask(moved2 <= motion.limit2) & filled == 0
-            is_valid &= _watch_momenta(domain, arrays, size2, filled, motion.steps)
+            if lanes_beyond(size2, _most_momentum2(motion.steps)) & filled:
+                arrays.memory.net[domain, 1], is_valid = 1.0, False
             place(k, arrays, motion.own_positions, start)
         return is_valid
 
@@ -261,18 +262,9 @@ def _moved(velocity, position, force, inverse_mass, flows, steps):
 
 
 @by_type
-def _watch_momenta(domain, arrays, size2, filled, steps):
-    """Whether the momenta of a cluster are in range, in fixed-point arithmetic.  size2 : sum of squares."""
-    if not is_fixed(steps):
-        return lambda domain, arrays, size2, filled, steps: True
-
-    def watch(domain, arrays, size2, filled, steps):
-        are_in_range = ~bits_from_mask(size2 <= MOST * MOST) & filled == 0
-        if not are_in_range:
-            arrays.memory.net[domain, 1] = 1.0
-        return are_in_range
-
-    return watch
+def _most_momentum2(steps):
+    """The square of the largest momentum, in fixed-point arithmetic; () without it."""
+    return (lambda steps: MOST * MOST) if is_fixed(steps) else lambda steps: ()
 
 
 @by_type

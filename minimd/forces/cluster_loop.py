@@ -11,7 +11,7 @@ import numpy as np
 from numba import types
 from numba.core.errors import NumbaError
 
-from minimd.compiled.fixed_point import is_fixed, on_grid, whole_product
+from minimd.compiled.fixed_point import BIAS, biased_product, is_fixed, on_grid
 from minimd.compiled.kernels import by_type, kernel, scalar, without_cache
 from minimd.compiled.simd import bits_from_mask, broadcast, convert, fma, load, select, store, total
 from minimd.compiled.simd.lanes import DOUBLE, count, lanes_for
@@ -98,7 +98,8 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
     lanes, n_lanes = arrays.clusters.lanes, count(arrays.clusters.lanes)
     nothing, like = broadcast(0.0, load(sums.forces, 0, lanes)), load(coordinates, 0, lanes)
     zero = convert(nothing, 0.0)
-    own_share = 0.5 if sums.detail == PER_ATOM else 1.0
+    own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, which, like)
+    limit2 = limit_of(steps)
     for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
         home, lane = homes[slot // n_lanes], slot % n_lanes
         place = home * DIMENSIONS * n_lanes + lane
@@ -119,7 +120,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
             near = r2 < numbers[0]
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
-            g = as_impulse(f, steps, which)
+            g = as_impulse(f, scale)
             size2 = summed_squares(g, size2, steps)
             fx, fy, fz = plus_product(g, dx, fx), plus_product(g, dy, fy), plus_product(g, dz, fz)
             push(sums.forces, ghost, g, (dx, dy, dz))
@@ -134,10 +135,12 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
                     for c, w in enumerate((u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
                         at_c = (np.intp(ghost) * LANE_SUMS + c) * n_lanes
                         store(sums.lane_sums, at_c, load(sums.lane_sums, at_c, lanes) + 0.5 * in_steps(w, steps))
-        sums.forces[place] -= total(fx)
-        sums.forces[place + n_lanes] -= total(fy)
-        sums.forces[place + 2 * n_lanes] -= total(fz)
-        watch(domain, arrays, size2, steps)
+        n_entries = rows.stop[slot] - rows.start[slot]
+        sums.forces[place] -= without_bias(total(fx), n_entries, lanes)
+        sums.forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
+        sums.forces[place + 2 * n_lanes] -= without_bias(total(fz), n_entries, lanes)
+        if lanes_beyond(size2, limit2):
+            arrays.memory.net[domain, 0] = 1.0
         if with_energy(sums):
             k = slot if sums.detail == PER_ATOM else slot // n_lanes
             sums.energies[k] += own_share * total(energy)
@@ -170,17 +173,38 @@ def separation(coordinates, place, x, unit, lanes):
 
 
 @by_type
-def as_impulse(f, steps, which):
-    """f = −u′/r [energy/length²]; in fixed-point arithmetic in steps of momentum [1/length]."""
-    if is_fixed(steps):
-        return lambda f, steps, which: f * steps.per_force[which]
-    return lambda f, steps, which: f
+def scale_of(steps, which, like):
+    """What makes impulses of forces, in steps of momentum, in all lanes; () where forces are summed as they are."""
+    return (lambda steps, which, like: broadcast(steps.per_force[which], like)) if is_fixed(steps) else lambda steps, which, like: ()
+
+
+@by_type
+def as_impulse(f, scale):
+    """f = −u′/r [energy/length²], or the same as an impulse [1/length]."""
+    return (lambda f, scale: f * scale) if f == scale else lambda f, scale: f
 
 
 @by_type
 def plus_product(f, x, to):
-    """to + f x, lane by lane; where it is of int64, with the product rounded to a whole number."""
-    return (lambda f, x, to: fma(f, x, to)) if to.is_float else lambda f, x, to: to + whole_product(f, x)
+    """to + f x, lane by lane; where it is of int64, with the product rounded to a whole number, and BIAS added, see without_bias."""
+    return (lambda f, x, to: fma(f, x, to)) if to.is_float else lambda f, x, to: to + biased_product(f, x)
+
+
+@by_type
+def without_bias(total, n, lanes):
+    """The sum of n entries of a row on all lanes, without their biases."""
+    if isinstance(total, types.Float):
+        return lambda total, n, lanes: total
+    return lambda total, n, lanes: total - n * count(lanes) * BIAS
+
+
+@kernel
+def start_sums(rows, n_laws, first_sum):
+    """first_sum (M,) int64 = what sums of forces on each ghost begin with: minus the biases that the rows of n_laws will add."""
+    first_sum[:] = 0
+    for slot in range(rows.start.size):
+        for entry in range(rows.start[slot], rows.stop[slot]):
+            first_sum[rows.entries[entry] & GHOST_BITS] -= n_laws * BIAS
 
 
 @by_type
@@ -202,17 +226,18 @@ def summed_squares(f, to, steps):
 
 
 @by_type
-def watch(domain, arrays, size2, steps):
-    """Tell if one of the forces on an atom is too large for fixed-point arithmetic, or no number.  size2 : sum of their squares."""
-    if not is_fixed(steps):
-        return lambda domain, arrays, size2, steps: None
+def lanes_beyond(size2, limit2):
+    """The lanes, as bits, whose squares are beyond a limit or no numbers; none if limit2 is (), as where nothing is limited."""
+    if not isinstance(limit2, types.Float):
+        return lambda size2, limit2: 0
     all_lanes = (1 << size2.lanes) - 1
+    return lambda size2, limit2: ~bits_from_mask(size2 <= limit2) & all_lanes
 
-    def watch_lanes(domain, arrays, size2, steps):
-        if bits_from_mask(size2 <= steps.limit2) != all_lanes:
-            arrays.memory.net[domain, 0] = 1.0
 
-    return watch_lanes
+@by_type
+def limit_of(steps):
+    """limit2 of Steps; () without them."""
+    return (lambda steps: steps.limit2) if is_fixed(steps) else lambda steps: ()
 
 
 @scalar

@@ -11,8 +11,8 @@ from minimd.compiled.kernels import DirectCalls, kernel, without_cache
 from minimd.compiled.simd.lanes import DOUBLE, MIXED
 from minimd.compiled.threads import thread_pool
 from minimd.forces.cluster_kernel import Motion, Rest, evaluate_clusters
-from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums
-from minimd.forces.options import Options, described
+from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, start_sums
+from minimd.forces.options import FIXED_POINT, Options, described
 from minimd.forces.pair_laws import PairLaws, skin_for, widest_skin
 from minimd.integrators.splitting.state import GridState, State, steps_of
 from minimd.neighbors import domains
@@ -39,7 +39,7 @@ class ClusterTerm(OwnTerm):
 
     def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
         self._pool = thread_pool(max(1, min(options.most_threads, len(system) // domains.ATOMS_PER_DOMAIN)))
-        self._is_mixed, self._precision = options.precision == "mixed", described(options.precision)
+        self._is_mixed, self._precision = options.precision == "mixed", options.precision
         if self._is_mixed:
             laws.check_single_precision()
         skin = skin_for(system, laws, options, displacement)
@@ -117,6 +117,8 @@ class ClusterTerm(OwnTerm):
         of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(self._pair_laws.members)]
         self._laws = tuple((one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True))
         self._force_sums = ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
+        if self._precision == FIXED_POINT:
+            start_sums(self.list.rows, len(self._laws), self.list.memory.first_sum)
         self._own = ()  # made where atoms march
         self._prepared_for = self.list.n_builds
 
@@ -148,7 +150,7 @@ class ClusterTerm(OwnTerm):
         n = min(self._pool.n_threads, self.list.n_domains) if self.list.n_builds else self._pool.n_threads
         threads = f"{n} thread{'s' if n > 1 else ''}"
         vectors = f"vectors of {self.list.lanes.size} × {MIXED if self._is_mixed else DOUBLE} bits"
-        return f"cluster list (skin {self.list.skin:.3g}, {threads}, {self._precision}) on {vectors}"
+        return f"cluster list (skin {self.list.skin:.3g}, {threads}, {described(self._precision)}) on {vectors}"
 
     def skipped(self) -> Iterable[str]:
         """See Term."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from minimd.compiled.fixed_point import GridSums
 from minimd.compiled.kernels import announce_compilation
 from minimd.forces.cluster_term import ClusterTerm
-from minimd.forces.options import Options
+from minimd.forces.options import FIXED_POINT, Options
 from minimd.forces.pair_laws import PairLaws, deepest
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.integrators.splitting.state import State, steps_of
@@ -94,7 +94,7 @@ class Forces:
 
     def _is_in_double(self) -> bool:
         """Whether arithmetic is float64 although fixed-point was asked for: without a grid, as where nothing moves by a splitting."""
-        return self.grid is None and self.options.precision == "fixed-point"
+        return self.grid is None and self.options.precision == FIXED_POINT
 
     def lay_grid(self, grid: Grid) -> None:
         """Compute impulses on a grid from now on.  Raises ValueError for a term that cannot."""

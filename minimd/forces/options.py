@@ -8,6 +8,7 @@ from minimd.structure.checks import checked_choice, checked_count, checked_numbe
 from minimd.structure.grid import Grid
 
 Precision = Literal["double", "mixed", "fixed-point"]
+FIXED_POINT: Precision = "fixed-point"
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Options:
         checked_choice("precision", self.precision, get_args(Precision))
         if self.grid is not None and not isinstance(self.grid, Grid):
             raise TypeError(f"grid must be a minimd.Grid; grid = {shown(self.grid)}")
-        if self.grid is not None and self.precision != "fixed-point":
+        if self.grid is not None and self.precision != FIXED_POINT:
             raise ValueError(f"a grid is for precision='fixed-point'; precision = {self.precision!r}")
         if self.threads is not None:
             object.__setattr__(self, "threads", checked_count("threads", self.threads))
@@ -48,4 +49,4 @@ class Options:
 
 def described(precision: Precision) -> str:
     """A precision in words."""
-    return "fixed-point arithmetic" if precision == "fixed-point" else f"{precision} precision"
+    return "fixed-point arithmetic" if precision == FIXED_POINT else f"{precision} precision"

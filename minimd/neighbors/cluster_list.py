@@ -22,11 +22,12 @@ GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of t
 COARSEST = 1e-6  # of the cutoff: on a coarser grid, coordinates are rounded more than float32 rounds their differences
 
 
-class Memory(namedtuple("Memory", "coordinates shift origin unit forces far net")):
+class Memory(namedtuple("Memory", "coordinates shift origin unit forces first_sum far net")):
     """What the loop reads and writes; coordinates are in the precision of the pair arithmetic, see separation in cluster_loop.
 
     coordinates, forces : flat, a block for each ghost.
     shift : (M, 3) of each ghost, as the coordinates.  origin : (3,) [length] and unit [length]: coordinate = (x − origin) / unit.
+    first_sum : (M,) int64, what sums of the forces on a ghost begin with in fixed-point arithmetic, filled by the loop; else empty.
     far : flat, n numbers for each set of lanes: 0 for lanes in it, ∞ for others, which are then infinitely far [length²].
     net : (K, 3); in mixed precision the sum of the forces on the atoms of each domain [energy/length]; in fixed-point arithmetic not zero where
         a force (first column) or a momentum (second) of the domain has left its range.
@@ -113,14 +114,17 @@ class ClusterList(VerletList):
     def _make_memory(self, exact: NDArray[np.float64]) -> Memory:
         ghosts, number = self.ghosts, np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64
         (forces,) = self._memory.carve("scratch", (number, (len(exact),)), in_page=HALF_A_PAGE)  # sorting is over
+        first_sum = self._memory.array("first sum", np.int64, len(ghosts.owner) if self._is_fixed else 0)
         if not self._is_mixed:
-            return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces, self._far, np.zeros((self.n_domains if self._is_fixed else 0, 3)))
+            return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces, first_sum, self._far, np.zeros((self.n_domains if self._is_fixed else 0, 3)))
         shift, origin = self._memory.array("grid shift", np.int32, len(ghosts.owner), 3), np.empty(3)
         unit = self._calls(lay_grid, ghosts, self.cutoff + self.skin, self.skin, origin, shift)
         if unit > COARSEST * self.cutoff:
             width, limit = unit * GRID, COARSEST * self.cutoff
             raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take precision='double'")
-        return Memory(self._memory.array("grid", np.int32, len(exact)), shift, origin, unit, forces, self._far, np.zeros((self.n_domains, 3)))
+        return Memory(
+            self._memory.array("grid", np.int32, len(exact)), shift, origin, unit, forces, first_sum, self._far, np.zeros((self.n_domains, 3))
+        )
 
 
 def far(n_lanes: int) -> NDArray[np.float64]:
@@ -207,11 +211,20 @@ def coordinate(x, origin, unit, like):
 
 @scalar
 def clear(domain, arrays):
-    """Forces on all ghosts of a domain = 0. Who adds to them does so, and has them in its cache then."""
+    """Forces on all ghosts of a domain = 0, or first_sum. Who adds to them does so, and has them in its cache then."""
     lanes, n_lanes, forces = arrays.clusters.lanes, count(arrays.clusters.lanes), arrays.memory.forces
-    nothing = broadcast(0.0, load(forces, 0, lanes))
-    for place in range(arrays.ghost_start[domain] * DIMENSIONS * n_lanes, arrays.ghost_start[domain + 1] * DIMENSIONS * n_lanes, n_lanes):
-        store(forces, place, nothing)
+    for ghost in range(arrays.ghost_start[domain], arrays.ghost_start[domain + 1]):
+        nothing = broadcast(_first_sum(ghost, arrays.memory.first_sum, forces), load(forces, 0, lanes))
+        for c in range(DIMENSIONS):
+            store(forces, (ghost * DIMENSIONS + c) * n_lanes, nothing)
+
+
+@by_type
+def _first_sum(ghost, first_sum, forces):
+    """What the sum of the forces on a ghost begins with."""
+    if isinstance(forces.dtype, types.Float):
+        return lambda ghost, first_sum, forces: 0.0
+    return lambda ghost, first_sum, forces: first_sum[ghost]
 
 
 @scalar

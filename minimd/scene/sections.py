@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
+from minimd.forces.options import Precision
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones
@@ -182,7 +183,7 @@ class DynamicsSection(Section):
     relaxation_time: Annotated[Positive | None, Dimension("time")] = None
     seed: NonNegativeInt = 1
     threads: PositiveInt | None = None
-    precision: Literal["double", "mixed"] = "double"
+    precision: Precision = "double"
 
     @model_validator(mode="after")
     def _fits_its_method(self, info: ValidationInfo) -> Self:

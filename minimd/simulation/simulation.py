@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.report import Report
-from minimd.diagnosis.reversibility import Reversibility, probe
+from minimd.diagnosis.reversibility import Reversibility, make_steps_back, probe
 from minimd.diagnosis.run_guard import BLOCK, RunGuard
 from minimd.diagnosis.run_report import report_of
 from minimd.engine.engine import Engine, Snapshot
@@ -307,18 +307,17 @@ class Simulation(Displayed):
         ValueError : with a thermostat, whose noise cannot be undone, or for a number of steps below 1.
         NonFiniteError, ConstraintError : as run.
         """
-        n_steps = checked_count("n_steps", n_steps)
-        if self.method.is_thermostat:
-            raise ValueError(f"{self.method.name} is a thermostat: its noise cannot be undone, so that no run of it is reversible")
-        before = self.engine.snapshot()
-        with self.guard.uncounted():
-            self.guard.check_start()
-            try:
-                with stop_on_signals(self.engine.surroundings):
-                    self.reversibility = probe(self.guard, n_steps)
-            finally:
-                self.engine.restore(before)
+        self.reversibility = probe(self.guard, checked_count("n_steps", n_steps))
         return self.reversibility
+
+    def run_back(self, n_steps: int) -> None:
+        """Retrace the last n_steps steps, to the last bit: for precision="fixed-point" and a symmetric method. step and time go back, too.
+
+        Raises
+        ------
+        ValueError : for another precision, a method that is not symmetric, or a negative count.  RangeError : as run.
+        """
+        make_steps_back(self.guard, checked_count("n_steps", n_steps, 0))
 
     @contextmanager
     def _running(self, noise_shift: int) -> Iterator[None]:

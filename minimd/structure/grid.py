@@ -16,7 +16,7 @@ from minimd.structure.errors import RangeError
 from minimd.structure.system import System
 
 FARTHEST = 2.0**52  # steps of length: sums of two positions are still exact
-TRAVEL = 32.0  # times the size of the scene: how far atoms can go
+TRAVEL, FAR_TRAVEL = 64.0, 4096.0  # times the size of the scene: how far atoms can go; in scenes with an open direction
 FASTER = 8.0  # times the momentum of the fastest atom, and of one that falls into DEEP wells: how fast atoms can become
 DEEP = 10.0
 ENERGY_ROOM = 4.0  # times the energy of all atoms
@@ -24,6 +24,7 @@ TOO_LARGE = (
     "the force between two atoms is beyond the range of fixed-point numbers: they are too close to each other; "
     "take a shorter time step, or give grid=minimd.Grid(...) with a larger step of momentum"
 )
+NO_SIGN = 0.0  # added to zeros
 SLOW = 1e-3  # of the scene in a step, where nothing tells how fast atoms are
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ class Grid(Displayed):
         fastest = float(np.abs(system.masses[:, None] * system.velocities).max())
         momentum = max(fastest, (2.0 * heaviest * DEEP * depth) ** 0.5) or heaviest * SLOW * (size or 1.0) / timestep
         energy = len(system) * (DEEP * depth + momentum**2 / float(system.masses.min()))
-        length = _power_of_two((size or momentum * timestep / float(system.masses.min())) * TRAVEL) / FARTHEST
+        length = _power_of_two((size or momentum * timestep / float(system.masses.min())) * (TRAVEL if cell.pbc.all() else FAR_TRAVEL)) / FARTHEST
         return cls(length, _power_of_two(momentum * FASTER) / MOST, _power_of_two(energy * ENERGY_ROOM) / FARTHEST)
 
     def widened(self, other: Grid) -> Grid:
@@ -87,19 +88,27 @@ class Grid(Displayed):
         vectors = np.rint(system.cell.vectors / self.length) * self.length
         if not np.array_equal(vectors, system.cell.vectors):
             system.cell = Cell(vectors, system.cell.pbc)
-        system.positions[:] = np.rint(system.positions / self.length) * self.length
+        self.take_positions(system.positions)
         self.take_velocities(system.velocities, inverse_masses)
         self.check_positions(system.positions)
         self.check_momenta(system.velocities, inverse_masses)
 
+    def take_positions(self, positions: Array) -> None:
+        """Positions (N, 3) rounded to the grid, in place."""
+        positions[:] = np.rint(positions / self.length) * self.length + NO_SIGN
+
     def take_velocities(self, velocities: Array, inverse_masses: Array) -> None:
         """Velocities (N, 3) of rounded momenta, in place."""
-        velocities[:] = self.momenta(velocities, inverse_masses) * (self.momentum * inverse_masses)[:, None]
+        velocities[:] = self.velocities(self.momenta(velocities, inverse_masses), inverse_masses)
+
+    def velocities(self, momenta: Array, inverse_masses: Array) -> Array:
+        """Velocities (N, 3) of momenta in steps."""
+        return momenta * (self.momentum * inverse_masses)[:, None]
 
     def momenta(self, velocities: Array, inverse_masses: Array) -> Array:
         """Momenta in steps, whole numbers (N, 3), of velocities (N, 3); zero for fixed atoms."""
         steps = (self.momentum * inverse_masses)[:, None]
-        return np.rint(np.divide(velocities, steps, out=np.zeros_like(velocities), where=steps > 0.0))
+        return np.rint(np.divide(velocities, steps, out=np.zeros_like(velocities), where=steps > 0.0)) + NO_SIGN
 
     def check_momenta(self, velocities: Array, inverse_masses: Array) -> None:
         """Raise RangeError if a momentum is beyond the range of the grid."""
@@ -114,11 +123,11 @@ class Grid(Displayed):
         """Raise RangeError if a position is beyond the range of the grid."""
         if not np.abs(positions).max() <= FARTHEST * self.length:
             atom = int(np.argmax(np.abs(positions).max(axis=1)))
-            hint = "wrap the positions, simulation.positions[:] = simulation.system.cell.wrapped(simulation.positions)"
+            hint = "in a periodic cell, wrap the positions: simulation.positions[:] = simulation.system.cell.wrapped(simulation.positions)"
             largest, most = np.abs(positions).max(), FARTHEST * self.length
             raise RangeError(
-                f"atom {atom} is {largest:.3g} from the origin, beyond the range of fixed-point numbers, {most:.3g}: {hint}, "
-                f"or give grid=minimd.Grid(...) with a larger step of length than {self.length:.3g}"
+                f"atom {atom} is {largest:.3g} from the origin, beyond the range of fixed-point numbers, {most:.3g}: "
+                f"give grid=minimd.Grid(...) with a larger step of length than {self.length:.3g}; or, {hint}"
             )
 
 

@@ -125,10 +125,7 @@ class Splitting(Method):
                     self.thermalize(state, duration, around)
                     state.settle()
                 else:
-                    if around.constraints is None:
-                        state.drift(duration, unit)
-                    else:
-                        around.constraints.drift(state.positions, state.velocities, duration)
+                    around.drift(state, duration, unit)
                     state.forces_are_current = False
             if around.bath is not None and step < n_steps:
                 around.bath.step, around.bath.contact = around.bath.step + 1, 0

@@ -1,5 +1,7 @@
 """What a splitting moves, and what acts on it beside the forces."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -8,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.fixed_point import Steps
+from minimd.constraints.graph import Bodies
 from minimd.constraints.solver import ConstraintSolver
 from minimd.integrators.method import Array
 from minimd.integrators.splitting.flows import drift, drift_on_grid, kick, kick_on_grid
@@ -50,6 +53,11 @@ class State:
     def settle(self) -> None:
         """After velocities were changed by a bath: those that a state can have."""
 
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Context in which constraints change positions and velocities; afterwards they are those that a state can have."""
+        yield
+
     def kinetic_energy(self) -> float:
         """K [energy] of the atoms that move."""
         return kinetic_energy(self.velocities, self.masses)
@@ -70,11 +78,12 @@ class GridState(State):
     """A state in fixed-point arithmetic.
 
     impulses : (N, 3) int64 in steps of momentum, those of the forces over a unit of time.
-    grid : Grid.
+    grid : Grid.  bodies : what constraints tie together, or None.
     """
 
     impulses: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
     grid: Grid = Grid(1.0, 1.0, 1.0)  # noqa: RUF009 - frozen
+    bodies: Bodies | None = None
 
     def has_forces_over(self, unit: float) -> bool:
         """See State."""
@@ -91,6 +100,20 @@ class GridState(State):
         """See State.  Raises RangeError if a position leaves its range."""
         drift_on_grid(self.positions, self.velocities, self.inverse_masses, unit, round(duration / unit), steps_of(self.grid, (unit,)))
         self.grid.check_positions(self.positions)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """See State. The momentum of each body that constraints tie together stays the same, to the last bit."""
+        before = self.grid.momenta(self.velocities, self.inverse_masses)
+        yield
+        momenta = self.grid.momenta(self.velocities, self.inverse_masses)
+        if self.bodies is not None:
+            label, last, is_free = self.bodies
+            for c in range(3):
+                excess = np.bincount(label, momenta[:, c] - before[:, c])
+                momenta[last[is_free], c] -= excess[is_free]
+        self.velocities[:] = self.grid.velocities(momenta, self.inverse_masses)
+        self.grid.take_positions(self.positions)
 
     def settle(self) -> None:
         """See State."""
@@ -174,7 +197,16 @@ class Surroundings:
         self.open_end = None
         return True
 
+    def drift(self, state: State, duration: float, unit: float) -> None:
+        """Positions += duration · velocities, lengths kept.  unit : see State.drift."""
+        if self.constraints is None:
+            state.drift(duration, unit)
+            return
+        with state.held():
+            self.constraints.drift(state.positions, state.velocities, duration)
+
     def project(self, state: State) -> None:
         """Velocities projected so that they change no length that is kept, in place."""
         if self.constraints is not None:
-            self.constraints.project_velocities(state.velocities, state.positions)
+            with state.held():
+                self.constraints.project_velocities(state.velocities, state.positions)

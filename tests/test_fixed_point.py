@@ -1,0 +1,233 @@
+"""Fixed-point dynamics: momentum, reversibility and independence of every order, to the last bit; see docs/fixed-point.md."""
+
+import pickle
+
+import numpy as np
+import pytest
+from fixed_point_scenes import ANGLE, BOND, GRID, LAW, bits, mixture, simulated, total_momentum
+
+import minimd as md
+from minimd.forces.pair_laws import PairLaws
+from minimd.integrators.methods import SPLITTINGS
+from minimd.structure.grid import Grid
+
+SYMMETRIC = [name for name, method in SPLITTINGS.items() if method.is_symmetric]
+
+
+def there_and_back(simulation, n_steps):
+    """Steps, and back. The largest way of an atom."""
+    simulation.make_steps(0)
+    start, total = bits(simulation), total_momentum(simulation)
+    before = simulation.positions.copy()
+    simulation.make_steps(n_steps)
+    way = np.abs(simulation.positions - before).max()
+    assert total_momentum(simulation) == total
+    simulation.run_back(n_steps)
+    assert bits(simulation) == start
+    assert simulation.step == 0
+    return way
+
+
+@pytest.mark.parametrize("name", SYMMETRIC)
+def test_symmetric_methods_return_to_the_first_bit_and_keep_momentum(name):
+    assert there_and_back(simulated(mixture(with_bonds=False), SPLITTINGS[name](0.004)), 120) > 0.3
+
+
+@pytest.mark.parametrize("pbc", [True, (True, False, True), False])
+def test_bonds_angles_and_every_kind_of_cell_likewise(pbc):
+    assert there_and_back(simulated(mixture(pbc)), 120) > 0.3
+
+
+def test_steps_of_other_methods_cannot_be_retraced():
+    system = mixture(with_bonds=False)
+    with pytest.raises(ValueError, match=r"symplectic-euler-1 cannot be retraced, because it is not symmetric"):
+        simulated(system, SPLITTINGS["symplectic-euler-1"](0.004)).run_back(1)
+    with pytest.raises(ValueError, match="only precision='fixed-point' retraces its steps; it is 'double'"):
+        simulated(system, precision="double", grid=None).run_back(1)
+    simulation = simulated(system, SPLITTINGS["symplectic-euler-1"](0.004))
+    total = total_momentum(simulation)
+    simulation.make_steps(50)
+    assert total_momentum(simulation) == total
+
+
+@pytest.fixture(scope="module")
+def reference():
+    """A run of the mixture: its simulation and record."""
+    simulation = simulated(mixture())
+    return simulation, simulation.run(150, every=50)
+
+
+def same_run(simulation, reference, atoms=slice(None), shift=0.0):
+    """Whether a run of other order has the bits of the reference: state, energies, pressures."""
+    expected, record = reference
+    found = simulation.run(150, every=50)
+    inverse = np.empty(len(simulation.positions), dtype=int)
+    inverse[np.arange(len(inverse))[atoms]] = np.arange(len(inverse))
+    assert np.array_equal(simulation.positions[inverse] - shift, expected.positions)
+    assert np.array_equal(simulation.velocities[inverse], expected.velocities)
+    for name in ("potential_energy", "total_energy", "temperature", "pressure"):
+        assert np.array_equal(getattr(found, name), getattr(record, name)), name
+    assert np.array_equal(found.momentum, np.repeat(found.momentum[:1], len(found), axis=0))
+
+
+@pytest.mark.parametrize("options", [{"threads": 2}, {"threads": 3, "skin": 0.1}, {"skin": 0.6}])
+def test_threads_and_skins_change_no_bit(reference, options):
+    same_run(simulated(mixture(), **options), reference)
+
+
+def test_the_pair_list_has_the_bits_of_the_cluster_list(reference, monkeypatch):
+    monkeypatch.setattr(PairLaws, "fit_clusters", lambda *_: False)
+    simulation = simulated(mixture())
+    same_run(simulation, reference)
+    assert "pair list" in simulation.engine.interactions.pair_search
+
+
+def test_renumbered_atoms_have_the_same_bits(reference):
+    system = mixture()
+    order = np.random.default_rng(1).permutation(len(system))
+    place = np.argsort(order)
+    parts = {name: getattr(system, name)[order] for name in ("masses", "velocities", "species")}
+    renumbered = md.System(system.positions[order], cell=system.cell, bonds=place[system.bonds], angles=place[system.angles], **parts)
+    same_run(simulated(renumbered), reference, order)
+
+
+def test_wrapped_and_translated_atoms_have_the_same_bits(reference):
+    shift = np.array([12345, -99, 7_777_777]) * GRID.length
+    moved = np.random.default_rng(2).integers(-3, 4, (108, 3)) @ mixture().cell.vectors
+    system = mixture()
+    system.positions[:] += shift
+    same_run(simulated(system), reference, shift=shift)
+    system = mixture()
+    system.positions[:] += moved
+    same_run(simulated(system), reference, shift=moved)
+
+
+def test_looks_copies_files_and_resumed_runs_have_the_same_bits(reference, tmp_path):
+    expected, file = reference[0], tmp_path / "run.h5md"
+    looked = simulated(mixture())
+    for n in (1, 6, 20, 3):
+        looked.make_steps(n)
+        assert looked.potential_energy < 0.0
+    copied = pickle.loads(pickle.dumps(looked))
+    copied.run(20, every=7, trajectory=file)
+    resumed = md.Simulation.resume(file, [LAW, BOND, ANGLE], threads=2)
+    assert resumed.engine.interactions.grid == GRID
+    resumed.run(until_step=150, every=13, trajectory=file, append=True)
+    assert bits(resumed) == bits(expected)
+
+
+@pytest.mark.parametrize("bath", [md.LangevinBAOAB(0.004, 0.9, 1.0, seed=3), md.StochasticVelocityRescaling(0.004, 0.9, 0.5, seed=3)])
+def test_baths_keep_to_the_grid(bath):
+    """With them, too, a run that is stopped and one on other threads have the same bits; rescaling keeps the momentum to rounding."""
+    one, other = simulated(mixture(), bath), simulated(mixture(), bath, threads=2, skin=0.2)
+    one.make_steps(100)
+    other.make_steps(37)
+    other = pickle.loads(pickle.dumps(other))
+    other.make_steps(63)
+    assert bits(one) == bits(other)
+    assert one.reservoir_energy == other.reservoir_energy
+    momenta = one.velocities * one.system.masses[:, None] / GRID.momentum
+    assert np.abs(momenta - np.rint(momenta)).max() < 0.01
+
+
+def test_rigid_bonds_keep_momentum_to_the_last_bit():
+    """Impulses of constraints are rounded so that they are opposite; reversibility is not claimed."""
+    system = mixture()
+    rigid = md.DistanceConstraints(system.bonds)
+    system.velocities[:] -= (system.masses[:, None] * system.velocities).sum(axis=0) / system.masses.sum()
+    simulation = simulated(system, constraints=rigid, potentials=[LAW])
+    simulation.make_steps(0)
+    total = total_momentum(simulation)
+    record = simulation.run(200, every=50)
+    assert total_momentum(simulation) == total
+    assert record.constraint_violation.max() < 1e-9
+    with pytest.raises(ValueError, match="steps with constraints cannot be retraced"):
+        simulation.run_back(10)
+
+
+def test_atoms_that_are_held_fixed_stay_where_they_are():
+    simulation = simulated(mixture(), constraints=md.FixedAtoms([0, 1, 50]))
+    simulation.make_steps(0)
+    start, held = bits(simulation), simulation.positions[[0, 1, 50]].copy()
+    simulation.make_steps(60)
+    assert np.array_equal(simulation.positions[[0, 1, 50]], held)
+    simulation.run_back(60)
+    assert bits(simulation) == start
+
+
+def test_forces_and_energies_are_those_of_float64(monkeypatch):
+    system, rounded = mixture(), simulated(mixture())
+    monkeypatch.setattr(PairLaws, "fit_clusters", lambda *_: False)  # compiles less
+    exact = md.evaluate(system, [LAW, BOND, ANGLE])
+    frame = rounded.frame()
+    assert np.abs(frame.forces - exact.forces).max() < 1e-12 * np.abs(exact.forces).max()
+    assert frame.observables["potential_energy"] == pytest.approx(exact.potential_energy, rel=1e-12)
+    assert rounded.engine.interactions.virial == pytest.approx(exact.virial, rel=1e-10, abs=1e-9)
+
+
+def test_what_is_said_of_it():
+    simulation = simulated(mixture(with_bonds=False))
+    simulation.run(100, every=10)
+    probed = simulation.probe_reversibility(30)
+    assert probed.is_exact
+    assert str(probed).endswith("returned to the first bit")
+    told = str(simulation.report())
+    assert "momentum       exactly constant" in told
+    assert "returned to the first bit" in told
+    assert "fixed-point arithmetic" in str(simulation)
+
+
+def test_a_grid_is_chosen_from_the_scene_and_widened_with_it():
+    system = mixture(with_bonds=False)
+    simulation = simulated(system, grid=None)
+    chosen = simulation.engine.interactions.grid
+    assert 1e-14 < chosen.length < 1e-12
+    assert np.array_equal(simulation.positions / chosen.length, np.rint(simulation.positions / chosen.length))
+    simulation.velocities[:] *= 100.0
+    simulation.make_steps(0)
+    assert simulation.engine.interactions.grid.momentum == pytest.approx(100.0 * chosen.momentum, rel=0.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda one: one.velocities.__setitem__((7, 1), 1e4), r"the momentum of atom 7 is 1e\+04, beyond the range of fixed-point numbers, 64"),
+        (lambda one: one.positions.__setitem__((7, 1), 1e4), r"atom 7 is 1e\+04 from the origin, beyond the range of fixed-point numbers, 1.02e\+03"),
+    ],
+)
+def test_what_is_out_of_range_is_refused(change, message):
+    simulation = simulated(mixture(with_bonds=False))
+    change(simulation)
+    with pytest.raises(md.RangeError, match=message):
+        simulation.make_steps(1)
+
+
+def test_a_momentum_or_a_force_that_leaves_its_range_stops_the_run():
+    """Before anything wraps round: the state is the last good one."""
+    system = mixture(with_bonds=False)
+    hot = simulated(system, grid=Grid(2.0**-42, 2.0**-47, 2.0**-36))  # momenta up to 8
+    hot.velocities[:] *= 2.0
+    with pytest.raises(md.RangeError, match=r"At step \d+: the momentum of atom \d+ is"):
+        hot.make_steps(20_000)
+    assert np.abs(hot.velocities * hot.system.masses[:, None]).max() <= 8.0
+    close = mixture(with_bonds=False)
+    close.positions[1] = close.positions[0] + [0.11, 0.0, 0.0]
+    with pytest.raises((md.RangeError, md.NonFiniteError), match=r"fixed-point numbers|would move it|not finite"):
+        simulated(close).make_steps(1)
+
+
+def test_what_cannot_be_rounded_is_refused():
+    class Field:
+        def bind(self, system):
+            return Pull()
+
+    class Pull(md.Term):
+        def add(self, system, detail, forces, energies, virials):
+            forces[:, 2] -= 1.0
+
+    with pytest.raises(ValueError, match="precision='fixed-point' is for laws u"):
+        simulated(mixture(), potentials=[LAW, Field()])
+    with pytest.raises(ValueError, match="a grid is for precision='fixed-point'"):
+        simulated(mixture(), precision="double")
+    with pytest.raises(ValueError, match=r"must be a power of two"):
+        md.Grid(1e-12, 2.0**-44, 2.0**-36)

@@ -183,7 +183,10 @@ def test_a_grid_is_chosen_from_the_scene_and_widened_with_it():
     chosen = simulation.engine.interactions.grid
     assert 1e-14 < chosen.length < 1e-12
     assert np.array_equal(simulation.positions / chosen.length, np.rint(simulation.positions / chosen.length))
-    simulation.velocities[:] *= 100.0
+    simulation.velocities[:] *= 2.0
+    simulation.make_steps(0)
+    assert simulation.engine.interactions.grid == chosen  # else steps back would not be those forward
+    simulation.velocities[:] *= 50.0
     simulation.make_steps(0)
     assert simulation.engine.interactions.grid.momentum == pytest.approx(100.0 * chosen.momentum, rel=0.5)
 

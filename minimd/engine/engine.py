@@ -109,9 +109,9 @@ class Engine:
         interactions, state = self.interactions, self._state
         if interactions.grid is None or not isinstance(state, GridState):
             return
-        is_given = interactions.options.grid is not None
-        wanted = interactions.grid if is_given else Grid.of_scene(self.system, self.method.timestep, interactions.depth())
-        self._lay(interactions.grid.widened(wanted))
+        if interactions.options.grid is None and not interactions.grid.has_room_for(self.system):
+            interactions.grid = interactions.grid.widened(Grid.of_scene(self.system, self.method.timestep, interactions.depth()))
+        self._lay(interactions.grid)
         state.grid.take(self.system, state.inverse_masses)
 
     def _lay(self, grid: Grid | None) -> None:

@@ -76,6 +76,11 @@ class Grid(Displayed):
         length = _power_of_two((size or momentum * timestep / float(system.masses.min())) * (TRAVEL if cell.pbc.all() else FAR_TRAVEL)) / FARTHEST
         return cls(length, _power_of_two(momentum * FASTER) / MOST, _power_of_two(energy * ENERGY_ROOM) / FARTHEST)
 
+    def has_room_for(self, system: System) -> bool:
+        """Whether positions and momenta of a system are in the inner half of the range."""
+        momenta = system.masses[:, None] * system.velocities
+        return bool(np.abs(system.positions).max() <= 0.5 * FARTHEST * self.length and np.abs(momenta).max() <= 0.5 * MOST * self.momentum)
+
     def widened(self, other: Grid) -> Grid:
         """The larger steps of two grids."""
         return Grid(max(self.length, other.length), max(self.momentum, other.momentum), max(self.energy, other.energy))

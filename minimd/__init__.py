@@ -14,6 +14,7 @@ from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential, Tabulated
 from minimd.potentials.term import INTERPRETERS, Potential, Term
 from minimd.replay import potentials_of_scene, replay
+from minimd.simulation.archiving import archive
 from minimd.simulation.calculators import interpret_calculator
 from minimd.simulation.simulation import Simulation
 from minimd.structure import lattice, units
@@ -60,6 +61,7 @@ __all__ = [
     "Term",
     "VelocityVerlet",
     "advise_timestep",
+    "archive",
     "evaluate",
     "integrators",
     "lattice",

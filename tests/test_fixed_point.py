@@ -116,6 +116,26 @@ def test_looks_copies_files_and_resumed_runs_have_the_same_bits(reference, tmp_p
     assert bits(resumed) == bits(expected)
 
 
+def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
+    file, small = tmp_path / "run.h5md", tmp_path / "small.h5md"
+    run = simulated(mixture(with_bonds=False))
+    run.make_steps(3)
+    run.run(97, every=10, trajectory=file)
+    other = simulated(mixture(with_bonds=False))
+    other.make_steps(47)
+    assert bits(md.Simulation.resume(file, LAW, step=47)) == bits(other)
+    made = md.archive(file, small, 50, LAW)
+    assert made.n_frames == (11, 3)  # steps 3, 50 and 100
+    assert made.n_bytes[1] < made.n_bytes[0]
+    assert bits(md.Simulation.resume(small, LAW, step=47)) == bits(other)
+    assert bits(md.Simulation.resume(small, LAW)) == bits(run)
+    with pytest.raises(ValueError, match="has the steps 3 to 100; step = 101"):
+        md.Simulation.resume(small, LAW, step=101)
+    with pytest.raises(ValueError, match="give the potentials of the run"):
+        md.archive(file, tmp_path / "other.h5md", 50, md.LennardJones({"A": (1.0, 1.0), "B": (0.6, 0.9)}, cutoff=1.8, mixing="lorentz-berthelot"))
+    assert not (tmp_path / "other.h5md").exists()
+
+
 @pytest.mark.parametrize("bath", [md.LangevinBAOAB(0.004, 0.9, 1.0, seed=3), md.StochasticVelocityRescaling(0.004, 0.9, 0.5, seed=3)])
 def test_baths_keep_to_the_grid(bath):
     """With them, too, a run that is stopped and one on other threads have the same bits; rescaling keeps the momentum to rounding."""

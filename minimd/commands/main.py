@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Any
 
 from minimd.bench.outcome import DisagreementError
-from minimd.commands import bench, check, doctor, plot, replay, resume, run, view
+from minimd.commands import archive, bench, check, doctor, frames, plot, replay, resume, run, view
 from minimd.compiled.machine import version
 from minimd.structure.console import Terminated
 from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
@@ -27,7 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="minimd", description="Molecular dynamics from a scene file, in small.", epilog="Begin with: minimd doctor")
     parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
     commands = parser.add_subparsers(metavar="command", title="commands")
-    for command in (run, resume, replay, check, plot, view, bench, doctor):
+    for command in (run, resume, replay, check, plot, view, frames, archive, bench, doctor):
         command.add(commands)
     arguments = parser.parse_args(argv)
     if "command" not in arguments:

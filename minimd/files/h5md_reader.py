@@ -104,6 +104,13 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
         )
 
 
+def frame_arrays(path: str | Path, frame: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions and velocities of a frame, (N, 3) float64.  Raises as opened."""
+    with opened(path) as h5, damage_told(path):
+        positions, velocities = (h5[f"{TRAJECTORY}/{name}/value"][frame] for name in ("position", "velocity"))
+        return positions, velocities
+
+
 def damage(path: str | Path) -> str:
     """Which frames of a minimd file, or which of its restarts, are not those that were written, in words; empty if all are.
 

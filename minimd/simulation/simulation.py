@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +17,7 @@ from minimd.diagnosis.run_guard import BLOCK, RunGuard
 from minimd.diagnosis.run_report import report_of
 from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.engine_rows import simulation_rows
-from minimd.engine.observation import check_extras, extras_in, observe
+from minimd.engine.observation import check_extras, observe
 from minimd.engine.record import Frame, Record
 from minimd.files.crash_file import crash_file_left, crash_file_place
 from minimd.files.trajectory import Writer, first_h5md, open_trajectories
@@ -27,6 +26,7 @@ from minimd.forces.options import Options, Precision
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
 from minimd.simulation.engine_attribute import EngineAttribute, Measured
+from minimd.simulation.resuming import resumed
 from minimd.structure.checks import checked_count, checked_flag, checked_number, shown
 from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
@@ -118,7 +118,9 @@ class Simulation(Displayed):
         return simulation_rows(self.engine)
 
     @classmethod
-    def resume(cls, file: str | Path, potentials: Potential | Sequence[Potential] | None = None, *, threads: int | None = None) -> Self:
+    def resume(
+        cls, file: str | Path, potentials: Potential | Sequence[Potential] | None = None, *, threads: int | None = None, step: int | None = None
+    ) -> Self:
         """The simulation in the restart of an H5MD file: its next steps have the bits that those of the run had, or would have had.
 
             sim = md.Simulation.resume("run.h5md", potentials)
@@ -127,24 +129,15 @@ class Simulation(Displayed):
         Parameters
         ----------
         potentials : those of the run; if not given, those of the scene that is stored in the file.  threads : as above.
+        step : of a run in fixed-point arithmetic, any step from the first frame on; it is made again from the frame before it.
 
         Raises
         ------
-        FileNotFoundError, OSError, ValueError : for a file that is none or is damaged, or without a scene if no potentials are given.
+        FileNotFoundError, OSError, ValueError : for a file that is none or is damaged, or without a scene if no potentials are given; for a step
+            that is not in the file, or of a run in float64.
         """
-        from minimd.files.h5md_reader import read_file, verify_frames  # h5py takes its time to load
-
-        verify_frames(file)  # a child process looks first
-        contents = read_file(file)
-        if potentials is None:
-            potentials = cls.potentials_of_scene(contents.scene, contents.potentials, Path(file))
-        resumed = cls(contents.system, potentials, contents.integrator(), threads=threads, precision=contents.precision, skin=contents.skin)
-        resumed.extra_observables = extras_in(contents.record)
-        resumed.engine.notes.update(title=contents.title, scene=contents.scene)
-        resumed.engine.go_on_from(contents.restart)
-        if contents.repaired:
-            warnings.warn(contents.repaired, stacklevel=2)
-        return resumed
+        found: Self = resumed(cls, file, potentials, threads, step)
+        return found
 
     def run(
         self,

@@ -1,0 +1,66 @@
+"""Archives of runs in fixed-point arithmetic: few frames, from which all others can be made again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from minimd.engine.observation import observe
+from minimd.files.trajectory import open_trajectories
+from minimd.simulation.resuming import Potentials, check_is_fixed, go_to
+from minimd.simulation.simulation import Simulation
+from minimd.structure.checks import checked_count
+from minimd.structure.display import Displayed
+
+
+@dataclass(frozen=True)
+class Archive(Displayed):
+    """What became of a file.  n_frames, n_bytes : before and after.  every : steps between two frames that were kept."""
+
+    file: Path
+    every: int
+    n_frames: tuple[int, int]
+    n_bytes: tuple[int, int]
+
+    def __str__(self) -> str:
+        (frames, kept), (before, after) = self.n_frames, self.n_bytes
+        sizes = f"{before / 1e6:.3g} MB -> {after / 1e6:.3g} MB, {before / after:.3g} times smaller"
+        what = f"archive        {self.file}: {kept} of {frames} frames, one each {self.every} steps; {sizes}"
+        return f"{what}\nany step       minimd frames {self.file} --at STEP"
+
+
+def archive(file: str | Path, out: str | Path, every: int, potentials: Potentials = None, overwrite: bool = False) -> Archive:
+    """A file with few frames of a run in fixed-point arithmetic, from which all others can be made again, to the last bit.
+
+    The forces of each frame that is kept are evaluated again, and the steps from the first of them to the second made again: their energies and
+    bits must be those in the file.
+
+    every : frames are kept whose step is a multiple of it, and the first.  potentials : as of Simulation.resume.
+
+    Raises ValueError for a run with another precision, or if something comes out differently.  OSError as open_trajectories.
+    """
+    from minimd.files.h5md_reader import frame_arrays, read_file
+
+    every, simulation, contents = checked_count("every", every), Simulation.resume(file, potentials), read_file(file)
+    check_is_fixed(file, contents)
+    steps, energies, engine = contents.record.step, contents.record.total_energy, simulation.engine
+    kept = [k for k, step in enumerate(steps) if k == 0 or step % every == 0]
+    if len(kept) > 1:
+        again = Simulation.resume(file, potentials, step=int(steps[kept[0]]))
+        again.make_steps(int(steps[kept[1]] - steps[kept[0]]))
+        if not np.array_equal(again.positions, frame_arrays(file, kept[1])[0]):
+            raise ValueError(
+                f"step {steps[kept[1]]} of {str(file)!r} comes out with other bits when it is made again: give the potentials of the run"
+            )
+    with open_trajectories(out, engine, store_forces=False, overwrite=overwrite, every=every) as (writer,):
+        for k in kept:
+            go_to(simulation, file, contents, k)
+            frame = observe(engine)
+            if frame.observables["total_energy"] != energies[k]:
+                raise ValueError(f"the energy of step {steps[k]} of {str(file)!r} comes out differently: give the potentials of the run")
+            writer.write(frame)
+        engine.go_on_from(contents.restart)
+    sizes = Path(file).stat().st_size, Path(out).stat().st_size
+    return Archive(Path(out), every, (len(steps), len(kept)), sizes)

@@ -1,0 +1,68 @@
+"""Simulations from files: the one that a run left, and any step of a run in fixed-point arithmetic."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from minimd.engine.engine import Snapshot
+from minimd.engine.observation import extras_in
+from minimd.forces.forces import Potential
+from minimd.structure.checks import checked_count
+
+if TYPE_CHECKING:
+    from minimd.files.h5md_reader import H5MDContents
+
+Potentials = Potential | Sequence[Potential] | None
+
+
+def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | None, step: int | None = None) -> Any:
+    """See Simulation.resume.  kind : Simulation."""
+    from minimd.files.h5md_reader import read_file, verify_frames  # h5py takes its time to load
+
+    verify_frames(file)  # a child process looks first
+    contents = read_file(file)
+    if potentials is None:
+        potentials = kind.potentials_of_scene(contents.scene, contents.potentials, Path(file))
+    simulation = kind(contents.system, potentials, contents.integrator(), threads=threads, precision=contents.precision, skin=contents.skin)
+    simulation.extra_observables = extras_in(contents.record)
+    simulation.engine.notes.update(title=contents.title, scene=contents.scene)
+    simulation.engine.go_on_from(contents.restart)
+    if contents.repaired:
+        warnings.warn(contents.repaired, stacklevel=3)
+    if step is not None:
+        _make_again(simulation, file, contents, checked_count("step", step, 0))
+    return simulation
+
+
+def _make_again(simulation: Any, file: str | Path, contents: H5MDContents, step: int) -> None:
+    """Bring a simulation to a step of the run in its file, from the frame before it."""
+    check_is_fixed(file, contents)
+    steps = contents.record.step
+    if not steps[0] <= step <= contents.step:
+        raise ValueError(f"file {str(file)!r} has the steps {steps[0]} to {contents.step}; step = {step}")
+    frame = int(np.searchsorted(steps, step, side="right")) - 1
+    go_to(simulation, file, contents, frame)
+    simulation.make_steps(step - int(steps[frame]))
+
+
+def check_is_fixed(file: str | Path, contents: H5MDContents) -> None:
+    """Raise ValueError for a run in float64."""
+    if contents.restart.grid is None:
+        why = f"the run in {str(file)!r} was made with precision={contents.precision!r}"
+        raise ValueError(f"only runs with precision='fixed-point' can be made again to the last bit from any of their frames; {why}")
+
+
+def go_to(simulation: Any, file: str | Path, contents: H5MDContents, frame: int) -> None:
+    """Put a simulation into the state of a frame. In fixed-point arithmetic this is all that the steps to come depend on."""
+    from minimd.files.h5md_reader import frame_arrays
+
+    record, engine = contents.record, simulation.engine
+    reservoir = float(record.total_energy[frame] - record.conserved_energy[frame]) if "conserved_energy" in record else 0.0
+    engine.restore(Snapshot(int(record.step[frame]), float(record.time[frame]), *frame_arrays(file, frame), reservoir))
+    engine.is_whole = True
+    engine.leave()

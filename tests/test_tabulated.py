@@ -98,7 +98,14 @@ def test_closer_than_the_table_nothing_is_known():
         md.evaluate(system, table(30))
 
 
-@pytest.mark.parametrize(("truncation", "verdict"), [("shifted", "the energy is continuous, the force jumps"), ("truncated", "THE ENERGY JUMPS")])
+@pytest.mark.parametrize(
+    ("truncation", "verdict"),
+    [
+        ("truncated", "THE ENERGY JUMPS"),
+        ("shifted", "the energy is continuous, the force jumps"),
+        ("force-shifted", "energy and force are continuous"),
+    ],
+)
 def test_the_jump_at_the_cutoff_is_seen_of_a_table_that_begins_late(truncation, verdict):
     """Beyond 0.9 of the cutoff, where the report looks for the size of the law."""
     r = np.linspace(0.96 * CUTOFF, CUTOFF, 30)

@@ -7,7 +7,6 @@ import sys
 
 import llvmlite.binding as llvm
 import numba
-import numpy as np
 import pytest
 from cluster_scenes import agree, pair_laws
 from references import liquid

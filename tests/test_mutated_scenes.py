@@ -75,15 +75,16 @@ triples = [[0, 1, 2]]
 """
 TABLE = """
 units = "LJ"
-structure = {lattice = "fcc", repeat = [2, 2, 2], density = 0.8, species = ["A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A",
-    "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B"]}
+structure = {lattice = "sc", repeat = [2, 2, 2], density = 0.2, species = ["A", "B", "A", "B", "A", "B", "A", "B"]}
 dynamics = {timestep = 0.002, steps = 20, temperature = 0.5}
-tables = {like = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [9.0, 6.0, 3.0, 1.5, 0.7, 0.0]}, unlike = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [0, 0, 0, 1, 0, 0]}}
 [[potential]]
 type = "tabulated"
 pairs = [{species = ["A", "A"], file = "like"}, {species = ["A", "B"], file = "unlike"}, {species = ["B", "B"], file = "like"}]
 cutoff = 1.6
 truncation = "switched"
+[tables]
+like = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [9.0, 6.0, 3.0, 1.5, 0.7, 0.0]}
+unlike = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [0, 0, 0, 1, 0, 0]}
 """
 SCENES = [tomllib.loads(text) for text in (MELT, ARGON, DUMBBELLS, TABLE)]
 SENSELESS = [math.nan, "", "no such thing", {}, {"a": 1}, [[[]]], [{"b": []}], -(2**63), "\u0000", "1.0", ["1", "2", "3"]]  # nowhere in a scene

@@ -35,7 +35,7 @@ def dimer():
 
 def fcc(lattice_constant=1.55, masses=1.0, stretch=(1.0, 1.0, 1.0)):
     positions, edges = crystal("fcc", [3, 3, 3], lattice_constant)
-    return md.System(positions * stretch, cell=edges * stretch, masses=masses), md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="smooth"), ()
+    return md.System(positions * stretch, cell=edges * stretch, masses=masses), md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="switched"), ()
 
 
 def fcc_of_two_masses():
@@ -47,7 +47,7 @@ def mixture():
     species = np.array(["A"] * 160 + ["B"] * 40)
     system = md.System(rng.uniform(0.0, 5.5, (200, 3)), cell=5.5, species=species.tolist(), masses=np.where(species == "A", 1.0, 0.3))
     pairs = {("A", "B"): (1.5, 0.8)}
-    laws = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=2.2, truncation="smooth", pairs=pairs)
+    laws = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=2.2, truncation="switched", pairs=pairs)
     return system, laws, ()
 
 
@@ -57,7 +57,7 @@ def bead_melt():
     corners = np.stack(np.meshgrid([0.0], np.arange(5) * 1.8, np.arange(5) * 1.8, indexing="ij"), axis=-1).reshape(-1, 1, 3)
     pairs = np.column_stack([k[:-1], k[1:]])
     system = md.System((corners + walk).reshape(-1, 3), cell=[9.0, 9.0, 9.0], bonds=np.concatenate([pairs + 10 * c for c in range(25)]))
-    return system, [md.HarmonicBond(400.0, 0.97), md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="smooth", bonded_scale=(0, 1, 1))], ()
+    return system, [md.HarmonicBond(400.0, 0.97), md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="switched", bonded_scale=(0, 1, 1))], ()
 
 
 def rigid_dumbbells():
@@ -66,7 +66,7 @@ def rigid_dumbbells():
     arms *= 0.25 / np.linalg.norm(arms, axis=1)[:, None]
     pairs = np.arange(64).reshape(-1, 2)
     system = md.System(np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3), cell=edges, masses=[1.0, 3.0] * 32, bonds=pairs)
-    laws = md.LennardJones(1.0, 1.0, cutoff=2.05, truncation="smooth", bonded_scale=(0, 1, 1))
+    laws = md.LennardJones(1.0, 1.0, cutoff=2.05, truncation="switched", bonded_scale=(0, 1, 1))
     return system, laws, md.DistanceConstraints(pairs)
 
 

@@ -118,7 +118,7 @@ def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path):
     simulation = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(BIG_STEP))
     error = failing(simulation, every=20, trajectory=tmp_path / "a.h5md")
     assert error.file == tmp_path / "a.crash.h5md"
-    assert f"minimd replay {error.file}" in str(error)
+    assert f"minimd replay {error.file}, or, in the browser, minimd view {error.file}" in str(error)
     contents = read_file(error.file)
     assert contents.step == simulation.step == error.crash_report.last_good_step
     assert np.array_equal(contents.system.positions, simulation.positions)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-SHORTER = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 20, "every": 10, "duration": 200.0}
+SHORTER = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 5, "rounds": 2, "every": 10, "duration": 200, "end": 2.0, "t_end": 3.0}
 RUN_BELOW = ("own_law.py", "rigid_ring.py")  # in full, by tests of their own
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 
@@ -17,7 +17,7 @@ SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 def run_shortened(name, folder):
     """Run an example with fewer steps."""
     text = (EXAMPLES / name).read_text()
-    for names, values in re.findall(r"^(\w+(?:, \w+)*) = ([\d_., ]+)$", text, re.MULTILINE):
+    for names, values in re.findall(r"^(\w+(?:, \w+)*) = ([\d_., ]*\d)(?:  #.*)?$", text, re.MULTILINE):
         pairs = zip(names.split(", "), values.split(", "), strict=True)
         shorter = [str(min(SHORTER.get(word, np.inf), literal_eval(value))) for word, value in pairs]
         text = text.replace(f"{names} = {values}", f"{names} = {', '.join(shorter)}")

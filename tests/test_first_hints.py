@@ -1,6 +1,7 @@
 """Hints before the first step: a skin that does not fit, units that do not match, a time step that is too long, forces from outside."""
 
 import warnings
+from time import time_ns
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ from references import liquid
 
 import minimd as md
 from minimd.compiled.kernels import compile_clock
+from minimd.diagnosis.first_hints import _long_timestep
+from minimd.engine.engine import Engine
 from minimd.potentials.term import Term
 from minimd.structure.lattice import crystal
 
@@ -67,6 +70,15 @@ def test_a_long_time_step_is_pointed_out(timestep, is_long):
     assert hints_of(md.System(liquid(3).positions, cell=liquid(3).cell, masses=4.0), LAW, timestep) == []
 
 
+@pytest.mark.parametrize(("masses", "is_long"), [((1.0, 4.0), True), ((4.0, 1.0), False), ((4.0, 4.0), False)])
+def test_of_a_mixture_the_masses_of_those_count_that_push_each_other(masses, is_long):
+    """Of two species, of which only the first has a law that is stiff."""
+    species = ["A", "B"] * 54
+    system = md.System(liquid(3).positions, cell=liquid(3).cell, species=species, masses=np.tile(masses, 54))
+    law = md.LennardJones({"A": (1.0, 1.0), "B": (0.0, 1.0)}, cutoff=1.8)
+    assert (_long_timestep(Engine(system, law, md.VelocityVerlet(0.022))) is not None) == is_long
+
+
 class Weight(Term):
     """Gravity, on all atoms alike."""
 
@@ -104,9 +116,19 @@ def test_too_few_frames_have_no_error_bar():
     assert "±" in str(sim.report()).splitlines()[0]
 
 
+def never_compiled(offset):
+    """A law that no cache holds: the offset is a part of its code."""
+
+    def spring(r2):
+        return (3.24 - r2) ** 2 + offset, 4.0 * (3.24 - r2)
+
+    return spring
+
+
 def test_the_first_step_compiles_all_that_the_next_ones_need():
-    sim = md.Simulation(liquid(3), LAW, md.VelocityVerlet(0.004))
+    start, law = compile_clock.seconds, md.PairPotential(never_compiled(1e-30 * time_ns()), (), 1.8)
+    sim = md.Simulation(liquid(3), law, md.VelocityVerlet(0.004))
     sim.run(1)
     before = compile_clock.seconds
     sim.run(50, every=10)
-    assert compile_clock.seconds == before
+    assert compile_clock.seconds == before > start

@@ -177,7 +177,7 @@ def test_newton_and_fixed_point_solve_the_same_equations():
 @pytest.mark.parametrize("method", GAUSS)
 def test_every_quadratic_invariant_is_kept_to_rounding(method, seed):
     f, c, start = random_flow(seed)
-    path = run_steps(FirstOrder(f), method(0.04), start, 1000)
+    path = run_steps(FirstOrder(f), method(0.04), start, 400)
     assert np.abs(np.einsum("ti,ij,tj->t", path.y, c, path.y) - 1.0).max() < ULPS
     assert np.linalg.norm(path.y[-1] - start) > 0.1  # and it does move
 
@@ -198,7 +198,7 @@ def test_scipy_keeps_no_quadratic_invariant(name):
 
 @pytest.mark.parametrize("method", GAUSS)
 def test_angular_momentum_is_kept_to_rounding(method):
-    path = run_steps(KEPLER, method(0.05), STARTS["kepler_e0.6_T7.5"], 2000)
+    path = run_steps(KEPLER, method(0.05), STARTS["kepler_e0.6_T7.5"], 1000)
     assert np.abs(path.q[:, 0] * path.v[:, 1] - path.q[:, 1] * path.v[:, 0] - 0.8).max() < ULPS
 
 
@@ -277,6 +277,6 @@ def test_the_energy_of_a_problem_that_is_not_separable_oscillates_and_does_not_d
     def hamiltonian(q, p):
         return 0.5 * (p[0] ** 2 * (1.0 + q[1] ** 2) + p[1] ** 2 * (2.0 + np.sin(q[0])) + q[0] ** 2 * q[1] ** 2) + q[0] ** 2 + q[1] ** 2
 
-    path = run_steps(HAMILTONIAN, method(0.1), ((0.9, 0.4), (-0.5, 0.8)), 2000)
+    path = run_steps(HAMILTONIAN, method(0.1), ((0.9, 0.4), (-0.5, 0.8)), 1200)
     errors = np.abs([hamiltonian(q, p) - hamiltonian(path.q[0], path.v[0]) for q, p in zip(path.q, path.v, strict=True)])
-    assert errors[1000:].max() < 1.5 * errors[:1000].max() + ULPS
+    assert errors[600:].max() < 1.5 * errors[:600].max() + ULPS

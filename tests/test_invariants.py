@@ -51,7 +51,7 @@ WRAPPERS = [projected, symmetrically_projected, with_multipliers]
 
 
 @pytest.mark.parametrize("wrapper", WRAPPERS)
-@pytest.mark.parametrize(("method", "h"), [(VelocityVerlet, 0.01), (RadauIIA2, 0.02), (GaussLegendre2, 0.06), (CandyRozmus4, 0.05)])
+@pytest.mark.parametrize(("method", "h"), [(VelocityVerlet, 0.02), (RadauIIA2, 0.03), (GaussLegendre2, 0.06), (CandyRozmus4, 0.05)])
 def test_the_order_is_that_of_the_method(wrapper, method, h):
     on_manifold = wrapper(method, ENERGY)
     assert on_manifold.order == on_manifold.order_on(KEPLER) == method.order
@@ -98,7 +98,7 @@ def test_the_energy_does_not_drift_in_100_000_steps():
 def test_a_planet_whose_invariants_are_all_kept_stays_on_its_ellipse():
     """Energy, angular momentum and direction of the pericentre: r + e x = a (1 − e²), with a first-order method."""
     orbit = Invariants(lambda q, v: [energy(q, v), angular_momentum(q, v), direction(q, v)])
-    path = run_steps(KEPLER, projected(ImplicitEuler, orbit)(0.005), START, 3000)
+    path = run_steps(KEPLER, projected(ImplicitEuler, orbit)(0.005), START, 1500)
     assert np.linalg.norm(path.q, axis=1) + 0.6 * path.q[:, 0] == pytest.approx(0.64, abs=10 * ROUNDING)
     plain = run_steps(KEPLER, ImplicitEuler(0.005), START, 300)
     assert np.abs(np.linalg.norm(plain.q, axis=1) + 0.6 * plain.q[:, 0] - 0.64).max() > 0.04

@@ -80,8 +80,12 @@ def assert_same_file(path, other):
     assert (ours.step, ours.time, ours.reservoir_energy) == (theirs.step, theirs.time, theirs.reservoir_energy)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("precision", ["double", "mixed"])
+SLOW = pytest.mark.slow  # the other half of the combinations
+
+
+@pytest.mark.parametrize(
+    ("precision", "threads"), [("double", 1), ("mixed", 2), pytest.param("double", 2, marks=SLOW), pytest.param("mixed", 1, marks=SLOW)]
+)
 @pytest.mark.parametrize("scene", SCENES)
 def test_n_steps_and_m_steps_are_n_plus_m(scene, precision, threads, tmp_path):
     """In one process and through a file, stopped anywhere, for some methods drawn at random."""

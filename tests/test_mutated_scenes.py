@@ -22,7 +22,7 @@ structure = {lattice = "fcc", repeat = [3, 3, 3], density = 0.8}
 dynamics = {method = "langevin-baoab", timestep = 0.004, steps = 20, temperature = 1.44, relaxation_time = 2.0, seed = 3, precision = "mixed"}
 minimization = {max_steps = 2, force_tolerance = 0.1}
 equilibration = {steps = 2, rescale_every = 1}
-output = {every = 5, trajectory = ["a.h5md", "a.xtc"], plot = "a.png", forces = true}
+output = {every = 5, trajectory = ["a.h5md", "a.xtc"], plot = "a.png", forces = true, stress = true}
 [[potential]]
 type = "lennard-jones"
 epsilon = 1.0
@@ -73,7 +73,20 @@ k = 10.0
 angle_degree = 120.0
 triples = [[0, 1, 2]]
 """
-SCENES = [tomllib.loads(text) for text in (MELT, ARGON, DUMBBELLS)]
+TABLE = """
+units = "LJ"
+structure = {lattice = "sc", repeat = [2, 2, 2], density = 0.2, species = ["A", "B", "A", "B", "A", "B", "A", "B"]}
+dynamics = {timestep = 0.002, steps = 20, temperature = 0.5}
+[[potential]]
+type = "tabulated"
+pairs = [{species = ["A", "A"], file = "like"}, {species = ["A", "B"], file = "unlike"}, {species = ["B", "B"], file = "like"}]
+cutoff = 1.6
+truncation = "switched"
+[tables]
+like = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [9.0, 6.0, 3.0, 1.5, 0.7, 0.0]}
+unlike = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [0, 0, 0, 1, 0, 0]}
+"""
+SCENES = [tomllib.loads(text) for text in (MELT, ARGON, DUMBBELLS, TABLE)]
 SENSELESS = [math.nan, "", "no such thing", {}, {"a": 1}, [[[]]], [{"b": []}], -(2**63), "\u0000", "1.0", ["1", "2", "3"]]  # nowhere in a scene
 STRANGE = [
     *(True, False, 0, 1, -1, 3, 10**4, 2**62, 0.0, -0.0, 0.5, -2.5, 1e-300, 5e-324, 1e-9, 1e9, 1e300, math.inf, -math.inf),

@@ -1,5 +1,7 @@
 """Constraints beside LAMMPS' reference numbers, and beside ASE's."""
 
+import copy
+
 import ase
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from test_reference_lammps import FTM2V, SCALE, coefficients, harmonic_angles, p
 import minimd as md
 from minimd import ase as bridge
 from minimd.ase import Calculator
+from minimd.potentials.term import Term
 
 BOND_LENGTHS = {5: 1.0, 2: 1.1, 3: 1.3}  # r0 of the constrained bond types [Å]
 WATER_ANGLE = np.radians(110.1)
@@ -125,6 +128,31 @@ def test_the_center_of_mass_is_held():
     assert np.abs(system.masses @ system.velocities).max() < 1e-12
     with pytest.raises(ValueError, match="FixCartesian"):
         md.System.from_ase(nitrogen(ase.constraints.FixCartesian(0)))
+
+
+class Push(Term):
+    """The same force on all atoms."""
+
+    acts_from_outside = True
+
+    def bind(self, _system):
+        return self
+
+
+def test_atoms_with_fixcom_are_refused_where_their_center_would_move():
+    atoms, law, langevin = nitrogen(FixCom()), nitrogen_law(), md.LangevinBAOAB(units.fs, 80.0, 0.1, seed=1)
+    with pytest.raises(ValueError, match=r"FixCom, but langevin-baoab moves the center of mass: take StochasticVelocityRescaling or minimd\.ase"):
+        md.Simulation(atoms, law, langevin)
+    with pytest.raises(ValueError, match="FixCom, but a force from outside or a fixed atom moves the center"):
+        md.Simulation(atoms, [law, Push()], md.VelocityVerlet(units.fs))
+    with pytest.raises(ValueError, match="FixCom, but a force from outside or a fixed atom moves the center"):
+        md.Simulation(atoms, law, md.VelocityVerlet(units.fs), constraints=md.FixedAtoms([0]))
+    for simulation in (sim := md.Simulation(atoms, law, md.VelocityVerlet(units.fs)), copy.copy(sim)):
+        with pytest.raises(ValueError, match="FixCom, but langevin-baoab"):
+            simulation.method = langevin
+        assert simulation.method.name == "velocity-verlet"
+        simulation.method = md.StochasticVelocityRescaling(units.fs, 80.0, 100.0 * units.fs, seed=1)
+    md.Simulation(nitrogen(), law, langevin)
 
 
 def test_ase_dynamics_keeps_the_constraints_of_the_atoms():

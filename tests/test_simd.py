@@ -15,7 +15,7 @@ from minimd.potentials.truncation import TRUNCATIONS
 import minimd as md  # isort: skip
 
 TYPES = [np.float64, np.float32, np.int32]
-LANES = [4, 8, 16]
+LANES = [4, 8, pytest.param(16, marks=pytest.mark.slow)]  # minimd has vectors of 4 and of 8
 FLOATS = TYPES[:2]
 
 

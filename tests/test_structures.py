@@ -178,6 +178,26 @@ def test_ase_atoms_with_bonds_in_their_arrays_are_bonded(folder):
     assert len(md.Simulation(atoms, md.HarmonicBond(1.0, 1.0), md.VelocityVerlet(0.1)).system.bonds) == len(BONDS)
 
 
+@pytest.mark.parametrize("file", ["a.traj", "a.extxyz", None], ids=str)
+def test_bonds_and_angles_survive_the_way_through_atoms(tmp_path, file):
+    """In the order of their first atoms; also through a file, but not .traj, which has no place for them; cut atoms are not trusted."""
+    system = md.System(POSITIONS, masses=1.0, bonds=BONDS[::-1], angles=ANGLES, units=md.units.ASE)
+    atoms = system.to_ase()
+    if file:
+        ase.io.write(tmp_path / file, atoms)
+        atoms = ase.io.read(tmp_path / file)
+    back = md.System.from_ase(atoms)
+    if file == "a.traj":
+        assert len(back.bonds) == 0
+        return
+    assert back.bonds.tolist() == sorted(map(list, BONDS))
+    same_groups(back.angles, ANGLES)
+    assert np.array_equal(back.positions, POSITIONS) or file
+    with pytest.raises(ValueError, match="may have been cut out"):
+        md.System.from_ase(atoms[3:])
+    assert set(md.System(POSITIONS).to_ase().arrays) == {"numbers", "positions", "masses", "momenta"}
+
+
 @pytest.mark.parametrize("change", [lambda a: a[5:10], lambda a: a * (2, 1, 1), lambda a: a[::-1]], ids=["cut", "repeated", "turned"])
 def test_bonds_of_atoms_that_were_cut_or_repeated_are_not_trusted(folder, change):
     atoms = change(ase.io.read("melt.data", format="lammps-data"))

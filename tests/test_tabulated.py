@@ -7,6 +7,7 @@ import pytest
 from references import liquid
 
 import minimd as md
+from minimd.diagnosis.static_checks import cutoff_lines
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.tabulated import Table, TabulatedLaw
 
@@ -95,6 +96,21 @@ def test_closer_than_the_table_nothing_is_known():
     assert np.isnan(table(30).pair_energy(0.75))
     with pytest.raises(md.NonFiniteError, match=r"the closest pair is .*0\.75"):
         md.evaluate(system, table(30))
+
+
+@pytest.mark.parametrize(
+    ("truncation", "verdict"),
+    [
+        ("truncated", "THE ENERGY JUMPS"),
+        ("shifted", "the energy is continuous, the force jumps"),
+        ("smooth", "energy and force are continuous"),  # to rounding
+    ],
+)
+def test_the_jump_at_the_cutoff_is_seen_of_a_table_that_begins_late(truncation, verdict):
+    """Beyond 0.9 of the cutoff, where the report looks for the size of the law."""
+    r = np.linspace(2.4, CUTOFF, 30)
+    (line,) = cutoff_lines(md.System([[0.0, 0.0, 0.0]]), [md.Tabulated(r, lennard_jones(r), 2.47, truncation)])
+    assert line.verdict.startswith(verdict)
 
 
 def test_a_run_that_comes_closer_than_the_table_ends_and_says_so():

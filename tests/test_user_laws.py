@@ -67,10 +67,10 @@ from numba.core import event
 with event.install_recorder("numba:compile") as recorder:
     import minimd as md
     {LAW.replace(chr(10), chr(10) + "    ")}
-    points = np.indices((6, 6, 6)).reshape(3, -1).T * 1.1
-    forces = md.Forces(md.System(points, cell=6.6), md.PairPotential(law, (1.0,), 2.0))
+    points = np.indices((n, n, n)).reshape(3, -1).T * 1.1
+    forces = md.Forces(md.System(points, cell=1.1 * n), md.PairPotential(law, (1.0,), 2.0))
     forces.compute()
-    assert "cluster list" in forces.pair_search, forces.pair_search
+    assert ("cluster list" in forces.pair_search) == (n == 6), forces.pair_search
     two = md.System([[0, 0, 0], [1, 0, 0]], bonds=[(0, 1)])
     print(md.evaluate(two, [md.PairPotential(law, (1.0,)), md.BondPotential(law, (1.0,))]).potential_energy, forces.potential_energy)
 print(len(recorder.buffer))
@@ -94,10 +94,11 @@ def digest_of(source, file="law.py"):
     return Snapshot(names_of(source, file)["law"]).digest
 
 
-def test_second_process_compiles_nothing_for_a_law_of_the_user():
-    """On the pair list, along bonds and on the cluster list, with helper functions; the numbers are those of the first process."""
-    *first, _ = answer(EVERYWHERE)
-    *second, n_compiled = answer(EVERYWHERE)
+@pytest.mark.parametrize("n", [3, pytest.param(6, marks=pytest.mark.slow)])
+def test_second_process_compiles_nothing_for_a_law_of_the_user(n):
+    """On the pair list, along bonds and, with 6³ atoms, on the cluster list, with helper functions; the numbers are those of the first process."""
+    *first, _ = answer(f"n = {n}\n{EVERYWHERE}")
+    *second, n_compiled = answer(f"n = {n}\n{EVERYWHERE}")
     assert n_compiled == 0
     assert first == second
     assert first[0] == pytest.approx(2.0 * UNCHANGED, rel=1e-14)  # rounding

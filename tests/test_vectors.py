@@ -7,7 +7,6 @@ import sys
 
 import llvmlite.binding as llvm
 import numba
-import numpy as np
 import pytest
 from cluster_scenes import agree, pair_laws
 from references import liquid
@@ -103,21 +102,23 @@ def translated(ir, triple, name):
 
 @pytest.fixture(scope="module")
 def code():
-    """The loop with forces alone as LLVM's code, by kind of lanes and precision."""
+    """The loop with forces alone as LLVM's code, by kind of lanes and precision.
+
+    It is compiled for the types of what a term hands over, those of its list with other lanes in them, and not run.
+    """
 
     @numba.njit(error_model="numpy")
     def loop(arrays, law, parameters, sums):
         add_cluster_forces(0, arrays, law, parameters, sums)
 
-    made = {}
+    made, system = {}, liquid(5)
     for kind, precision in dict.fromkeys(row[2:4] for row in PROCESSORS.values()):
-        with pytest.MonkeyPatch.context() as patch:
-            system = liquid(5)
-            term = with_lanes(patch, kind, system, precision)
-            term.add(system, 0, np.zeros_like(system.positions), np.zeros(0), np.zeros((0, 6)))
-            ((law, parameters),), sums = term._laws, term._force_sums
-            loop(term.list.arrays, law, parameters, sums)
-            made[kind, precision] = loop.inspect_llvm(loop.signatures[-1])
+        term = ClusterTerm(system, laws_of(system), Options(precision=precision, threads=1))
+        term._update(system)
+        ((law, parameters),), sums, arrays = term._laws, term._force_sums, term.list.arrays
+        arrays = arrays._replace(clusters=arrays.clusters._replace(lanes=kind()))
+        loop.compile(tuple(map(numba.typeof, (arrays, law, parameters, sums))))
+        made[kind, precision] = loop.inspect_llvm(loop.signatures[-1])
     return made
 
 

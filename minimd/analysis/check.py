@@ -82,7 +82,8 @@ def check_file(path: str | Path) -> FileCheck:
 
 def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     """The check of a file whose universe is open.  damaged : which of its frames and restarts are, as minimd.files.h5md_reader.damage."""
-    sums = Comparison("checksums", float(bool(damaged)), EXACT, f"{damaged or 'no frames'} are not those that were written")
+    written = f"{damaged} are not those that were written" if damaged else "frames and restarts are those that were written"
+    sums = Comparison("checksums", float(bool(damaged)), EXACT, written)
     contents, moved, system = made.contents, recompute(made), made.system
     record, is_free = Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}), contents.conserves_momentum
     report = conservation_report(record, linear=is_free, angular=is_free and not system.cell.is_periodic)

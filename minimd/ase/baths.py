@@ -11,9 +11,9 @@ import numpy as np
 
 from minimd.integrators.method import Array
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.state import Bath, State, Surroundings
+from minimd.integrators.splitting.state import State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize
-from minimd.integrators.splitting.thermostats import LangevinBAOAB, StochasticVelocityRescaling, Thermostat
+from minimd.integrators.splitting.thermostats import LangevinBAOAB, StochasticVelocityRescaling, Thermostat, bath_of
 from minimd.structure.checks import checked_number, shown
 from minimd.structure.observables import kinetic_energy, momentum
 
@@ -47,7 +47,7 @@ class LangevinBath(LangevinBAOAB):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration, see LangevinBAOAB."""
-        bath, kept = self.bath_of(around), np.exp(-self.frictions * duration)
+        bath, kept = bath_of(around), np.exp(-self.frictions * duration)
         around.project(state)
         before = kinetic_energy(state.velocities, state.masses)
         spread = np.sqrt(bath.k_B * self.temperatures * (1.0 - kept * kept) * state.inverse_masses[:, None])
@@ -75,11 +75,11 @@ class BussiBath(StochasticVelocityRescaling):
             raise ValueError(f"taut must be positive; taut = {shown(relaxation_time)}")
         self.relaxation_time, self.n_dof = relaxation_time, n_dof
 
-    def bath_of(self, around: Surroundings) -> Bath:
-        """The bath, for all n_dof degrees of freedom."""
-        bath = super().bath_of(around)
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+        """See StochasticVelocityRescaling; of all n_dof degrees of freedom."""
+        bath = bath_of(around)
         bath.n_dof, bath.conserves_momentum = self.n_dof, False
-        return bath
+        super().thermalize(state, duration, around)
 
 
 class AndersenBath(Thermostat):
@@ -105,7 +105,7 @@ class AndersenBath(Thermostat):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The collisions of one step."""
-        bath, velocities = self.bath_of(around), state.velocities
+        bath, velocities = bath_of(around), state.velocities
         around.project(state)
         before, noise, thermal = kinetic_energy(velocities, state.masses), self.noise(bath), bath.k_B * self.temperature
         if self.keeps_center:
@@ -231,13 +231,6 @@ class NoseHooverBath(Splitting):
         factor = self.chain.advance(2.0 * kinetic, duration)
         state.velocities *= factor
         bath.energy += kinetic * (factor * factor - 1.0)
-
-
-def bath_of(around: Surroundings) -> Bath:
-    """The bath.  Raises ValueError if there is none."""
-    if around.bath is None:
-        raise ValueError("a thermostat needs a bath to count what it gives; run it in an Engine")
-    return around.bath
 
 
 def _checked(name: str, values: Any) -> Array:

@@ -58,7 +58,7 @@ class ForcesOnAtoms:
     def __repr__(self) -> str:
         return f"ForcesOnAtoms({type(self._atoms.calc).__name__})"
 
-    def bind(self, system: System) -> "CalculatorTerm":
+    def bind(self, system: System) -> "WithoutVirial":
         """The term that asks the calculator for the forces on the atoms."""
         return WithoutVirial(self._atoms)
 

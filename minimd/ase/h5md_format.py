@@ -7,14 +7,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import h5py
-import numpy as np
 from ase import Atoms
 from ase.calculators.singlepoint import SinglePointCalculator
 
 from minimd.files.h5md_reader import read_file
 from minimd.files.h5md_schema import STEPS, TRAJECTORY, opened
 from minimd.structure.ase_atoms import atoms_from_system
-from minimd.structure.joined import texts
 from minimd.structure.units import UnitSystem
 
 
@@ -30,9 +28,6 @@ def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
     """
     contents = read_file(filename)
     template = atoms_from_system(contents.system)
-    if len(contents.system.bonds) or len(contents.system.angles):
-        template.arrays["id"] = np.arange(1, len(template) + 1)
-        template.arrays.update(texts(contents.system.bonds, contents.system.angles, len(template)))
     numbers = range(contents.n_frames)
     chosen = numbers[index] if isinstance(index, slice) else [numbers[index]]
     with opened(filename) as h5:

@@ -55,7 +55,7 @@ def _no_pair_in_reach(engine: Engine) -> Iterator[str]:
     """That no pair interacts, as where lengths of the potential and of the positions have different units."""
     system, potentials = engine.system, engine.interactions.potentials
     cutoffs = [one.cutoff for one in potentials if isinstance(one, PairPotential) and np.isfinite(one.cutoff)]
-    if not cutoffs or len(system) < 2 or engine.interactions.potential_energy != 0.0 or engine.forces.any():
+    if not cutoffs or engine.interactions.potential_energy != 0.0 or engine.forces.any():
         return
     closest = closest_pair(system)
     if closest is not None and closest.distance > max(cutoffs):

@@ -14,7 +14,7 @@ from minimd.structure.observables import longest
 from minimd.structure.system import System
 
 CONTINUOUS = 1e-9  # of what the law is at INSIDE r_c: a jump below is rounding
-INSIDE = 0.9
+INSIDE = (0.9, 0.99, 0.999)  # the first at which the law has a value: a table may begin late
 FEW_STEPS = 3.0  # that a list lasts: it is rebuilt so often that a wider skin is cheaper
 ROOM = 0.99  # of the widest skin: from there on it cannot be wider
 TURNING = 1e-8  # of the speed, along a rigid bond
@@ -51,8 +51,9 @@ def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
 def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float, float, float, float]:
     """|u|, |u′| at the cutoff, and the sizes beside which they are large or small."""
     u, f = np.abs(law_at(law, cutoff, numbers))
-    u_inside, f_inside = np.abs(law_at(law, INSIDE * cutoff, numbers))
-    size = u_inside + f_inside * INSIDE * cutoff * cutoff
+    known = ((inside, np.abs(law_at(law, inside * cutoff, numbers))) for inside in INSIDE)
+    inside, (u_inside, f_inside) = next((one for one in known if np.isfinite(one[1]).all()), (0.0, (u, f)))
+    size = u_inside + f_inside * inside * cutoff * cutoff
     return float(u), float(f) * cutoff, float(size), float(size) / cutoff
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.graph import bodies_of
+from minimd.engine.center import holds_center, refused
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import FIXED_POINT, Options
 from minimd.integrators.splitting.splitting import Splitting
@@ -64,6 +65,7 @@ class Engine:
     interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  surroundings : Surroundings of the method.
     noise_shift : step n has the noise with number n + noise_shift.  extra_observables : names of additional observables.
     is_whole : whether a checkpoint has the bits of the run; false after a failure, when an earlier state was restored, but not its lists.
+    holds_center : whether the center of mass must not move, because atoms with FixCom of ASE were given.
     equilibrated : steps of equilibrations so far: none of them has the noise of another.  notes : title and scene, texts for files.
     """
 
@@ -77,6 +79,7 @@ class Engine:
     ) -> None:
         self._method = _checked(method)
         self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
+        self.holds_center = holds_center(system)
         self._step, self._clock, self.noise_shift = 0, (0, 0.0), 0
         self.equilibrated, self.notes = 0, {"title": "", "scene": ""}
         self.extra_observables: Sequence[str] = ()
@@ -85,6 +88,7 @@ class Engine:
         held = self.system.constraints if constraints is None else constraints
         self.constraint_set = ConstraintSet(self.system, held, self.interactions.options.most_threads)
         self.system.constraints = self.constraint_set.kept
+        self._check_center(method)
         self._state = self._laid_out()
         self._fit_grid()
         self._bath = Bath(k_B=self.system.units.k_B)
@@ -236,6 +240,7 @@ class Engine:
         """For pickle and copy: a copy makes the steps that this engine would make, to the last bit."""
         scene = self.system, self.interactions.potentials, self.method, self.constraints, self.interactions.options
         more = {"noise_shift": self.noise_shift, "extra_observables": self.extra_observables, "notes": dict(self.notes), "is_whole": self.is_whole}
+        more["holds_center"] = self.holds_center
         return _copied, (scene, self.checkpoint(), self.is_as_left, self.interactions.counts, more)
 
     @property
@@ -272,13 +277,15 @@ class Engine:
 
         Raises, when it is set
         ----------------------
-        TypeError : for anything but a splitting with its time step.  ValueError : if it leaves no degree of freedom.
+        TypeError : for anything but a splitting with its time step.  ValueError : if it leaves no degree of freedom, or moves the center of
+            mass of atoms with FixCom.
         """
         return self._method
 
     @method.setter
     def method(self, method: Splitting) -> None:
         self.constraint_set.degrees_of_freedom(_checked(method).conserves_momentum and not self.interactions.act_from_outside)
+        self._check_center(method)
         if type(method) is not type(self._method) or method.parameters != self._method.parameters:
             self._clock = self.step, self.time
             self.turned()
@@ -298,7 +305,14 @@ class Engine:
     @property
     def conserves_momentum(self) -> bool:
         """Whether the total momentum is a constant: nothing acts from outside, no atom is held fixed, and no bath acts on atoms one by one."""
-        return self.method.conserves_momentum and not self.interactions.act_from_outside and not self.constraint_set.n_fixed
+        return self._is_still_under(self.method)
+
+    def _is_still_under(self, method: Splitting) -> bool:
+        return method.conserves_momentum and not self.interactions.act_from_outside and not self.constraint_set.n_fixed
+
+    def _check_center(self, method: Splitting) -> None:
+        if self.holds_center and not self._is_still_under(method):
+            raise refused(method)
 
     @property
     def reservoir_energy(self) -> float:

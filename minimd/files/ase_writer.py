@@ -13,13 +13,13 @@ from minimd.structure.ase_atoms import atoms_from_system
 class ASEWriter:
     """A trajectory written by ASE, in the units of the system: .traj in float64, .xyz and .extxyz as extended XYZ, with 8 decimals.
 
-    Each frame holds positions (not wrapped), momenta, masses, cell, constraints (.traj: all, but no lengths; else fixed atoms), the
-    potential energy as that of a calculator, forces if they are to be stored, and step and time in info.
+    Each frame holds positions (not wrapped), momenta, masses, cell, constraints (.traj: all, but no lengths; else fixed atoms), bonds and
+    angles as texts (not .traj), the potential energy as that of a calculator, forces if they are to be stored, and step and time in info.
 
     claim : on the file, which appears with its first frame.
     """
 
-    def __init__(self, claim: Claim, engine: Engine, store_forces: bool, _every: int = 1) -> None:
+    def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
         self._claim, self._template, self._store_forces = claim, atoms_from_system(engine.system), store_forces
         is_binary = claim.path.suffix.lower() == ".traj"
         self._output = TrajectoryWriter(claim.place, "w") if is_binary else claim.place.open("w", encoding="utf-8")

@@ -71,7 +71,8 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
             try:
                 write_crash_report(file, guard, error.crash_report)
                 error.file = file
-                hint = f"Crash report in {file}; look again with: minimd replay {file}, or, in a script, minimd.replay(file, potentials)"
+                look = f"look again with: minimd replay {file}, or, in the browser, minimd view {file}"
+                hint = f"Crash report in {file}; {look}; in a script, minimd.replay(file, potentials) or minimd.view"
             except Exception as reason:  # whatever it is: the failure itself must be heard
                 hint = f"No crash report was written: {reason}"
             error.args = (f"{error}. {hint}",)

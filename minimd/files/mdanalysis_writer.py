@@ -36,7 +36,7 @@ class MDAnalysisWriter:
     Raises OSError if the file cannot be written.
     """
 
-    def __init__(self, claim: Claim, engine: Engine, _store_forces: bool = False, _every: int = 1) -> None:
+    def __init__(self, claim: Claim, engine: Engine) -> None:
         system, file = engine.system, claim.path
         self._claim, self._format = claim, FORMATS.get(file.suffix.lower(), file.suffix[1:].upper())
         self._angstrom, self._picosecond = system.units.to_angstrom, system.units.to_picosecond

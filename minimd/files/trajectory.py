@@ -27,10 +27,10 @@ class Writer(Protocol):
         """Finish the file; it is valid afterwards, however many frames it got."""
 
 
-FORMATS = {  # suffix: module and class of its writer, loaded when needed and called with claim, engine, store_forces and every
-    ".h5md": ("minimd.files.h5md_writer", "H5MDWriter"),
-    **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter")),
-    **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter")),
+FORMATS = {  # suffix: module and class of its writer, loaded when needed, and the options that it takes beside claim and engine
+    ".h5md": ("minimd.files.h5md_writer", "H5MDWriter", ("store_forces", "every")),
+    **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())),
+    **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter", ("store_forces",))),
 }
 
 
@@ -57,13 +57,14 @@ def open_trajectories(
 
 
 def _new(file: Path, engine: Engine, store_forces: bool, every: int, overwrite: bool) -> Writer:
-    module, name = FORMATS[file.suffix.lower()]
+    module, name, takes = FORMATS[file.suffix.lower()]
+    options = {"store_forces": store_forces, "every": every}
     try:
         claim = Claim(file, overwrite=overwrite)
     except OSError as error:
         raise type(error)(f"output {str(file)!r} cannot be written: {error.strerror}") from None
     try:
-        writer: Writer = getattr(import_module(module), name)(claim, engine, store_forces, every)
+        writer: Writer = getattr(import_module(module), name)(claim, engine, **{option: options[option] for option in takes})
     except BaseException:
         claim.release()
         raise

@@ -10,11 +10,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from minimd.diagnosis.shadow_energy import check_has_shadow
+from minimd.engine.observation import check_extras
 from minimd.integrators import Splitting
 from minimd.scene.problems import problems
 from minimd.scene.section import Reading
-from minimd.scene.sections import SceneSections
+from minimd.scene.sections import SceneSections, TabulatedSection
+from minimd.scene.tables import Numbers, as_sections, read_table
 from minimd.simulation.simulation import Simulation
 from minimd.structure import units
 from minimd.structure.lattice import constant_from_density, crystal
@@ -52,8 +53,21 @@ class Scene:
         made = []
         for index, section in enumerate(self.sections.potential):
             with _blamed_on(f"{self.path}: potential[{index}]"):
-                made.append(section.potential())
+                made.append(section.potential(self._table) if isinstance(section, TabulatedSection) else section.potential())
         return made
+
+    def tables(self) -> dict[str, Numbers]:
+        """The numbers of all tables of tabulated laws, by name.  Raises ValueError, naming the entry, for one that cannot be read."""
+        found: dict[str, Numbers] = {}
+        for index, section in enumerate(self.sections.potential):
+            with _blamed_on(f"{self.path}: potential[{index}]"):
+                found |= {name: self._table(name) for name in (section.files if isinstance(section, TabulatedSection) else ())}
+        return found
+
+    def whole_text(self) -> str:
+        """The text with all tables in it, which needs no other files to make the potentials again."""
+        elsewhere = {name: numbers for name, numbers in self.tables().items() if name not in self.sections.tables}
+        return self.text + as_sections(elsewhere, self.sections.units)
 
     def method(self) -> Splitting:
         """The integrator with its time step, and its bath if it has one.  Raises ValueError, naming the file, for numbers it refuses."""
@@ -70,11 +84,11 @@ class Scene:
         potentials, method = self.potentials(), self.method()
         with _blamed_on(str(self.path)):
             simulation = Simulation(start, potentials, method, threads=dynamics.threads, precision=dynamics.precision)
-        simulation.engine.notes.update(title=self.sections.title or "", scene=self.text)
-        if self.sections.output.shadow_energy:
-            simulation.extra_observables = ("shadow_energy",)
-            with _blamed_on(f"{self.path}: output.shadow_energy"):
-                check_has_shadow(simulation.engine)
+        simulation.engine.notes.update(title=self.sections.title or "", scene=self.whole_text())
+        for name in self.sections.output.extra_observables:
+            simulation.extra_observables = (*simulation.extra_observables, name)
+            with _blamed_on(f"{self.path}: output.{name}"):
+                check_extras(simulation.engine)
         if system is None and dynamics.temperature is not None:
             simulation.set_temperature(dynamics.temperature, dynamics.seed)
         return simulation
@@ -103,6 +117,11 @@ class Scene:
             raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = {list(map(str, trajectories))}")
         picture = Path(plot) if isinstance(plot, str) else drawn[0].with_suffix(".png")
         return drawn[0].with_suffix(picture.suffix) if beside else picture
+
+    def _table(self, name: str) -> Numbers:
+        """The numbers of a table.  Raises ValueError as read_table."""
+        inside = self.sections.tables.get(name)
+        return read_table(self.path.parent / name) if inside is None else Numbers(inside.r, inside.u)
 
     def _constrained(self, system: System) -> System:
         """A system with the constraints of the scene."""

@@ -48,7 +48,8 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
         path = f"{place}.{keys[0]}".removeprefix(".")
         return path, " or ".join([f"{path} is missing; give it", *keys[1:]])
     if kind == "union_tag_not_found":
-        return place, f"{place}.type is missing; it says what kind of potential this is: 'lennard-jones', 'harmonic-bond' or 'harmonic-angle'"
+        kinds = "'lennard-jones', 'tabulated', 'harmonic-bond' or 'harmonic-angle'"
+        return place, f"{place}.type is missing; it says what kind of potential this is: {kinds}"
     if kind == "union_tag_invalid":
         return place, f"{place}.type must be one of {details['ctx']['expected_tags']}; {place}.type = {_shown(value['type'])}"
     if place == "potential" and isinstance(value, dict):

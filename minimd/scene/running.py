@@ -121,7 +121,7 @@ def resume_run(
 def differences(one: Scene, other: Scene) -> list[str]:
     """Keys that have different values in two scenes, of those that determine forces and steps."""
     keys = [f"dynamics.{key}" for key in ("method", "timestep") if getattr(one.sections.dynamics, key) != getattr(other.sections.dynamics, key)]
-    return keys + ["potential"] * (one.sections.potential != other.sections.potential)
+    return keys + ["potential"] * ((one.sections.potential, one.tables()) != (other.sections.potential, other.tables()))
 
 
 def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:

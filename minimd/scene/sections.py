@@ -1,7 +1,7 @@
 """What may stand in a scene file: one class for each section, one line for each key."""
 
 from collections import ChainMap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
@@ -9,10 +9,11 @@ from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, Positiv
 from minimd.forces.options import Precision
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
-from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones
+from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones, Tabulated
 from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.scene.section import Dimension, Section, one_of, reading_of
+from minimd.scene.tables import Numbers, TableSection
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
 
@@ -147,6 +148,50 @@ class LennardJonesSection(Section):
         return LennardJones(by_species if self.epsilon is None else self.epsilon, pairs=pairs, **others)
 
 
+class PairTableSection(Section):
+    """An entry of pairs: the table of two species."""
+
+    species: Annotated[list[str], Field(min_length=2, max_length=2)]
+    file: str
+
+
+class TabulatedSection(Section):
+    """[[potential]] of type "tabulated": one table for all atoms, or one for each pair of species, at the same r.
+
+    file : two columns, r and u in the units of the scene, beside the scene file; or a name in [tables].
+    """
+
+    type: Literal["tabulated"]
+    file: str | None = None
+    pairs: Annotated[list[PairTableSection] | None, Field(min_length=1)] = None
+    cutoff: Annotated[Positive | None, Dimension("length")] = None
+    truncation: Annotated[str, one_of(TRUNCATIONS)] = "shifted"
+    switch_start: Annotated[Positive | None, Dimension("length")] = None
+    bonded_scale: Annotated[list[FiniteFloat], Three] = Field([1.0, 1.0, 1.0])
+
+    @model_validator(mode="after")
+    def _has_tables(self) -> Self:
+        if (self.file is None) == (self.pairs is None):
+            raise ValueError("must have either file, the table of all atoms, or pairs, each with its species and file")
+        return self
+
+    @property
+    def files(self) -> list[str]:
+        """The names of its tables, each once."""
+        return [self.file] if self.file is not None else list(dict.fromkeys(one.file for one in self.pairs or ()))
+
+    def potential(self, table_of: Callable[[str], Numbers]) -> Tabulated:
+        """The potential that the section describes.  table_of : gives the numbers of a table.  Raises ValueError for tables that do not fit."""
+        tables = {name: table_of(name) for name in self.files}
+        first = self.files[0]
+        for name, table in tables.items():
+            if table.r != tables[first].r:
+                raise ValueError(f"the tables of one potential must have the same r; that of {name!r} is not that of {first!r}")
+        by_pair: dict[tuple[Label, Label], list[float]] = {(one.species[0], one.species[1]): tables[one.file].u for one in self.pairs or ()}
+        others = self.model_dump(include={"cutoff", "truncation", "switch_start", "bonded_scale"})
+        return Tabulated(tables[first].r, by_pair or tables[first].u, **others)
+
+
 class HarmonicBondSection(Section):
     """[[potential]] of type "harmonic-bond": on structure.bonds, or on pairs."""
 
@@ -225,16 +270,25 @@ def _plot_name(value: bool | str) -> bool | str:
 
 
 class OutputSection(Section):
-    """[output]: files in the current folder; the trajectory is named after the scene if not said otherwise."""
+    """[output]: files in the current folder; the trajectory is named after the scene if not said otherwise.
+
+    shadow_energy, stress : whether to record these observables too.
+    """
 
     trajectory: str | list[str] | None = None
     every: PositiveInt = 100
     forces: bool = False
     shadow_energy: bool = False
+    stress: bool = False
     plot: Annotated[bool | str, AfterValidator(_plot_name)] = False
 
+    @property
+    def extra_observables(self) -> list[str]:
+        """Names of those that it asks for."""
+        return [name for name in ("shadow_energy", "stress") if getattr(self, name)]
 
-PotentialSection = Annotated[LennardJonesSection | HarmonicBondSection | HarmonicAngleSection, Field(discriminator="type")]
+
+PotentialSection = Annotated[LennardJonesSection | TabulatedSection | HarmonicBondSection | HarmonicAngleSection, Field(discriminator="type")]
 
 
 class SceneSections(Section):
@@ -248,6 +302,7 @@ class SceneSections(Section):
     dynamics: DynamicsSection
     minimization: MinimizationSection | None = None
     equilibration: EquilibrationSection | None = None
+    tables: dict[str, TableSection] = Field({})
     output: OutputSection = OutputSection.model_construct()
 
     @model_validator(mode="after")
@@ -256,4 +311,7 @@ class SceneSections(Section):
             raise ValueError(f"equilibration needs dynamics.{DynamicsSection.key('temperature', info)}, the temperature of the first velocities")
         if self.constraints is not None and self.constraints.pairs == "bonds" and not self.structure.bonds:
             raise ValueError('constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs')
+        named = {name for one in self.potential if isinstance(one, TabulatedSection) for name in one.files}
+        if unused := [name for name in self.tables if name not in named]:
+            raise ValueError(f"no tabulated potential names tables.{unused[0]!r}; name it as its file, or leave it out")
         return self

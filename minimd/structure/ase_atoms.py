@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from minimd.structure.ase_constraints import ases_constraints_of, constraints_of, fixes_center
 from minimd.structure.cell import Cell
-from minimd.structure.joined import joined_in
+from minimd.structure.joined import joined_in, texts
 from minimd.structure.units import ASE
 from minimd.structure.velocities import without_momentum
 
@@ -48,17 +48,20 @@ def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: 
 
 
 def atoms_from_system(system: Any) -> Atoms:
-    """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity and constraints of a system; bonds are lost.
+    """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity, constraints, bonds and angles of a system.
 
     Species that are chemical symbols become elements. All others become 'X', ASE's symbol for no element, and all labels
     are kept in the array "species_labels", where system_from_atoms finds them again. Numbers cross unchanged: for a system
-    in reduced units they are no Å and eV.
+    in reduced units they are no Å and eV. Bonds and angles become the arrays "bonds" and "angles", as ASE's reader of LAMMPS data leaves
+    them, beside "id", by which system_arguments sees that no atoms were cut out or sorted; it gives them back in the order of their first atoms.
     """
     symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
     momenta = system.velocities * system.masses[:, None]
     atoms = Atoms(symbols, system.positions, momenta=momenta, masses=system.masses, cell=system.cell.vectors, pbc=system.cell.pbc)
     if not set(system.species_names) <= set(atomic_numbers):
         atoms.set_array(LABELS, system.species)
+    if len(system.bonds) or len(system.angles):
+        atoms.arrays.update(texts(system.bonds, system.angles, len(atoms)), id=np.arange(1, len(atoms) + 1))
     atoms.set_constraint(ases_constraints_of(system))
     return atoms
 

@@ -16,7 +16,7 @@ UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCo
 
 
 def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
-    """The constraints of atoms: lengths, linear molecules and fixed atoms. FixCom asks for nothing that a System keeps: see fixes_center.
+    """The constraints of atoms: lengths, linear molecules and fixed atoms. FixCom is none that a System holds: see fixes_center.
 
     Raises ValueError for a constraint of another kind, by name.
     """
@@ -57,7 +57,7 @@ def ases_constraints_of(system: Any) -> list[FixConstraint]:
 
 
 def fixes_center(atoms: Atoms) -> bool:
-    """Whether the center of mass is held: minimd conserves momentum, so that it is enough to begin with none."""
+    """Whether the center of mass is held. Where momentum is conserved, it is enough to begin with none; Engine refuses atoms whose center moves."""
     return any(isinstance(constraint, FixCom) for constraint in atoms.constraints)
 
 

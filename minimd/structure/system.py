@@ -135,6 +135,8 @@ class System(Displayed):
         """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments.
 
         bonds, angles : as for System. Without bonds, those that ASE found in a file: atoms.arrays["bonds"] and ["angles"]; bonds=() for none.
+        FixCom becomes velocities without momentum, and is not remembered: hand over the atoms themselves, and a Simulation that would move their
+        center is refused.
         """
         from minimd.structure.ase_atoms import system_arguments
 
@@ -168,7 +170,7 @@ class System(Displayed):
         return cls(**universe_arguments(universe, units, bonds, angles, pbc))
 
     def to_ase(self) -> ase.Atoms:
-        """An ase.Atoms with the same positions, momenta, masses, cell, species and constraints: see minimd.ase.atoms_from_system."""
+        """An ase.Atoms with the same positions, momenta, masses, cell, species, bonds and constraints: see minimd.ase.atoms_from_system."""
         from minimd.structure.ase_atoms import atoms_from_system
 
         return atoms_from_system(self)

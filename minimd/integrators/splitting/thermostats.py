@@ -61,12 +61,6 @@ class Thermostat(Splitting):
         bath.contact += 1
         return np.random.Generator(np.random.Philox(key=self.seed, counter=counter))
 
-    def bath_of(self, around: Surroundings) -> Bath:
-        """The bath.  Raises ValueError if there is none."""
-        if around.bath is None:
-            raise ValueError(f"{self.name} needs a bath to count what it gives: pass surroundings = Surroundings(bath=Bath(k_B, n_dof))")
-        return around.bath
-
 
 class LangevinBAOAB(Thermostat):
     """Langevin dynamics, with friction and independent noise on each atom: kick, drift, bath, drift, kick.
@@ -107,7 +101,7 @@ class LangevinBAOAB(Thermostat):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration."""
-        bath, kept = self.bath_of(around), exp(-self.friction * duration)
+        bath, kept = bath_of(around), exp(-self.friction * duration)
         spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
         around.project(state)
         before = state.kinetic_energy()
@@ -154,7 +148,7 @@ class StochasticVelocityRescaling(Thermostat):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The exact change of the kinetic energy over a duration."""
-        bath = self.bath_of(around)
+        bath = bath_of(around)
         around.project(state)
         whole, drift = state.kinetic_energy(), np.zeros(3)
         if bath.conserves_momentum:
@@ -168,6 +162,13 @@ class StochasticVelocityRescaling(Thermostat):
         scale = sqrt(max(kept + share * (others + one * one) + 2.0 * one * sqrt(kept * share), 0.0))
         rescale(state.velocities, drift, -scale if share > 0.0 and one < -sqrt(kept / share) else scale)
         bath.energy += kinetic * (scale * scale - 1.0)
+
+
+def bath_of(around: Surroundings) -> Bath:
+    """The bath of a thermostat.  Raises ValueError if there is none."""
+    if around.bath is None:
+        raise ValueError("a thermostat needs a bath to count what it gives: pass surroundings = Surroundings(bath=Bath(k_B, n_dof))")
+    return around.bath
 
 
 @kernel

@@ -1,0 +1,21 @@
+"""A center of mass that is to be held: what FixCom of ASE asks of a run."""
+
+from minimd.integrators.splitting.splitting import Splitting
+from minimd.structure.system import AnySystem, System
+
+
+def holds_center(system: AnySystem) -> bool:
+    """Whether it is an ase.Atoms with FixCom; a System remembers none."""
+    if isinstance(system, System):
+        return False
+    from minimd.structure.ase_constraints import fixes_center  # here, because it loads ase
+
+    return fixes_center(system)
+
+
+def refused(method: Splitting) -> ValueError:
+    """The error of a run of atoms with FixCom whose center of mass would move."""
+    cause = "a force from outside or a fixed atom moves the center of mass: remove one of them"
+    if not method.conserves_momentum:
+        cause = f"{method.name} moves the center of mass: take StochasticVelocityRescaling or minimd.ase.Langevin, or remove FixCom"
+    return ValueError(f"atoms.constraints holds FixCom, but {cause}")

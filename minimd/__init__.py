@@ -7,6 +7,7 @@ from minimd.diagnosis.reversibility import Reversibility
 from minimd.diagnosis.shadow_energy import shadow_energy
 from minimd.diagnosis.timestep import StepAdvice, advise_timestep
 from minimd.engine.record import Record
+from minimd.ensemble import EnsembleTable, Member, ensemble
 from minimd.forces.forces import Evaluation, Forces, evaluate
 from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
 from minimd.minimization.minimization import Minimization, minimize
@@ -33,6 +34,7 @@ __all__ = [
     "ConstraintError",
     "ConvergenceError",
     "DistanceConstraints",
+    "EnsembleTable",
     "Evaluation",
     "FixedAtoms",
     "Forces",
@@ -41,6 +43,7 @@ __all__ = [
     "LangevinBAOAB",
     "Leapfrog",
     "LennardJones",
+    "Member",
     "Minimization",
     "NonFiniteError",
     "PairPotential",
@@ -57,6 +60,7 @@ __all__ = [
     "Term",
     "VelocityVerlet",
     "advise_timestep",
+    "ensemble",
     "evaluate",
     "integrators",
     "lattice",

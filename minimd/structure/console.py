@@ -16,9 +16,10 @@ DEFAULT_HANDLERS: list[Any] = [signal.SIG_DFL, signal.default_int_handler]  # ha
 
 
 @contextmanager
-def progress_of(n_steps: int, label: str, show: bool | None = None) -> Iterator[Callable[[int], Any]]:
+def progress_of(n_steps: int, label: str, show: bool | None = None, unit: str = "step") -> Iterator[Callable[[int], Any]]:
     """Show on standard error, or in the cell of a notebook, how much of n_steps is done; yields a function to be called with the steps made.
 
+    unit : what is counted, if not steps.
     show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar where there can be one.
         Raises ValueError for anything else.
     """
@@ -30,14 +31,14 @@ def progress_of(n_steps: int, label: str, show: bool | None = None) -> Iterator[
         nonlocal told
         if show and done * TENTHS // n_steps > told:
             told = done * TENTHS // n_steps
-            print(f"{label}: step {done} of {n_steps}", file=sys.stderr, flush=True)
+            print(f"{label}: {unit} {done} of {n_steps}", file=sys.stderr, flush=True)
 
     if show is False or not has_bar:
         yield tell_tenths
         return
     from tqdm.auto import tqdm
 
-    with tqdm(total=n_steps, desc=label, unit="step", unit_scale=True, file=sys.stderr) as bar:
+    with tqdm(total=n_steps, desc=label, unit=unit, unit_scale=True, file=sys.stderr) as bar:
         yield lambda done: bar.update(done - bar.n)
 
 

@@ -10,6 +10,7 @@ import pytest
 
 import minimd
 from minimd.compiled import kernels as compiling
+from minimd.compiled.code_cache import CodeFiles
 
 RUN = """
 import numpy as np, minimd as md
@@ -169,8 +170,8 @@ def test_without_a_cache_kernels_are_compiled_all_the_same(tmp_path):
 @pytest.mark.parametrize("n_replaced", [0, 1, 2])
 def test_a_process_killed_between_two_files_of_the_cache_leaves_no_code_of_another_signature(n_replaced, tmp_path, monkeypatch):
     """Code lies there from an earlier state of the source, which the index does not name any more."""
-    compiling.CodeFiles(str(tmp_path), "twice", "earlier").save("integers", "code for integers")
-    replace, files = os.replace, compiling.CodeFiles(str(tmp_path), "twice", "now")
+    CodeFiles(str(tmp_path), "twice", "earlier").save("integers", "code for integers")
+    replace, files = os.replace, CodeFiles(str(tmp_path), "twice", "now")
 
     def killing(*names, done=[]):  # noqa: B006
         done.append(names)

@@ -23,11 +23,16 @@ from minimd.ensemble.work import FAILED, Plan, Row, work
 from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag, shown
-from minimd.structure.console import outside_minimd, progress_of
+from minimd.structure.console import Terminated, outside_minimd, progress_of, raising_on_signals
 from minimd.structure.errors import Interrupted, sentence
 
 MOST_WAITING = 4096  # members that an executor of somebody else's has at a time
 TOLD = 3  # failures that a warning names
+
+
+class EnsembleError(RuntimeError):
+    """No member could be made. The traceback of the first failure is in its notes."""
+
 
 Parameters = int | Mapping[str, Sequence[Any]] | Sequence[Mapping[str, Any]]
 
@@ -73,7 +78,7 @@ def ensemble(
     Raises
     ------
     TypeError, ValueError : for arguments of another kind, functions that cannot be sent to a process, a folder with another ensemble.
-    RuntimeError : if no member could be made; the failures of some are told in a warning and in the table.
+    EnsembleError, a RuntimeError : if no member could be made; the failures of some are told in a warning and in the table.
     KeyboardInterrupt : after Ctrl-C; what is done is kept, and the next call goes on.  OSError : if the folder cannot be written.
     """
     _check_functions(build=build, prepare=prepare, run=run)
@@ -87,14 +92,21 @@ def ensemble(
         todo = [index for index in range(len(rows)) if not is_done(opened.rows.get(index), steps, run is not None)]
         jobs = ((Member(k, rows[k], entropy, steps, opened.file(k)), opened.rows.get(k, {}).get("is_blown_up", False)) for k in todo)
         try:
-            with _executor(executor, n_workers) as (chosen, most_waiting), progress_of(len(rows), "ensemble", progress, "member") as tell:
+            with (
+                raising_on_signals(),
+                _executor(executor, n_workers) as (chosen, most_waiting),
+                progress_of(len(rows), "ensemble", progress, "member") as tell,
+            ):
                 tell(len(rows) - len(todo))
                 for n_made, row in enumerate(_rows(chosen, plan, jobs, most_waiting), start=1):
                     opened.take(row)
                     tell(len(rows) - len(todo) + n_made)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, Terminated) as stopped:
             table = _written(opened, asked, len(rows))
             told = f"{int(table.done.sum())} of {len(rows)} members are done and kept in {place}; the same call goes on"
+            if isinstance(stopped, Terminated):
+                stopped.words += f"; {told}"
+                raise
             raise Interrupted(f"interrupted: {told}", table) from None
         table = _written(opened, asked, len(rows))
     _tell_failures(table, opened.rows)
@@ -126,7 +138,7 @@ def _row_of(future: Future, member: Member) -> Row:
         row: Row = future.result()
         return row
     except (WorkerNeverBegan, BrokenProcessPool, pickle.PicklingError) as error:
-        raise RuntimeError(f"{member} could not be made, nor can others: {sentence(error)}. {_advice(error)}") from error
+        raise EnsembleError(f"{member} could not be made, nor can others: {sentence(error)}. {_advice(error)}") from error
     except (CancelledError, SystemExit):
         raise KeyboardInterrupt from None
     except Exception as error:  # of a worker that died, or whatever an executor has
@@ -221,7 +233,9 @@ def _tell_failures(table: EnsembleTable, rows: dict[int, Row]) -> None:
         return
     if len(sentences) == len(table):
         first = next(row["traceback"] for row in rows.values() if row["status"] == FAILED)
-        raise RuntimeError(f"all {len(table)} members have failed:\n{sentences[0]}\n{first}".rstrip())
+        failure = EnsembleError(f"all {len(table)} members have failed, the first so:\n{sentences[0]}")
+        failure.add_note(first)
+        raise failure
     more = [f"and {len(sentences) - TOLD} more, see the messages in the table"] if len(sentences) > TOLD else []
     told = [f"{len(sentences)} of {len(table)} members have failed:", *sentences[:TOLD], *more, "The next call tries them again."]
     warnings.warn("\n".join(told), stacklevel=outside_minimd())

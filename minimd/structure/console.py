@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 from minimd.structure.checks import checked_flag
 
@@ -76,6 +76,24 @@ def stop_on_signals(run: Stoppable) -> Iterator[None]:
         raise KeyboardInterrupt(words) if requests.received[0] == signal.SIGINT else Terminated(requests.received[0], words)
 
 
+@contextmanager
+def raising_on_signals() -> Iterator[None]:
+    """While active, Ctrl-C raises KeyboardInterrupt, and SIGTERM and SIGHUP raise Terminated, at once; a run inside stops after a whole step.
+
+    For the main thread of a process whose workers do the work. Handlers that the host has set, and signals that it ignores, are left alone.
+    """
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: handler for number in SIGNALS if (handler := signal.getsignal(number)) in DEFAULT_HANDLERS}
+    for number in before:
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else raise_terminated)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 class StopRequests:
     """The handler of signals during a run, set in place of handlers that nobody has set, and of that of a run around it.
 
@@ -124,6 +142,14 @@ class Terminated(SystemExit):
 
     def __str__(self) -> str:
         return self.words
+
+
+def raise_terminated(number: int, _frame: FrameType | None) -> NoReturn:
+    """Handler of SIGTERM and SIGHUP."""
+    raise Terminated(number, "stopped")
+
+
+DEFAULT_HANDLERS.append(raise_terminated)
 
 
 def outside_minimd() -> int:

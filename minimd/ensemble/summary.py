@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 TOLD = ("temperature", "potential_energy", "pressure")  # observables of the table in words, if there are others too
 DRAWN = ("pressure", "potential_energy")
 MOST_CURVES = 8
+MOST_LINES = 100
 
 
 def with_error(mean: float, error: float) -> str:
@@ -29,17 +30,19 @@ def with_error(mean: float, error: float) -> str:
 
 
 def told_averages(table: EnsembleTable) -> Iterator[str]:
-    """The averages over members with the same parameters, a line for each set, below a line of names."""
+    """The averages over members with the same parameters, a line for each of the first hundred sets, below a line of names."""
     rows = table.averaged()
     names = [name for name in TOLD if name in table.observables] or list(table.observables)
     units = {name: f" [{table.unit(name)}]" if table.unit(name) else "" for name in names}
     lines = [[*table.parameters, "members", *(f"{name.replace('_', ' ')}{units[name]}" for name in names)]]
-    for row in rows:
+    for row in rows[:MOST_LINES]:
         means = [with_error(row[f"{name}_mean"], row[f"{name}_error"]) for name in names]
         lines.append([*(str(row[name]) for name in table.parameters), str(row["n_members"]), *means])
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
         yield "  ".join(f"{word:>{width}}" for word, width in zip(line, widths, strict=True))
+    if len(rows) > MOST_LINES:
+        yield f"and {len(rows) - MOST_LINES} more, see {table.folder / 'table.csv'}"
 
 
 def drawn_quantity(table: EnsembleTable, quantity: str | None) -> str:

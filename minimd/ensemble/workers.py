@@ -113,13 +113,10 @@ def serve(pipe: Any, parent: int) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(parent, signal.SIGTERM)
-    pipe.send_bytes(READY)
-    while True:
-        try:
-            job = pipe.recv_bytes()
-        except (EOFError, OSError):
-            return
-        pipe.send_bytes(_answer(job))
+    with suppress(EOFError, OSError):  # of a pipe without another end
+        pipe.send_bytes(READY)
+        while True:
+            pipe.send_bytes(_answer(pipe.recv_bytes()))
 
 
 def _answer(job: bytes) -> bytes:

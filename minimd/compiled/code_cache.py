@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, ClassVar
 from uuid import uuid4
 
 from numba.core import event
@@ -28,8 +28,11 @@ class CodeFiles(IndexDataCacheFile):
 class KernelCache(FunctionCache):
     """Numba's cache of the compiled forms of a kernel. If several processes want one at the same moment, one compiles it while the others wait."""
 
+    compiling: ClassVar[dict[Callable, "KernelCache"]] = {}  # for which others wait, by function
+
     def __init__(self, function: Callable) -> None:
         super().__init__(function)
+        self._function = function
         self._cache_file = CodeFiles(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
         self._lock = -1
 
@@ -55,6 +58,7 @@ class KernelCache(FunctionCache):
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
+            self.compiling.pop(self._function, None)
 
     def _wait_for_others(self) -> None:
         """Take the lock of this kernel, where the file system has locks."""
@@ -64,6 +68,7 @@ class KernelCache(FunctionCache):
             self._lock = os.open(os.path.join(self._cache_path, f"{self._impl.filename_base}.lock"), os.O_RDWR | os.O_CREAT, 0o600)
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX)
+                self.compiling[self._function] = self
             except BaseException:
                 self.let_others_go_on()
                 raise
@@ -77,6 +82,6 @@ class FailedCompilations(event.Listener):
 
     def on_end(self, ended: event.Event) -> None:
         """Called by Numba."""
-        cache = ended.data["dispatcher"]._cache
-        if sys.exc_info()[0] is not None and isinstance(cache, KernelCache):
+        cache = KernelCache.compiling.get(ended.data["dispatcher"].py_func)
+        if sys.exc_info()[0] is not None and cache is not None:
             cache.let_others_go_on()

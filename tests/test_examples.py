@@ -62,11 +62,20 @@ def test_a_ring_that_runs_along_itself_keeps_its_shape(tmp_path, monkeypatch, ca
 
 
 def test_the_scan_of_an_equation_of_state_runs_in_worker_processes(tmp_path):
+    """Of two temperatures only."""
     text = shortened("equation_of_state.py").replace("0.70, 1.69", "0.85, 0.91")
     (tmp_path / "scan.py").write_text(text)
     told = subprocess.run([sys.executable, "scan.py"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
     assert re.findall(r"T\* (\S+): .* \(NIST: (\S+),", told) == [("0.85", "-5.5121"), ("0.90", "-5.4689")]
     assert len((EXAMPLES / "equation_of_state.py").read_text().splitlines()) <= 40
+
+
+@pytest.mark.slow
+def test_the_script_of_the_page_on_ensembles_runs(tmp_path):
+    (text,) = re.findall(r"```python\n(import minimd as md\n.*?)```", (EXAMPLES.parent / "docs" / "ensembles.md").read_text(encoding="utf-8"), re.S)
+    (tmp_path / "scan.py").write_text(text.replace("1000", "50").replace("500", "20"))
+    told = subprocess.run([sys.executable, "scan.py"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert "4 members in scan: 4 done" in told
 
 
 def test_own_laws_give_what_their_formulas_say(capsys):

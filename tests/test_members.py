@@ -21,6 +21,7 @@ from test_kills import assert_same_file
 
 import minimd as md
 from minimd.ensemble.folder import EnsembleFolder
+from minimd.files.h5md_reader import read_file
 from minimd.structure.errors import Interrupted
 
 FILES = [f"0000-0999/{k:04d}.h5md" for k in range(4)]
@@ -60,8 +61,6 @@ def test_the_table_holds_parameters_means_and_files(done):
 
 
 def test_mean_and_error_are_those_of_blocks(done):
-    from minimd.files.h5md_reader import read_file
-
     pressure = read_file(done["file"][1]).record.pressure
     assert len(pressure) == 13
     assert done["pressure_mean"][1] == pressure.mean()
@@ -138,6 +137,16 @@ def test_more_steps_go_on_from_the_files(done, tmp_path):
     assert_same_as(done, tmp_path)
 
 
+def test_averages_of_fewer_steps_than_are_asked_for_are_none(tmp_path):
+    from minimd.ensemble.table import table_of
+
+    run(tmp_path, steps=35)
+    with EnsembleFolder(tmp_path, writes=False) as folder:
+        table = table_of(folder, folder.asked._replace(steps=STEPS), 4)
+    assert set(table["status"]) == {"begun"}
+    assert not table.observables
+
+
 def test_fewer_members_are_a_part_of_the_table(done, tmp_path):
     run(tmp_path)
     table = run(tmp_path, parameters=[{"temperature": 0.4}])
@@ -173,6 +182,17 @@ def test_a_member_that_blows_up_is_told_with_its_crash_file_and_stops_no_other(t
     assert "FAILED" in str(table)
 
 
+def test_nothing_goes_on_from_where_a_run_has_blown_up(done, tmp_path):
+    """Not even if the caller was killed before it could note the failure."""
+    with pytest.warns(UserWarning, match="have failed"):
+        run(tmp_path, members.hot)
+    journal = tmp_path / "members.jsonl"
+    journal.write_text("".join(journal.read_text().splitlines(keepends=True)[:3]))
+    run(tmp_path)
+    assert_same_as(done, tmp_path)
+    assert not (tmp_path / "0000-0999" / "0003.crash.h5md").exists()
+
+
 def test_if_all_fail_the_first_failure_is_raised_with_its_traceback(tmp_path):
     with pytest.raises(RuntimeError, match=r"(?s)all 4 members have failed, the first so:.member 0 .*LookupError: no structure for 0") as failure:
         run(tmp_path, members.broken)
@@ -197,6 +217,7 @@ def test_ctrl_c_leaves_what_is_done(workers, done, tmp_path):
         run(tmp_path, members.second_is_slow, workers=workers)
     thread.join()
     assert stopped.value.result["status"].tolist() == ["done", "begun", "missing", "missing"]
+    assert read_file(tmp_path / FILES[1]).step < STEPS
     run(tmp_path)
     assert_same_as(done, tmp_path)
 
@@ -331,6 +352,7 @@ def script(tmp_path, text):
 def test_a_script_without_a_main_is_told_so(tmp_path):
     ended = script(tmp_path, "import minimd as md\nfrom members import liquid\nmd.ensemble(liquid, {'temperature': [0.5]}, 5, workers=1)\n")
     assert ended.returncode == 1
+    assert "a worker process imports the script, which calls md.ensemble again" in ended.stderr
     assert ended.stderr.rstrip().endswith("put that call below a line: if __name__ == '__main__':")
 
 

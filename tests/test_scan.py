@@ -102,6 +102,7 @@ def test_the_preparation_of_the_scene_is_made_once(folder, capsys):
     assert cli.main(["scan", "melt.toml", "--workers", "0", "--out", "whole", "--quiet"]) == 0
     for steps in ("15", "40"):
         assert cli.main(["scan", "melt.toml", "--workers", "0", "--steps", steps, "--out", "parts", "--quiet"]) == 0
+    assert read_file("whole/0000-0999/0000.h5md").restart.equilibrated == 20
     for name in ("table.csv", "table.json"):
         assert Path("whole", name).read_bytes() == Path("parts", name).read_bytes()
 

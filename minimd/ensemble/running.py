@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import pickle
 import sys
 import warnings
@@ -138,7 +137,7 @@ def _row_of(future: Future, member: Member) -> Row:
         row: Row = future.result()
         return row
     except (WorkerNeverBegan, BrokenProcessPool, pickle.PicklingError) as error:
-        raise EnsembleError(f"{member} could not be made, nor can others: {sentence(error)}. {_advice(error)}") from error
+        raise EnsembleError(f"{member} could not be made, nor can others: {sentence(error)}. {_advice(error)}") from None
     except (CancelledError, SystemExit):
         raise KeyboardInterrupt from None
     except Exception as error:  # of a worker that died, or whatever an executor has
@@ -213,8 +212,8 @@ def _is_of_session(function: Any) -> bool:
 
 def _check_is_no_worker() -> None:
     """Raise RuntimeError in a process that has been spawned and imports the script which spawns it."""
-    frame, is_child = sys._getframe(1), multiprocessing.parent_process() is not None
-    while is_child and frame.f_back is not None:
+    frame = sys._getframe(1)
+    while frame.f_back is not None:
         if frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == "__mp_main__":
             raise RuntimeError("a worker process imports the script, which calls md.ensemble again; put that call below: if __name__ == '__main__':")
         frame = frame.f_back

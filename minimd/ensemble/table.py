@@ -140,14 +140,14 @@ def _joined(means: NDArray[Any], errors: NDArray[Any]) -> tuple[float, float]:
 
 def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
     """The table of the first n_members members of a folder."""
-    rows = [folder.rows.get(index) for index in range(n_members)]
+    rows = [_present(folder.rows.get(index), asked) for index in range(n_members)]
     names = list(asked.parameters[0])
     observables = list(dict.fromkeys(name for row in rows if row is not None for name in row.get("means", ())))
     columns: dict[str, Any] = {"index": np.arange(n_members)}
     columns |= {name: np.array([one[name] for one in asked.parameters[:n_members]]) for name in names}
     files = [folder.path / file_of(index) for index in range(n_members)]
     is_there = [file.exists() for file in files]
-    columns["status"] = np.array([_status(row, asked, there) for row, there in zip(rows, is_there, strict=True)])
+    columns["status"] = np.array([row["status"] if row else BEGUN if there else MISSING for row, there in zip(rows, is_there, strict=True)])
     for name in ("n_steps", "n_atoms"):
         columns[name] = np.array([(row or {}).get(name, 0) for row in rows], dtype=np.int64)
     for name in observables:
@@ -162,9 +162,7 @@ def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
     return EnsembleTable(folder.path, names, array, SYSTEMS.get(units.pop()) if len(units) == 1 else None)
 
 
-def _status(row: Row | None, asked: Asked, has_file: bool) -> str:
-    if row is not None and row["status"] == FAILED:
-        return FAILED
-    if is_done(row, asked.steps, bool(asked.run)):
-        return DONE
-    return BEGUN if has_file else MISSING
+def _present(row: Row | None, asked: Asked) -> Row | None:
+    """The row of a member that has failed or is done, also if more steps are asked for than when it ended; else None."""
+    is_present = row is not None and (row["status"] == FAILED or is_done(row, asked.steps, bool(asked.run)))
+    return row if is_present else None

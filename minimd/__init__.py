@@ -7,6 +7,7 @@ from minimd.diagnosis.reversibility import Reversibility
 from minimd.diagnosis.shadow_energy import shadow_energy
 from minimd.diagnosis.timestep import StepAdvice, advise_timestep
 from minimd.engine.record import Record
+from minimd.ensemble import EnsembleTable, Member, ensemble
 from minimd.forces.forces import Evaluation, Forces, evaluate
 from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
 from minimd.minimization.minimization import Minimization, minimize
@@ -35,6 +36,7 @@ __all__ = [
     "ConstraintError",
     "ConvergenceError",
     "DistanceConstraints",
+    "EnsembleTable",
     "Evaluation",
     "FixedAtoms",
     "Forces",
@@ -44,6 +46,7 @@ __all__ = [
     "LangevinBAOAB",
     "Leapfrog",
     "LennardJones",
+    "Member",
     "Minimization",
     "NonFiniteError",
     "PairPotential",
@@ -62,6 +65,7 @@ __all__ = [
     "VelocityVerlet",
     "advise_timestep",
     "archive",
+    "ensemble",
     "evaluate",
     "integrators",
     "lattice",

@@ -10,6 +10,7 @@ import pytest
 
 import minimd
 from minimd.compiled import kernels as compiling
+from minimd.compiled.code_cache import CodeFiles
 
 RUN = """
 import numpy as np, minimd as md
@@ -38,12 +39,37 @@ def test_a_home_that_cannot_be_written_is_no_obstacle(tmp_path):
     assert answer.returncode == 0, answer.stderr
 
 
-def test_two_processes_may_start_on_an_empty_cache(tmp_path):
+def test_two_processes_that_start_on_an_empty_cache_compile_once(tmp_path):
     clean = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(minimd.__file__).parents[1])}
     both = [subprocess.Popen([sys.executable, "-c", RUN], env=clean, stdout=subprocess.PIPE, stderr=subprocess.PIPE) for _ in range(2)]
+    misses = 0
     for process in both:
-        _, errors = process.communicate(timeout=200)
+        out, errors = process.communicate(timeout=200)
         assert process.returncode == 0, errors
+        misses += int(out.split()[1])
+    if hasattr(os, "getuid"):
+        assert misses == 1  # one compiles, the other waits for it
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="locks")
+def test_a_kernel_that_cannot_be_compiled_keeps_nobody_waiting(tmp_path):
+    code = """
+import fcntl, glob, os, numba
+from minimd.compiled.kernels import kernel
+def wrong(x): return x.no_such_thing
+broken = kernel(wrong)
+try:
+    broken(1.0)
+except numba.TypingError:
+    (lock,) = glob.glob(os.environ["NUMBA_CACHE_DIR"] + "/**/*.lock", recursive=True)
+    fcntl.flock(os.open(lock, os.O_RDWR), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    print("free")
+"""
+    (tmp_path / "script.py").write_text(code)
+    answer = run(
+        {"NUMBA_CACHE_DIR": str(tmp_path)}, f"exec(compile(open({str(tmp_path / 'script.py')!r}).read(), {str(tmp_path / 'script.py')!r}, 'exec'))"
+    )
+    assert answer.stdout == "free\n", answer.stderr
 
 
 def test_edited_sources_get_another_cache(tmp_path, monkeypatch):
@@ -144,8 +170,8 @@ def test_without_a_cache_kernels_are_compiled_all_the_same(tmp_path):
 @pytest.mark.parametrize("n_replaced", [0, 1, 2])
 def test_a_process_killed_between_two_files_of_the_cache_leaves_no_code_of_another_signature(n_replaced, tmp_path, monkeypatch):
     """Code lies there from an earlier state of the source, which the index does not name any more."""
-    compiling.CodeFiles(str(tmp_path), "twice", "earlier").save("integers", "code for integers")
-    replace, files = os.replace, compiling.CodeFiles(str(tmp_path), "twice", "now")
+    CodeFiles(str(tmp_path), "twice", "earlier").save("integers", "code for integers")
+    replace, files = os.replace, CodeFiles(str(tmp_path), "twice", "now")
 
     def killing(*names, done=[]):  # noqa: B006
         done.append(names)

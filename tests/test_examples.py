@@ -2,6 +2,8 @@
 
 import re
 import runpy
+import subprocess
+import sys
 from ast import literal_eval
 from pathlib import Path
 
@@ -10,18 +12,23 @@ import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SHORTER = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 5, "rounds": 2, "every": 10, "duration": 200, "end": 2.0, "t_end": 3.0}
-RUN_BELOW = ("own_law.py", "rigid_ring.py")  # in full, by tests of their own
+RUN_BELOW = ("own_law.py", "rigid_ring.py", "equation_of_state.py")  # in full, by tests of their own
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
-def run_shortened(name, folder):
-    """Run an example with fewer steps."""
+def shortened(name):
+    """The text of an example, with fewer steps."""
     text = (EXAMPLES / name).read_text()
     for names, values in re.findall(r"^(\w+(?:, \w+)*) = ([\d_., ]*\d)(?:  #.*)?$", text, re.MULTILINE):
         pairs = zip(names.split(", "), values.split(", "), strict=True)
         shorter = [str(min(SHORTER.get(word, np.inf), literal_eval(value))) for word, value in pairs]
         text = text.replace(f"{names} = {values}", f"{names} = {', '.join(shorter)}")
-    (folder / name).write_text(text)
+    return text
+
+
+def run_shortened(name, folder):
+    """Run an example with fewer steps."""
+    (folder / name).write_text(shortened(name))
     runpy.run_path(str(folder / name), run_name="__main__")
 
 
@@ -52,6 +59,23 @@ def test_a_ring_that_runs_along_itself_keeps_its_shape(tmp_path, monkeypatch, ca
     assert running < 0.2  # truncation: 0.12 with 200 beads, 0.20 with 100
     assert squeezed > 10.0
     assert (tmp_path / "rigid_ring.png").stat().st_size > 0
+
+
+def test_the_scan_of_an_equation_of_state_runs_in_worker_processes(tmp_path):
+    """Of two temperatures only."""
+    text = shortened("equation_of_state.py").replace("0.70, 1.69", "0.85, 0.91")
+    (tmp_path / "scan.py").write_text(text)
+    told = subprocess.run([sys.executable, "scan.py"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert re.findall(r"T\* (\S+): .* \(NIST: (\S+),", told) == [("0.85", "-5.5121"), ("0.90", "-5.4689")]
+    assert len((EXAMPLES / "equation_of_state.py").read_text().splitlines()) <= 40
+
+
+@pytest.mark.slow
+def test_the_script_of_the_page_on_ensembles_runs(tmp_path):
+    (text,) = re.findall(r"```python\n(import minimd as md\n.*?)```", (EXAMPLES.parent / "docs" / "ensembles.md").read_text(encoding="utf-8"), re.S)
+    (tmp_path / "scan.py").write_text(text.replace("1000", "50").replace("500", "20"))
+    told = subprocess.run([sys.executable, "scan.py"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert "4 members in scan: 4 done" in told
 
 
 def test_own_laws_give_what_their_formulas_say(capsys):

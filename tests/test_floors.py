@@ -19,6 +19,7 @@ FLOORS = [  # highest first; several on one floor do not know each other
     "minimd",
     "minimd.view",
     "minimd.replay",
+    "minimd.ensemble",
     "minimd.scene",
     "minimd.analysis",
     "minimd.mdanalysis",

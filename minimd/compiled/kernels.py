@@ -18,13 +18,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
 from typing import Any
-from uuid import uuid4
 
 import numba
 from numba.core import event
-from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.extending import overload
 
+from minimd.compiled.code_cache import FailedCompilations, KernelCache
 from minimd.compiled.features import NEWEST, restrict_features
 
 restrict_features(os.environ.get("MINIMD_VECTORS", NEWEST))
@@ -80,28 +79,6 @@ def open_to_others(folder: Path) -> Path | None:
         if status.st_uid not in trusted or (status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not is_common):
             return part
     return None
-
-
-class CodeFiles(IndexDataCacheFile):
-    """The files of a kernel in Numba's cache: an index, and one file for the machine code of each signature.
-
-    Numba numbers the files, and writes the index first. A process that is killed in between, or two at once, may leave an index that names the
-    machine code of another signature. Here a file has a name that no other ever has, and the index names it when it is there.
-    """
-
-    def save(self, key: Any, data: Any) -> None:
-        """Called by Numba after a compilation."""
-        name = self._data_name(uuid4().int)
-        self._save_data(name, data)
-        self._save_index({**self._load_index(), key: name})
-
-
-class KernelCache(FunctionCache):
-    """Numba's cache of the compiled forms of a kernel."""
-
-    def __init__(self, function: Callable) -> None:
-        super().__init__(function)
-        self._cache_file = CodeFiles(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
 
 
 def kernel(function, **flags):
@@ -223,6 +200,7 @@ class CompileClock(event.Listener):
 
 compile_clock = CompileClock()
 event.register("numba:compile", compile_clock)
+event.register("numba:compile", FailedCompilations())
 
 
 @contextmanager

@@ -2,7 +2,9 @@
 
 import os
 import platform
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from importlib import metadata
 from pathlib import Path
 
@@ -10,11 +12,27 @@ import numpy as np
 
 EPS = float(np.finfo(float).eps)  # of 1: the relative spacing of numbers
 MISSING = "MISSING"
+_threads: ContextVar[int | None] = ContextVar("_threads", default=None)
 
 
 def available_cores() -> int:
     """Cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def default_threads() -> int:
+    """Threads of a simulation that does not say how many: one for each core, or what threads_by_default says."""
+    return _threads.get() or available_cores()
+
+
+@contextmanager
+def threads_by_default(n_threads: int) -> Iterator[None]:
+    """Context in which simulations are made with so many threads, unless they say otherwise."""
+    before = _threads.set(n_threads)
+    try:
+        yield
+    finally:
+        _threads.reset(before)
 
 
 def version(package: str) -> str:

@@ -69,7 +69,7 @@ def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = 
     if blocks < FEW or np.ptp(time) == 0.0:
         slope = (series[-1] - series[0]) / np.ptp(time) if np.ptp(time) > 0.0 else 0.0
         return Drift(float(slope), np.inf)
-    (slope, _), covariance = np.polyfit(_block_means(time, blocks), _block_means(series, blocks), 1, cov=True)
+    (slope, _), covariance = np.polyfit(block_means(time, blocks), block_means(series, blocks), 1, cov=True)
     return Drift(float(slope), float(np.sqrt(covariance[0, 0])))
 
 
@@ -83,11 +83,12 @@ def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks
     blocks = min(blocks, len(series))
     if blocks < FEW or np.ptp(time) == 0.0 or not np.isfinite([time, series]).all():
         return drift(time, series, blocks)
-    t, y = _block_means(time, blocks), _block_means(series, blocks)
+    t, y = block_means(time, blocks), block_means(series, blocks)
     return Drift(float((y[-1] - y[0]) / (t[-1] - t[0])), float(np.sqrt(1.5 * (blocks - 1)) * np.diff(y).std(ddof=1) / (t[-1] - t[0])))
 
 
-def _block_means(series: NDArray[np.float64], blocks: int) -> NDArray[np.float64]:
+def block_means(series: NDArray[np.float64], blocks: int) -> NDArray[np.float64]:
+    """Averages over so many parts of a series, as equal as its length allows."""
     return np.array([part.mean() for part in np.array_split(series, blocks)])
 
 

@@ -64,7 +64,7 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
     """In the child: look, tell what was found or raised, and end without a word, whatever happens."""
     status = 1
     try:
-        _end_with(parent)
+        end_with(parent)
         faulthandler.disable()
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         _limit(SECONDS + (os.path.getsize(path) // BYTES_PER_SECOND if os.path.exists(path) else 0))
@@ -80,11 +80,11 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
         os._exit(status)
 
 
-def _end_with(parent: int) -> None:
-    """On Linux, be killed when the parent is: the locks that it held would live on in its child."""
+def end_with(parent: int, number: int = signal.SIGKILL) -> None:
+    """On Linux, get this signal when the parent dies: the locks that it held would live on in its child."""
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):
-            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(number))
         if os.getppid() != parent:
             os._exit(1)
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from minimd.compiled.machine import available_cores
+from minimd.compiled.machine import default_threads
 from minimd.structure.checks import checked_choice, checked_count, checked_number, shown
 from minimd.structure.grid import Grid
 
@@ -43,8 +43,8 @@ class Options:
 
     @property
     def most_threads(self) -> int:
-        """The number of threads given, or that of all cores."""
-        return self.threads or available_cores()
+        """The number of threads given, or default_threads()."""
+        return self.threads or default_threads()
 
 
 def described(precision: Precision) -> str:

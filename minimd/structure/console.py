@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 from minimd.structure.checks import checked_flag
 
@@ -16,9 +16,10 @@ DEFAULT_HANDLERS: list[Any] = [signal.SIG_DFL, signal.default_int_handler]  # ha
 
 
 @contextmanager
-def progress_of(n_steps: int, label: str, show: bool | None = None) -> Iterator[Callable[[int], Any]]:
+def progress_of(n_steps: int, label: str, show: bool | None = None, unit: str = "step") -> Iterator[Callable[[int], Any]]:
     """Show on standard error, or in the cell of a notebook, how much of n_steps is done; yields a function to be called with the steps made.
 
+    unit : what is counted, if not steps.
     show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar where there can be one.
         Raises ValueError for anything else.
     """
@@ -30,14 +31,14 @@ def progress_of(n_steps: int, label: str, show: bool | None = None) -> Iterator[
         nonlocal told
         if show and done * TENTHS // n_steps > told:
             told = done * TENTHS // n_steps
-            print(f"{label}: step {done} of {n_steps}", file=sys.stderr, flush=True)
+            print(f"{label}: {unit} {done} of {n_steps}", file=sys.stderr, flush=True)
 
     if show is False or not has_bar:
         yield tell_tenths
         return
     from tqdm.auto import tqdm
 
-    with tqdm(total=n_steps, desc=label, unit="step", unit_scale=True, file=sys.stderr) as bar:
+    with tqdm(total=n_steps, desc=label, unit=unit, unit_scale=True, file=sys.stderr) as bar:
         yield lambda done: bar.update(done - bar.n)
 
 
@@ -73,6 +74,24 @@ def stop_on_signals(run: Stoppable) -> Iterator[None]:
     if requests.received:
         words = "stopped after the last step"
         raise KeyboardInterrupt(words) if requests.received[0] == signal.SIGINT else Terminated(requests.received[0], words)
+
+
+@contextmanager
+def raising_on_signals() -> Iterator[None]:
+    """While active, Ctrl-C raises KeyboardInterrupt, and SIGTERM and SIGHUP raise Terminated, at once; a run inside stops after a whole step.
+
+    For the main thread of a process whose workers do the work. Handlers that the host has set, and signals that it ignores, are left alone.
+    """
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: handler for number in SIGNALS if (handler := signal.getsignal(number)) in DEFAULT_HANDLERS}
+    for number in before:
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else raise_terminated)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class StopRequests:
@@ -123,6 +142,14 @@ class Terminated(SystemExit):
 
     def __str__(self) -> str:
         return self.words
+
+
+def raise_terminated(number: int, _frame: FrameType | None) -> NoReturn:
+    """Handler of SIGTERM and SIGHUP."""
+    raise Terminated(number, "stopped")
+
+
+DEFAULT_HANDLERS.append(raise_terminated)
 
 
 def outside_minimd() -> int:

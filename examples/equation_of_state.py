@@ -1,0 +1,37 @@
+"""The equation of state of the Lennard-Jones liquid: pressure and energy at twenty temperatures, on all cores, with error bars.
+
+NIST's Monte Carlo results at ρ* = 0.776: https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm
+"""
+
+import numpy as np
+
+import minimd as md
+
+density, friction, timestep, n_cells = 0.776, 0.5, 0.004, 4
+n_equilibration, n_steps, every = 10_000, 50_000, 10
+nist = {0.85: (-5.5121, 0.0067714), 0.90: (-5.4689, 0.24056)}  # T*: U*/N, p*
+temperatures = np.round(np.arange(0.70, 1.69, 0.05), 2)
+
+
+def build(member):
+    """256 atoms in a bath, on a lattice at first."""
+    positions, edges = md.lattice.crystal("fcc", [n_cells] * 3, (4.0 / density) ** (1 / 3))
+    law = md.LennardJones(1.0, 1.0, 3.0, "truncated", tail_correction=True)
+    bath = md.LangevinBAOAB(timestep, member["temperature"], friction, seed=member.seed)
+    liquid = md.Simulation(md.System(positions, cell=edges), law, bath)
+    liquid.set_temperature(2.0 * member["temperature"], member.seed)
+    return liquid
+
+
+def melt(liquid, member):
+    """Once, before the steps that count."""
+    liquid.equilibrate(n_equilibration, 3.0, progress=False)
+    liquid.run(n_equilibration, every=n_equilibration, progress=False)
+
+
+if __name__ == "__main__":  # worker processes import this file
+    table = md.ensemble(build, {"temperature": temperatures}, n_steps, prepare=melt, every=every, folder="equation_of_state")
+    for row in table.array:
+        known = "   (NIST: {:.4f}, {:.4f})".format(*nist[row["temperature"]]) if row["temperature"] in nist else ""
+        energy, error = row["potential_energy_mean"] / row["n_atoms"], row["potential_energy_error"] / row["n_atoms"]
+        print(f"T* {row['temperature']:.2f}: U* {energy:.4f} ± {error:.4f}, p* {row['pressure_mean']:.3f} ± {row['pressure_error']:.3f}{known}")

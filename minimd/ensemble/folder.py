@@ -1,0 +1,198 @@
+"""The folder of an ensemble: what was asked for, one line for each member that has ended, and a file for each member.
+
+ensemble.json          seed, steps, every, functions, and the parameters of all members
+members.jsonl          one line for each member that has ended, in the order of their ends; a later line replaces an earlier one
+0000-0999/0012.h5md    the run of member 12
+table.csv, table.json  the table, written when a call ends
+
+A line is appended when its member ends: 10⁵ members cost 10⁵ lines, and a process that is killed loses at most the line that it is writing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from minimd.compiled.machine import version
+from minimd.ensemble.member import Value, file_of
+from minimd.ensemble.work import DONE, Row
+from minimd.files.claim import locked
+from minimd.files.crash_file import crash_file_place
+from minimd.structure.checks import checked_count, shown
+
+DESCRIPTION, JOURNAL = "ensemble.json", "members.jsonl"
+
+
+class Asked(NamedTuple):
+    """What was asked for.  seed : entropy of all random numbers.  parameters : of each member.  build, prepare, run : names of functions."""
+
+    seed: int
+    steps: int
+    every: int
+    parameters: list[dict[str, Value]]
+    build: str
+    prepare: str
+    run: str
+
+
+class EnsembleFolder:
+    """The folder of an ensemble, locked while it is open, if it is to be written.
+
+    path : of the folder.  asked : what was asked for last, None in a new folder.  rows : of members that have ended, by index.
+    """
+
+    def __init__(self, path: Path, *, writes: bool) -> None:
+        self.path, self._lock = path, -1
+        if writes:
+            path.mkdir(parents=True, exist_ok=True)
+            try:
+                self._lock = locked(path / JOURNAL, create=True)
+            except OSError as error:
+                reason = f"{error.strerror}: an ensemble is running there" if "another run" in str(error.strerror) else error.strerror
+                raise OSError(f"folder {str(path)!r} cannot be used: {reason}; wait for its end, or choose another folder") from None
+        self.asked, self.rows = self._read_description(), dict[int, Row]()
+        if self.asked is not None:
+            self.rows = {row["index"]: row for row in self._lines()}
+
+    def begin(self, asked: Asked, resume: bool) -> Asked:
+        """Describe what is asked for now; returns it, with the parameters of members from earlier calls behind.
+
+        resume : what is there is gone on with, else removed.
+        Raises ValueError if the folder holds another ensemble.
+        """
+        if resume and self.asked is not None:
+            self._check_is(self.asked, asked)
+            asked = asked._replace(parameters=asked.parameters + self.asked.parameters[len(asked.parameters) :])
+        else:
+            self._forget()
+        told = asked._asdict() | {"parameters": columns_of(asked.parameters), "members": len(asked.parameters), "minimd": version("minimd")}
+        write_whole(self.path / DESCRIPTION, json.dumps(told, indent=1))
+        self.asked = asked
+        return asked
+
+    def take(self, row: Row) -> None:
+        """Append the row of a member that has ended.  Raises OSError if there is no room."""
+        self.rows[row["index"]] = row
+        try:
+            os.lseek(self._lock, 0, os.SEEK_END)
+            text = memoryview(f"{json.dumps(row)}\n".encode())
+            while text:
+                text = text[os.write(self._lock, text) :]
+        except OSError as error:
+            raise OSError(f"{self.path / JOURNAL} cannot take the results of member {row['index']}: {error.strerror}") from None
+
+    def file(self, index: int) -> Path:
+        """The H5MD file of a member, from the root: a worker may have another current folder."""
+        return self.path.absolute() / file_of(index)
+
+    def close(self) -> None:
+        """Give the folder free."""
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def __enter__(self) -> EnsembleFolder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _forget(self) -> None:
+        """Remove the files of all members: runs of another ensemble must not be gone on with."""
+        for index in range(len(self.asked.parameters) if self.asked is not None else 0):
+            for file in (self.file(index), crash_file_place(True, self.file(index))):
+                if file is not None:
+                    file.unlink(missing_ok=True)
+        self.rows = {}
+        os.ftruncate(self._lock, 0)
+
+    def _read_description(self) -> Asked | None:
+        file = self.path / DESCRIPTION
+        try:
+            told = json.loads(file.read_text(encoding="utf-8"))
+            rows = rows_of(told["parameters"], told["members"])
+            return Asked(**{name: told[name] for name in Asked._fields} | {"parameters": rows})
+        except FileNotFoundError:
+            return None
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(
+                f"{file} is no description of an ensemble ({type(error).__name__}: {error}); choose another folder, or remove it"
+            ) from None
+
+    def _lines(self) -> Iterator[Row]:
+        """Rows of the journal. A line that is not whole is that of a process that was killed; it is removed when the folder is open for writing."""
+        file = self.path / JOURNAL
+        whole = 0
+        with open(file, "rb") as lines:
+            for line in lines:
+                try:
+                    row = json.loads(line) if line.endswith(b"\n") else None
+                except ValueError:
+                    row = None
+                if row is not None:
+                    yield row
+                if line.endswith(b"\n"):
+                    whole += len(line)
+        if self._lock >= 0:
+            os.ftruncate(self._lock, whole)
+
+    def _check_is(self, before: Asked, asked: Asked) -> None:
+        """Raise ValueError unless this is the same ensemble, perhaps with more members or, where minimd makes the steps, with more steps."""
+        for name in ("seed", "every"):
+            there, here = getattr(before, name), getattr(asked, name)
+            self._refuse_unless(there == here, f"{name} = {there} there, {here} here")
+        may_grow = not asked.run and asked.steps > before.steps
+        self._refuse_unless(asked.steps == before.steps or may_grow, f"steps = {before.steps} there, {asked.steps} here")
+        for index, (one, other) in enumerate(zip(before.parameters, asked.parameters, strict=False)):
+            self._refuse_unless(one == other, f"member {index} has the parameters {shown(one)} there, {shown(other)} here")
+
+    def _refuse_unless(self, is_same: bool, words: str) -> None:
+        if not is_same:
+            raise ValueError(
+                f"folder {str(self.path)!r} holds another ensemble: {words}; choose another folder, or replace what is there with resume=False"
+            )
+
+
+def columns_of(parameters: list[dict[str, Value]]) -> dict[str, list[Value]]:
+    """The parameters of all members by name."""
+    return {name: [one[name] for one in parameters] for name in parameters[0]}
+
+
+def rows_of(columns: dict[str, list[Value]], n_members: int) -> list[dict[str, Value]]:
+    """The parameters of each member."""
+    return [{name: values[index] for name, values in columns.items()} for index in range(n_members)]
+
+
+def entropy_of(seed: int | None, before: Asked | None) -> int:
+    """The seed as entropy; if none is given, that of the folder, else one that is drawn.  Raises ValueError for a seed below 0."""
+    if seed is not None:
+        return checked_count("seed", seed, 0, 2**128)
+    return before.seed if before is not None else secrets.randbits(128)
+
+
+def name_of(function: Callable | None) -> str:
+    """A function as module and name; empty for None."""
+    if function is None:
+        return ""
+    named = function if hasattr(function, "__qualname__") else type(function)
+    return f"{named.__module__}.{named.__qualname__}"
+
+
+def write_whole(file: Path, text: str) -> None:
+    """Write a file that is never seen half written.  Raises OSError, with a sentence."""
+    part = file.with_name(f"{file.name}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, file)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise OSError(f"{file} cannot be written: {error.strerror}") from None
+
+
+def is_done(row: Row | None, steps: int, has_run: bool) -> bool:
+    """Whether a member has made all its steps."""
+    return row is not None and row["status"] == DONE and (has_run or row["n_steps"] >= steps)

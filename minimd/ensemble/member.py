@@ -1,0 +1,112 @@
+"""The members of an ensemble: index, parameters, seeds, file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from minimd.structure.checks import checked_count, listed, shown
+
+Value = bool | int | float | str
+OWN_COLUMNS = ("index", "status", "n_steps", "n_atoms", "n_members", "file", "message")  # of tables
+OWN_ENDINGS = ("_mean", "_error")
+PER_FOLDER = 1000  # files
+
+
+@dataclass(frozen=True)
+class Member:
+    """One run of an ensemble. member["temperature"] is its parameter of that name.
+
+    index : from 0.  parameters : name to value.  steps : that were asked for.  file : its H5MD file.
+    entropy : of the ensemble, from which all seeds of all members come.
+    """
+
+    index: int
+    parameters: Mapping[str, Value]
+    entropy: int
+    steps: int
+    file: Path
+
+    def __getitem__(self, name: str) -> Any:
+        try:
+            return self.parameters[name]
+        except KeyError:
+            raise KeyError(f"a member has no parameter {name!r}; it has {listed(self.parameters) or 'none'}") from None
+
+    @cached_property
+    def seed_sequence(self) -> np.random.SeedSequence:
+        """The child of SeedSequence(entropy) with the index of the member: the same whatever the number of members."""
+        return np.random.SeedSequence(self.entropy, spawn_key=(self.index,))
+
+    @property
+    def seed(self) -> int:
+        """A whole number below 2⁶³, of the seed sequence, for set_temperature and the noise of a bath."""
+        return int(self.seed_sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+    def __str__(self) -> str:
+        told = ", ".join(f"{name} = {value}" for name, value in self.parameters.items())
+        return f"member {self.index}" + (f" ({told})" if told else "")
+
+
+def file_of(index: int) -> Path:
+    """The place of the file of a member in the folder of its ensemble; a thousand members share a folder."""
+    first = index - index % PER_FOLDER
+    return Path(f"{first:04d}-{first + PER_FOLDER - 1:04d}") / f"{index:04d}.h5md"
+
+
+def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
+    """The parameters of each member.  parameters : number of members, columns of values, or one mapping for each member.
+
+    Raises ValueError, TypeError for anything else, no members, columns of different lengths, members with different names, values that are
+    neither numbers nor texts, and names that the table has for itself.
+    """
+    if isinstance(parameters, Mapping):
+        rows = _from_columns(parameters)
+    elif isinstance(parameters, Sequence) and not isinstance(parameters, str) and all(isinstance(one, Mapping) for one in parameters):
+        rows = [dict(one) for one in parameters]
+    elif isinstance(parameters, Sequence | np.ndarray) or hasattr(parameters, "columns"):
+        raise TypeError(
+            "parameters must be the number of members, a dict of columns such as {'temperature': [0.8, 0.9]}, or a list of dicts, one for each "
+            f"member; parameters = {shown(parameters)}"
+        )
+    else:
+        rows = [{} for _ in range(checked_count("the number of members", parameters))]
+    if not rows:
+        raise ValueError("an ensemble must have members; parameters are empty")
+    for index, row in enumerate(rows):
+        if row.keys() != rows[0].keys():
+            raise ValueError(f"all members must have the same parameters; member 0 has {listed(rows[0])}, member {index} has {listed(row)}")
+    _check_names(rows[0])
+    return [{name: _checked_value(name, index, row[name]) for name in rows[0]} for index, row in enumerate(rows)]
+
+
+def _from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
+    lists = {}
+    for name, values in columns.items():
+        if isinstance(values, str) or not hasattr(values, "__len__"):
+            raise TypeError(f"parameter {name!r} must be a list of values, one for each member; it is {shown(values)}")
+        lists[name] = list(values)
+    lengths = {name: len(values) for name, values in lists.items()}
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{name!r} has {length}" for name, length in lengths.items())
+        raise ValueError(f"all parameters must have as many values as there are members; {told}: for all combinations, list them as dicts")
+    return [dict(zip(lists, row, strict=True)) for row in zip(*lists.values(), strict=True)]
+
+
+def _check_names(names: Mapping[str, Any]) -> None:
+    for name in names:
+        if not isinstance(name, str) or not name or name in OWN_COLUMNS or name.endswith(OWN_ENDINGS):
+            taken = f"{listed(OWN_COLUMNS)}, nor end in {' or '.join(OWN_ENDINGS)}"
+            raise ValueError(f"the name of a parameter must be a text, and not one of {taken}, which are columns of the table; it is {shown(name)}")
+
+
+def _checked_value(name: str, index: int, value: Any) -> Value:
+    plain = value.item() if isinstance(value, np.generic) else value
+    if not isinstance(plain, bool | int | float | str):
+        raise TypeError(f"parameter {name!r} must be a number, a text, True or False; of member {index} it is {shown(value)}")
+    return plain

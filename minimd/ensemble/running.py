@@ -1,0 +1,240 @@
+"""md.ensemble: many runs on any executor, each in a file of its own, gone on with where an earlier call has stopped."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+from uuid import uuid4
+
+from minimd.compiled.machine import available_cores
+from minimd.ensemble.folder import Asked, EnsembleFolder, entropy_of, is_done, name_of
+from minimd.ensemble.member import Member, checked_parameters
+from minimd.ensemble.table import EnsembleTable, table_of
+from minimd.ensemble.work import FAILED, Plan, Row, work
+from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan
+from minimd.simulation.simulation import Simulation
+from minimd.structure.checks import checked_count, checked_flag, shown
+from minimd.structure.console import Terminated, outside_minimd, progress_of, raising_on_signals
+from minimd.structure.errors import Interrupted, sentence
+
+MOST_WAITING = 4096  # members that an executor of somebody else's has at a time
+TOLD = 3  # failures that a warning names
+
+
+class EnsembleError(RuntimeError):
+    """No member could be made. The traceback of the first failure is in its notes."""
+
+
+Parameters = int | Mapping[str, Sequence[Any]] | Sequence[Mapping[str, Any]]
+
+
+def ensemble(
+    build: Callable[[Member], Simulation],
+    parameters: Parameters,
+    steps: int,
+    *,
+    prepare: Callable[[Simulation, Member], Any] | None = None,
+    run: Callable[[Simulation, Member], Any] | None = None,
+    every: int = 100,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    seed: int | None = 0,
+    folder: str | Path = "scan",
+    resume: bool = True,
+    progress: bool | None = None,
+) -> EnsembleTable:
+    """Make many runs, each with parameters, random numbers and a file of its own; return a table of their averages.
+
+    Members that an earlier call in the same folder has finished are skipped. Those that were stopped in the middle go on from their files, to
+    the same bits; those that failed begin anew. What a member becomes depends on its index, its parameters and the seed alone.
+
+    Parameters
+    ----------
+    build : function of a Member that returns its Simulation. It is called again when a member goes on from its file.
+    parameters : number of members; or columns, {"temperature": [0.8, 0.9]}; or a list of dicts, one for each member.
+    steps : that each member makes.
+    prepare : function of simulation and member, called before the first step and not again, such as an equilibration.
+    run : function of simulation and member that makes the run instead, and returns a Record, or a dict of numbers, of pairs of mean and
+        error, or of series. A member of this kind that is stopped begins anew.
+    every : steps between observations.
+    executor : any concurrent.futures.Executor, such as client.get_executor() of dask or mpi4py.futures.MPIPoolExecutor(); the folder
+        must be one that all its workers see. If not given, spawned processes of this machine.
+    workers : number of those processes, one for each core if not given; 0 makes all members in this process, one after the other.
+    seed : entropy of the SeedSequence whose children the members have; None draws one. It is written down in the folder.
+    folder : for all files; see minimd.ensemble.folder.  resume : False to replace what is in the folder.
+    progress : a bar over members, as for Simulation.run.
+
+    A simulation has one thread, unless build says otherwise.
+
+    Raises
+    ------
+    TypeError, ValueError : for arguments of another kind, functions that cannot be sent to a process, a folder with another ensemble.
+    EnsembleError, a RuntimeError : if no member could be made; the failures of some are told in a warning and in the table.
+    KeyboardInterrupt : after Ctrl-C; what is done is kept, and the next call goes on.  OSError : if the folder cannot be written.
+    """
+    _check_functions(build=build, prepare=prepare, run=run)
+    rows, place = checked_parameters(parameters), Path(folder)
+    steps, every, resume = checked_count("steps", steps, 0), checked_count("every", every), checked_flag("resume", resume)
+    plan = Plan(build, prepare, run, every, uuid4().hex)
+    n_workers = _check_executor(executor, workers, plan)
+    with EnsembleFolder(place, writes=True) as opened:
+        entropy = entropy_of(seed, opened.asked if resume else None)
+        asked = opened.begin(Asked(entropy, steps, every, rows, name_of(build), name_of(prepare), name_of(run)), resume)
+        todo = [index for index in range(len(rows)) if not is_done(opened.rows.get(index), steps, run is not None)]
+        jobs = ((Member(k, rows[k], entropy, steps, opened.file(k)), opened.rows.get(k, {}).get("is_blown_up", False)) for k in todo)
+        try:
+            with (
+                raising_on_signals(),
+                _executor(executor, n_workers) as (chosen, most_waiting),
+                progress_of(len(rows), "ensemble", progress, "member") as tell,
+            ):
+                tell(len(rows) - len(todo))
+                for n_made, row in enumerate(_rows(chosen, plan, jobs, most_waiting), start=1):
+                    opened.take(row)
+                    tell(len(rows) - len(todo) + n_made)
+        except (KeyboardInterrupt, Terminated) as stopped:
+            table = _written(opened, asked, len(rows))
+            told = f"{int(table.done.sum())} of {len(rows)} members are done and kept in {place}; the same call goes on"
+            if isinstance(stopped, Terminated):
+                stopped.words += f"; {told}"
+                raise
+            raise Interrupted(f"interrupted: {told}", table) from None
+        table = _written(opened, asked, len(rows))
+    _tell_failures(table, opened.rows)
+    return table
+
+
+def _rows(executor: Executor, plan: Plan, jobs: Iterator[tuple[Member, bool]], most_waiting: int) -> Iterator[Row]:
+    """Rows of members, as they end. If this is left early, no further member begins."""
+    ended: SimpleQueue[Future] = SimpleQueue()
+    members: dict[Future, Member] = {}
+    try:
+        while True:
+            while len(members) < most_waiting and (job := next(jobs, None)) is not None:
+                future = executor.submit(work, plan, *job)
+                members[future] = job[0]
+                future.add_done_callback(ended.put)
+            if not members:
+                return
+            future = ended.get()
+            yield _row_of(future, members.pop(future))
+    finally:
+        for future in members:
+            future.cancel()
+
+
+def _row_of(future: Future, member: Member) -> Row:
+    """The row of a member that has ended, in whichever way.  Raises what is no fault of the member's."""
+    try:
+        row: Row = future.result()
+        return row
+    except (WorkerNeverBegan, BrokenProcessPool, pickle.PicklingError) as error:
+        raise EnsembleError(f"{member} could not be made, nor can others: {sentence(error)}. {_advice(error)}") from None
+    except (CancelledError, SystemExit):
+        raise KeyboardInterrupt from None
+    except Exception as error:  # of a worker that died, or whatever an executor has
+        row = {"index": member.index, "parameters": dict(member.parameters), "status": FAILED}
+        return row | {"message": f"{type(error).__name__}: {sentence(error)}", "traceback": "", "crash_file": "", "seconds": 0.0}
+
+
+def _advice(error: Exception) -> str:
+    if isinstance(error, BrokenProcessPool):
+        return "A ProcessPoolExecutor ends with the first of its processes; call again to go on, or leave executor out"
+    return "If the script calls md.ensemble outside of functions, put that call below a line: if __name__ == '__main__':"
+
+
+@contextmanager
+def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Executor, int]]:
+    """The executor, and how many members it may have at a time; one of ours is ended, at once if this context is left by an error."""
+    if executor is not None:
+        yield executor.get_executor() if hasattr(executor, "get_executor") else executor, MOST_WAITING
+    elif n_workers == 0:
+        yield ThisProcess(), 1
+    else:
+        own = SpawnedProcesses(n_workers)
+        try:
+            yield own, 2 * n_workers
+        except BaseException:
+            own.stop()
+            raise
+        finally:
+            own.shutdown(cancel_futures=True)
+
+
+def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) -> int:
+    """The number of processes to spawn.  Raises TypeError, ValueError, RuntimeError for what cannot work."""
+    if executor is not None and workers is not None:
+        raise ValueError(f"workers is the number of minimd's own processes; with an executor leave it out; workers = {shown(workers)}")
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise TypeError(f"executor must have submit, as a concurrent.futures.Executor; executor = {shown(executor)}")
+    n_workers = available_cores() if workers is None else checked_count("workers", workers, 0)
+    if isinstance(executor, ProcessPoolExecutor) or (executor is None and n_workers):
+        _check_can_be_sent(plan)
+        _check_is_no_worker()
+    return n_workers
+
+
+def _check_functions(**functions: Any) -> None:
+    for name, function in functions.items():
+        if not callable(function) and (function is not None or name == "build"):
+            raise TypeError(f"{name} must be a function{' of a member' if name == 'build' else ''}; {name} = {shown(function)}")
+
+
+def _check_can_be_sent(plan: Plan) -> None:
+    """Raise TypeError unless other processes can find the functions."""
+    for name in ("build", "prepare", "run"):
+        function = getattr(plan, name)
+        try:
+            pickle.dumps(function)
+            reason = "it was written in a session that no process can import" if _is_of_session(function) else ""
+        except Exception as error:  # whatever pickle meets
+            reason = sentence(error)
+        if reason:
+            raise TypeError(
+                f"{name} cannot be sent to worker processes: {reason}. Define it with def at the top level of a file, and import it if this is a "
+                f"notebook; or pass workers=0 to stay in this process; or an executor that sends functions as they are, such as dask's"
+            )
+
+
+def _is_of_session(function: Any) -> bool:
+    """Whether a function belongs to a notebook or a prompt."""
+    main = sys.modules.get("__main__")
+    return getattr(function, "__module__", None) == "__main__" and main is not None and not hasattr(main, "__file__")
+
+
+def _check_is_no_worker() -> None:
+    """Raise RuntimeError in a process that has been spawned and imports the script which spawns it."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None:
+        if frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == "__mp_main__":
+            raise RuntimeError("a worker process imports the script, which calls md.ensemble again; put that call below: if __name__ == '__main__':")
+        frame = frame.f_back
+
+
+def _written(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
+    table = table_of(folder, asked, n_members)
+    table.write()
+    return table
+
+
+def _tell_failures(table: EnsembleTable, rows: dict[int, Row]) -> None:
+    """Warn of members that have failed.  Raises RuntimeError if all have."""
+    sentences = list(table.failures())
+    if not sentences:
+        return
+    if len(sentences) == len(table):
+        first = next(row["traceback"] for row in rows.values() if row["status"] == FAILED)
+        failure = EnsembleError(f"all {len(table)} members have failed, the first so:\n{sentences[0]}")
+        failure.add_note(first)
+        raise failure
+    more = [f"and {len(sentences) - TOLD} more, see the messages in the table"] if len(sentences) > TOLD else []
+    told = [f"{len(sentences)} of {len(table)} members have failed:", *sentences[:TOLD], *more, "The next call tries them again."]
+    warnings.warn("\n".join(told), stacklevel=outside_minimd())

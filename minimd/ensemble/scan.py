@@ -1,0 +1,180 @@
+"""A scan: one scene file with some of its keys changed from member to member. It is what `minimd scan` does."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from minimd.ensemble.folder import write_whole
+from minimd.ensemble.member import Member, Value
+from minimd.ensemble.running import ensemble
+from minimd.ensemble.table import EnsembleTable
+from minimd.files.crash_file import crash_file_place
+from minimd.scene.document import Scene, load_scene, parse_scene
+from minimd.scene.running import equilibrate, minimize
+from minimd.simulation.simulation import Simulation
+from minimd.structure.checks import checked_count
+
+SEED = "dynamics.seed"
+OF_THE_SCAN = {  # keys that are the same for all members, and what to do
+    "dynamics.steps": "give --steps N",
+    "output.every": "write it into the scene",
+    "output.trajectory": "each member has a file of its own",
+}
+MOST_VALUES = 10**6
+MOST_TRIED = 1000  # scenes that are checked before the first run begins
+SCENE = "scene.toml"
+
+Tell = Callable[[str], None]
+
+
+class Setting(NamedTuple):
+    """A key of a scene, such as dynamics.temperature_K or potential[0].cutoff_A, and the values that it gets."""
+
+    key: str
+    values: list[Value]
+
+    def __str__(self) -> str:
+        shown = [str(value) for value in self.values]
+        return f"{self.key} = {', '.join(shown if len(shown) <= 12 else [*shown[:6], '...', *shown[-3:]])} ({len(shown)} values)"
+
+
+def parsed_setting(text: str) -> Setting:
+    """KEY=FROM:TO:STEP, both ends included, or KEY=VALUE,VALUE,...
+
+    Numbers are counted in decimals: 0.1:0.3:0.1 is 0.1, 0.2, 0.3.  Raises ValueError.
+    """
+    key, equals, values = text.partition("=")
+    if not equals or not key.strip() or not values.strip():
+        raise ValueError(f"--set needs KEY=FROM:TO:STEP or KEY=VALUE,VALUE,...; it is {text!r}")
+    if values.count(":") == 2:
+        return Setting(key.strip(), _steps(text, values.split(":")))
+    return Setting(key.strip(), [_value(one) for one in values.split(",")])
+
+
+def _steps(text: str, numbers: Sequence[str]) -> list[Value]:
+    try:
+        start, end, step = (Decimal(one.strip()) for one in numbers)
+        n = int((end - start) / step) + 1 if step else 0
+    except (InvalidOperation, OverflowError, ValueError):
+        raise ValueError(f"--set needs numbers FROM:TO:STEP; it is {text!r}") from None
+    if not 1 <= n <= MOST_VALUES:
+        raise ValueError(f"--set needs a STEP that leads from FROM to TO in at most {MOST_VALUES} steps; it is {text!r}")
+    is_whole = all(one.strip().lstrip("+-").isdecimal() for one in numbers)
+    return [int(start + k * step) if is_whole else float(start + k * step) for k in range(n)]
+
+
+def _value(text: str) -> Value:
+    """A value as TOML reads it; what it cannot read is a text."""
+    try:
+        value = tomllib.loads(f"value = {text.strip()}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    return value if isinstance(value, bool | int | float | str) else text.strip()
+
+
+def changed_text(path: Path, text: str, values: Iterable[tuple[str, Value]]) -> str:
+    """The text of a scene with other values; the rest stays as it is, comments too.  Raises ValueError for a place that the scene does not have."""
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    for key, value in values:
+        node: Any = document
+        *way, last = [part for part in re.split(r"[.\[\]]", key) if part]
+        for part in way:
+            try:
+                node = node[int(part)] if part.isdecimal() and isinstance(node, list) else node[part]
+            except (KeyError, IndexError, TypeError):
+                raise ValueError(f"{path} has no {key!r}: {part!r} is not in it") from None
+        if not isinstance(node, dict):
+            raise ValueError(f"{path} has no {key!r}: {last!r} must be a key in a table; name an entry of a list as potential[0].cutoff")
+        node[last] = value
+    return tomlkit.dumps(document)
+
+
+@dataclass(frozen=True)
+class SceneMembers:
+    """Builds and prepares the members of a scan.  path : of the scene, from the root.  text : of the scene."""
+
+    path: Path
+    text: str
+
+    def scene(self, member: Member) -> Scene:
+        """The scene of a member; its seed is that of the member, unless it is scanned itself."""
+        seed = [] if SEED in member.parameters else [(SEED, member.seed)]
+        return parse_scene(changed_text(self.path, self.text, [*member.parameters.items(), *seed]), self.path)
+
+    def __call__(self, member: Member) -> Simulation:
+        """The simulation of a member at its start."""
+        return self.scene(member).simulation()
+
+    def prepare(self, simulation: Simulation, member: Member) -> None:
+        """Minimize and equilibrate, as the scene says."""
+        scene = self.scene(member)
+        minimize(scene, simulation, False, _silent)
+        equilibrate(scene, simulation, False, _silent, crash_file_place(True, member.file))
+
+
+def scan_scene(
+    path: str | Path,
+    settings: Sequence[Setting],
+    *,
+    replicas: int = 1,
+    steps: int | None = None,
+    workers: int | None = None,
+    seed: int = 0,
+    folder: str | Path = "scan",
+    resume: bool = True,
+    progress: bool | None = None,
+    tell: Tell = print,
+) -> EnsembleTable:
+    """Run a scene with all combinations of some settings, each of them `replicas` times with other random numbers.
+
+    Members are counted replica by replica, so that more replicas can be added later.
+
+    Parameters
+    ----------
+    steps : instead of those of the scene.  tell : gets a line about each thing that is done.  others : as of ensemble.
+
+    Raises
+    ------
+    ValueError, OSError : for scenes that cannot be built, before anything is computed, and as ensemble.
+    """
+    scene, place = load_scene(path), Path(folder)
+    build = SceneMembers(Path(path).absolute(), scene.text)
+    for setting in settings:
+        if setting.key in OF_THE_SCAN:
+            raise ValueError(f"{setting.key} is the same for all members of a scan; {OF_THE_SCAN[setting.key]}")
+    grid = [dict(zip([one.key for one in settings], values, strict=True)) for values in product(*(one.values for one in settings))]
+    n_steps = scene.sections.dynamics.steps if steps is None else steps
+    for row in grid[:MOST_TRIED]:
+        parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
+    build(Member(0, grid[0], seed, n_steps, place))  # structure and laws, too
+    _check_scene(place, scene.text, resume)
+    replicas = checked_count("replicas", replicas)
+    tell(f"scene          {path}" + (f": {scene.sections.title}" if scene.sections.title else ""))
+    for setting in settings:
+        tell(f"set            {setting}")
+    tell(f"members        {len(grid) * replicas}, {n_steps} steps each; {replicas} of each kind; files in {place}")
+    options: dict[str, Any] = {"every": scene.sections.output.every, "workers": workers, "seed": seed, "resume": resume, "progress": progress}
+    parameters: Any = grid * replicas if settings else replicas
+    return ensemble(build, parameters, n_steps, prepare=build.prepare, folder=place, **options)
+
+
+def _check_scene(folder: Path, text: str, resume: bool) -> None:
+    """Keep the scene in the folder.  Raises ValueError if another one is there."""
+    kept = folder / SCENE
+    if resume and kept.exists() and kept.read_text(encoding="utf-8") != text:
+        raise ValueError(f"folder {str(folder)!r} holds a scan of another scene, {kept}; choose another with --out, or replace it with --overwrite")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(kept, text)
+
+
+def _silent(_line: str) -> None:
+    """Members do not tell what they do."""

@@ -1,0 +1,109 @@
+"""What a worker does: it makes one member, and tells what came of it in a row of plain values."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from minimd.compiled.machine import threads_by_default
+from minimd.engine.record import Record
+from minimd.ensemble.averages import averages_of
+from minimd.ensemble.member import Member
+from minimd.files.crash_file import crash_file_place
+from minimd.simulation.simulation import Simulation
+from minimd.structure.checks import shown
+from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
+
+DONE, FAILED, BEGUN, MISSING = "done", "failed", "begun", "missing"  # the status of a member
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is done with every member; see ensemble.  call : a name of this call, without which dask would hand out results of an earlier one."""
+
+    build: Callable[[Member], Simulation]
+    prepare: Callable[[Simulation, Member], Any] | None
+    run: Callable[[Simulation, Member], Any] | None
+    every: int
+    call: str
+
+
+def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
+    """Make a member; whatever it raises is told in the row. Its simulation has one thread, unless build says otherwise.
+
+    begins_anew : do not go on from its file, because a run that has blown up takes another path from there.
+    Raises KeyboardInterrupt, SystemExit if it is stopped.
+    """
+    started, row = perf_counter(), {"index": member.index, "parameters": dict(member.parameters)}
+    try:
+        with threads_by_default(1):
+            row |= _made(plan, member, begins_anew)
+    except Exception as error:  # of build, prepare or run, which are the user's
+        file = getattr(error, "file", None)
+        told = {"status": FAILED, "message": f"{type(error).__name__}: {sentence(error)}", "traceback": traceback.format_exc()}
+        row |= told | {"crash_file": "" if file is None else str(file), "is_blown_up": isinstance(error, NonFiniteError | ConstraintError)}
+    return row | {"seconds": perf_counter() - started}
+
+
+def _made(plan: Plan, member: Member, begins_anew: bool) -> Row:
+    simulation = plan.build(member)
+    if not isinstance(simulation, Simulation):
+        raise TypeError(f"build must return a Simulation; of {member} it has returned {shown(simulation)}")
+    goes_on = plan.run is None and not begins_anew and not _crash_file(member).exists()
+    resumed = _resumed(member.file, simulation) if goes_on else None
+    if resumed is not None:
+        return _described(resumed[0], _rest_of_run(plan, member, *resumed), member.steps)
+    for file in (member.file, _crash_file(member)):
+        file.unlink(missing_ok=True)
+    member.file.parent.mkdir(parents=True, exist_ok=True)
+    if plan.prepare is not None:
+        plan.prepare(simulation, member)
+    first = simulation.step
+    if plan.run is not None:
+        return _described(simulation, plan.run(simulation, member), simulation.step - first)
+    record = simulation.run(member.steps, every=plan.every, trajectory=member.file, progress=False)
+    return _described(simulation, record, member.steps)
+
+
+def _crash_file(member: Member) -> Path:
+    """Where its run leaves a file if it blows up."""
+    return crash_file_place(True, member.file) or member.file
+
+
+def _resumed(file: Path, built: Simulation) -> tuple[Simulation, int] | None:
+    """The simulation in the file of a member that was stopped, and its first step; None if there is no file, or a damaged one."""
+    from minimd.files.h5md_reader import read_file
+
+    if not file.exists():
+        return None
+    try:
+        resumed = Simulation.resume(file, built.potentials, threads=built.options.threads)
+        return resumed, int(read_file(file).record.step[0])
+    except (OSError, ValueError):  # the member begins anew, and has the same bits
+        return None
+
+
+def _rest_of_run(plan: Plan, member: Member, simulation: Simulation, first: int) -> Record:
+    """Make the steps that are left, and return the record of all."""
+    from minimd.files.h5md_reader import read_file
+
+    if simulation.step < first + member.steps:
+        simulation.run(until_step=first + member.steps, every=plan.every, trajectory=member.file, append=True, progress=False)
+    return read_file(member.file).record
+
+
+def _described(simulation: Simulation, result: Any, n_steps: int) -> Row:
+    averages = averages_of(result)
+    return {
+        "status": DONE,
+        "n_steps": n_steps,
+        "n_atoms": len(simulation.system),
+        "units": simulation.system.units.name,
+        "means": {name: mean for name, (mean, _) in averages.items()},
+        "errors": {name: error for name, (_, error) in averages.items()},
+    }

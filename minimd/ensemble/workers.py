@@ -1,0 +1,148 @@
+"""Spawned worker processes, each of which can die without taking the others along; and this process as the only worker.
+
+concurrent.futures.ProcessPoolExecutor gives up all members when one of its processes is killed. Here each process has a pipe and a thread
+of its own; the member of a process that dies fails, and the next one gets a new process.
+"""
+
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
+from contextlib import suppress
+from typing import Any
+
+from minimd.files.first_look import end_with
+
+READY = b"ready"
+
+
+class WorkerDied(RuntimeError):  # noqa: N818  # it is what happened
+    """The process that made a member is dead.  Its message says of what."""
+
+
+class WorkerNeverBegan(RuntimeError):  # noqa: N818
+    """A process ended before it could take a member."""
+
+
+class SpawnedProcesses(Executor):
+    """So many worker processes, spawned when they are needed."""
+
+    def __init__(self, n_workers: int) -> None:
+        self._threads = ThreadPoolExecutor(n_workers, thread_name_prefix="minimd worker")
+        self._own, self._workers, self._is_stopped = threading.local(), list[Worker](), False
+
+    def submit(self, function: Callable, /, *args: Any, **kwargs: Any) -> Future:
+        """function(*args, **kwargs) in one of the processes; both must be picklable."""
+        return self._threads.submit(self._in_process, pickle.dumps((function, args, kwargs)))
+
+    def stop(self) -> None:
+        """End the processes, runs after a whole step, and let nothing that waits begin."""
+        self._is_stopped = True
+        for worker in list(self._workers):
+            worker.process.terminate()
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Wait for what was submitted, then end the processes."""
+        self._threads.shutdown(wait, cancel_futures=cancel_futures)
+        for worker in self._workers:
+            worker.end()
+
+    def _in_process(self, job: bytes) -> Any:
+        worker = getattr(self._own, "worker", None)
+        if worker is None:
+            worker = self._own.worker = Worker()
+            self._workers.append(worker)
+        if self._is_stopped:
+            raise CancelledError
+        try:
+            return worker.do(job)
+        except (WorkerDied, CancelledError):
+            self._own.worker = None
+            self._workers.remove(worker)
+            if self._is_stopped:
+                raise CancelledError from None
+            raise
+
+
+class Worker:
+    """A process that does one job after the other."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self.process = context.Process(target=serve, args=(theirs, os.getpid()), daemon=True)
+        self.process.start()
+        theirs.close()
+        self._has_begun = False
+
+    def do(self, job: bytes) -> Any:
+        """The result of a pickled job.  Raises what it raises, WorkerDied if the process does, CancelledError if it was told to end."""
+        try:
+            if not self._has_begun:
+                self._has_begun = self._pipe.recv_bytes() == READY
+            self._pipe.send_bytes(job)
+            result, error = pickle.loads(self._pipe.recv_bytes())
+        except (EOFError, OSError):
+            self.process.join()
+            if not self._has_begun:
+                raise WorkerNeverBegan(self._ending()) from None
+            raise WorkerDied(self._ending()) from None
+        if error is not None:
+            raise error
+        return result
+
+    def end(self) -> None:
+        """Let it end, for want of jobs."""
+        self._pipe.close()
+        self.process.join()
+
+    def _ending(self) -> str:
+        code = self.process.exitcode or 0
+        with suppress(ValueError):
+            return f"its worker process was killed by {signal.Signals(-code).name}"
+        return f"its worker process ended with code {code}"
+
+
+def serve(pipe: Any, parent: int) -> None:
+    """The life of a worker process: it takes jobs from the pipe until the other end is closed, and ends with its parent.
+
+    Ctrl-C is for the parent alone, which then sends SIGTERM.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with(parent, signal.SIGTERM)
+    with suppress(EOFError, OSError):  # of a pipe without another end
+        pipe.send_bytes(READY)
+        while True:
+            pipe.send_bytes(_answer(pipe.recv_bytes()))
+
+
+def _answer(job: bytes) -> bytes:
+    """Result and error of a job, pickled."""
+    answer: tuple[Any, BaseException | None]
+    try:
+        function, args, kwargs = pickle.loads(job)
+        answer = function(*args, **kwargs), None
+    except (KeyboardInterrupt, SystemExit):
+        answer = None, CancelledError()
+    except Exception as error:
+        answer = None, error
+    try:
+        return pickle.dumps(answer)
+    except Exception as error:  # of objects of the user's
+        return pickle.dumps((None, RuntimeError(f"the answer of a worker cannot be sent: {error}")))
+
+
+class ThisProcess(Executor):
+    """Does each job at once, in this process."""
+
+    def submit(self, function: Callable, /, *args: Any, **kwargs: Any) -> Future:
+        """function(*args, **kwargs), which is done when this returns."""
+        future: Future = Future()
+        try:
+            future.set_result(function(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future

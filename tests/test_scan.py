@@ -1,0 +1,134 @@
+"""`minimd scan`: what is set is what runs, the table is that of md.ensemble, and it goes on where it was stopped."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from references import melt_scene
+
+from minimd.commands import main as cli
+from minimd.ensemble.scan import changed_text, parsed_setting
+from minimd.files.h5md_reader import read_file
+from minimd.scene import parse_scene
+
+SCENE = "# A comment.\n" + melt_scene(2, 40, 'method = "langevin-baoab"\nrelaxation_time = 1.0\n[output]\nevery = 5\n').replace("2.5", "1.6")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "melt.toml").write_text(SCENE)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("a.b=80:120:5", [80, 85, 90, 95, 100, 105, 110, 115, 120]),
+        ("a.b=0.1:0.3:0.1", [0.1, 0.2, 0.3]),
+        ("a.b=1:0.5:-0.25", [1.0, 0.75, 0.5]),
+        ("a.b=1:2:3", [1]),
+        ("a.b=1,2.5,1e-3", [1, 2.5, 0.001]),
+        ('a.b=shifted,"smooth",true', ["shifted", "smooth", True]),
+    ],
+)
+def test_settings_are_read_in_decimals_with_both_ends(text, values):
+    setting = parsed_setting(text)
+    assert setting.key == "a.b"
+    assert setting.values == values
+    assert list(map(type, setting.values)) == list(map(type, values))
+
+
+@pytest.mark.parametrize("text", ["a.b", "=1", "a=", "a=1:2:0", "a=1:2:x", "a=2:1:1", "a=1:2:1e-9", "a=1:inf:1"])
+def test_settings_that_make_no_sense_are_refused(text):
+    with pytest.raises(ValueError, match="--set needs"):
+        parsed_setting(text)
+
+
+def test_a_changed_scene_differs_in_what_was_set_only():
+    text = changed_text(Path("a.toml"), SCENE, [("dynamics.temperature", 0.9), ("potential[0].cutoff", 1.5), ("dynamics.seed", 2**62)])
+    assert text.startswith("# A comment.")
+    expected = tomllib.loads(SCENE)
+    expected["dynamics"] |= {"temperature": 0.9, "seed": 2**62}
+    expected["potential"][0]["cutoff"] = 1.5
+    assert tomllib.loads(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--set", "dynamic.temperature=1,2"], "melt.toml has no 'dynamic.temperature': 'dynamic' is not in it"),
+        (["--set", "potential[1].cutoff=1,2"], "melt.toml has no 'potential[1].cutoff': '1' is not in it"),
+        (["--set", "dynamics.temperatur=1,2"], "dynamics has no key 'temperatur'"),
+        (["--set", "dynamics.temperature=1,-2"], "dynamics.temperature must be greater than or equal to 0"),
+        (["--set", "dynamics.steps=1,2"], "dynamics.steps is the same for all members of a scan; give --steps N"),
+        (["--set", "structure.density=1,cold"], "density must be"),
+    ],
+)
+def test_what_cannot_run_is_refused_before_anything_is_computed(folder, capsys, arguments, told):
+    assert cli.main(["scan", "melt.toml", *arguments]) == 2
+    assert told in capsys.readouterr().err
+    assert not Path("scan").exists()
+
+
+def test_a_scan_runs_what_was_set_and_tells_averages(folder, capsys):
+    command = ["scan", "melt.toml", "--set", "dynamics.temperature=0.5:0.6:0.1", "--replicas", "2", "--workers", "0"]
+    assert cli.main(command) == 0
+    told = capsys.readouterr().out
+    assert "set            dynamics.temperature = 0.5, 0.6 (2 values)" in told
+    assert "4 done" in told
+    assert "±" in told
+    assert Path("scan/pressure.png").read_bytes().startswith(b"\x89PNG")
+    texts = [read_file(f"scan/0000-0999/{k:04d}.h5md").scene for k in range(4)]
+    scenes = [parse_scene(text, Path("a.toml")).sections.dynamics for text in texts]
+    assert [one.temperature for one in scenes] == [0.5, 0.6, 0.5, 0.6]
+    assert len({one.seed for one in scenes}) == 4
+    alone = parse_scene(texts[3], Path("a.toml")).simulation()  # a member is the run of the scene in its file
+    alone.run(40, every=5, progress=False)
+    np.testing.assert_array_equal(alone.positions, read_file("scan/0000-0999/0003.h5md").system.positions)
+    before = Path("scan/members.jsonl").read_text()
+    assert cli.main([*command[:4], "--replicas", "3", "--workers", "0", "--plot", "temperature", "--quiet"]) == 0
+    assert Path("scan/members.jsonl").read_text().startswith(before)
+    assert Path("scan/temperature.png").exists()
+    assert cli.main(["scan", "--status", "scan"]) == 0
+    told = capsys.readouterr().out
+    assert "6 members in scan: 6 done" in told
+    assert "dynamics.temperature" in told
+
+
+def test_the_preparation_of_the_scene_is_made_once(folder, capsys):
+    Path("melt.toml").write_text(f"{SCENE}\n[equilibration]\nsteps = 20\n")
+    assert cli.main(["scan", "melt.toml", "--workers", "0", "--out", "whole", "--quiet"]) == 0
+    for steps in ("15", "40"):
+        assert cli.main(["scan", "melt.toml", "--workers", "0", "--steps", steps, "--out", "parts", "--quiet"]) == 0
+    assert read_file("whole/0000-0999/0000.h5md").restart.equilibrated == 20
+    for name in ("table.csv", "table.json"):
+        assert Path("whole", name).read_bytes() == Path("parts", name).read_bytes()
+
+
+def test_members_that_fail_are_told_and_the_code_is_one(folder, capsys):
+    command = ["scan", "melt.toml", "--set", "dynamics.timestep=0.004,0.5", "--workers", "0"]
+    assert cli.main(command) == 1
+    captured = capsys.readouterr()
+    assert "1 done, 1 failed" in captured.out
+    assert "1 of 2 members have failed" in captured.err
+    assert "0001.crash.h5md" in captured.err
+    assert cli.main(["scan", "melt.toml", "--set", "dynamics.timestep=0.5", "--workers", "0", "--out", "all"]) == 1
+    assert "all 1 members have failed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "minimd scan needs a scene file, or --status FOLDER"),
+        (["--status", "nowhere"], "folder 'nowhere' holds no ensemble"),
+        (["melt.toml", "--out", "other"], "holds a scan of another scene"),
+        (["melt.toml", "--plot", "presure", "--workers", "0", "--steps", "5"], "did you mean 'pressure'?"),
+    ],
+)
+def test_a_scan_that_cannot_work_is_answered_with_one_sentence(folder, capsys, arguments, told):
+    Path("other").mkdir()
+    Path("other/scene.toml").write_text("another")
+    assert cli.main(["scan", *arguments]) == 2
+    assert told in capsys.readouterr().err

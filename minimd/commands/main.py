@@ -8,14 +8,14 @@ from contextlib import suppress
 from typing import Any
 
 from minimd.bench.outcome import DisagreementError
-from minimd.commands import bench, check, doctor, plot, replay, resume, run, view
+from minimd.commands import bench, check, doctor, lammps, plot, replay, resume, run, view
 from minimd.compiled.machine import version
 from minimd.structure.console import Terminated
-from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
+from minimd.structure.errors import ConstraintError, HandOverError, NonFiniteError, sentence
 
 OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
 CODES: dict[type[BaseException], int] = dict.fromkeys((OSError, ValueError, TypeError), WRONG_INPUT)
-CODES |= {KeyboardInterrupt: INTERRUPTED, NonFiniteError: BLOWN_UP, ConstraintError: BLOWN_UP, DisagreementError: FAILED}
+CODES |= {KeyboardInterrupt: INTERRUPTED, NonFiniteError: BLOWN_UP, ConstraintError: BLOWN_UP, DisagreementError: FAILED, HandOverError: FAILED}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -27,7 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="minimd", description="Molecular dynamics from a scene file, in small.", epilog="Begin with: minimd doctor")
     parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
     commands = parser.add_subparsers(metavar="command", title="commands")
-    for command in (run, resume, replay, check, plot, view, bench, doctor):
+    for command in (run, resume, replay, lammps, check, plot, view, bench, doctor):
         command.add(commands)
     arguments = parser.parse_args(argv)
     if "command" not in arguments:

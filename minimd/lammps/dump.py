@@ -13,25 +13,27 @@ from numpy.typing import NDArray
 MAGIC = b"DUMPCUSTOM"
 
 
-def frames(path: Path) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Step, and (N, C) all columns but the first, which must be the id, rows in the order of ids. A last frame that is cut off is left out.
+def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Step, and (N, C) all columns but the first, which must be the id, rows in the order of ids; up to a frame that is cut off or lacks atoms.
 
     Raises ValueError for a file that is none.
     """
     with path.open("rb") as file:
         while file.peek(1):  # type: ignore[attr-defined]
             try:
-                yield _frame(file)
+                yield _frame(file, n_atoms)
             except EOFError:
                 return
 
 
-def _frame(file: BinaryIO) -> tuple[int, NDArray[np.float64]]:
+def _frame(file: BinaryIO, expected: int) -> tuple[int, NDArray[np.float64]]:
     length = -_read(file, "q")
     if length != len(MAGIC) or _exactly(file, length) != MAGIC or _read(file, "i") != 1:
         raise ValueError("LAMMPS has written a dump of another format than minimd knows; take LAMMPS of 2021 or later")
     _read(file, "i")  # revision
     step, n_atoms, tilted = _read(file, "q"), _read(file, "q"), _read(file, "i")
+    if n_atoms != expected:
+        raise EOFError
     _exactly(file, 6 * 4 + (9 if tilted else 6) * 8)  # boundaries and box
     n_columns = _read(file, "i")
     _exactly(file, _read(file, "i"))  # unit style

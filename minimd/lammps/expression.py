@@ -133,8 +133,11 @@ class Symbol:
     def __float__(self) -> float:
         raise UnwritableError("it uses a function that takes numbers only")
 
+    def __int__(self) -> int:
+        raise UnwritableError("it needs whole numbers")
+
     def __getattr__(self, name: str) -> Any:
-        raise UnwritableError(f"it uses {name} of its arguments")
+        raise UnwritableError("it makes arrays" if name.startswith("__array") else f"it uses {name} of its arguments")
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **_options: Any) -> Any:
         """What functions of numpy do."""

@@ -236,7 +236,7 @@ class Job:
             run(self.program.command(script.VERIFY, script.LOG, self.processes), self.folder, script.LOG, self)
             if self.stop_requested:
                 raise KeyboardInterrupt("stopped before the run of LAMMPS")
-            _, columns = next(frames(self.folder / script.STEP_0), (0, None))
+            _, columns = next(frames(self.folder / script.STEP_0, len(self.engine.system)), (0, None))
             if columns is None:
                 raise HandOverError("LAMMPS has not written step 0; is the disk full?")
             energies, forces, virials = script.per_atom(columns)
@@ -292,7 +292,7 @@ class Job:
         is_whole : whether LAMMPS has reached its end. If not, and if there is a frame beyond the first one, those that are there are kept.
         """
         path, record = self.folder / script.FRAMES, Record(self.simulation.system.units, len(self.simulation.system), self.trajectory)
-        found = (one for one in frames(path) if one[0] > self.first_step) if path.is_file() else iter(())
+        found = (one for one in frames(path, len(self.engine.system)) if one[0] > self.first_step) if path.is_file() else iter(())
         first = next(found, None)
         self.keeps_frames = first is not None
         if first is None and not is_whole:
@@ -318,7 +318,7 @@ class Job:
         """Stand at the last state; how many frames, or that state, are missing."""
         last, end = self.folder / script.LAST, self.first_step + self.steps
         expected = 1 + end // self.every - self.first_step // self.every
-        final = next(frames(last), None) if last.is_file() else None
+        final = next(frames(last, len(self.engine.system)), None) if last.is_file() else None
         if final is not None:
             self._stand(end, final[1], reservoir_energy)
         return expected - n_frames + (final is None)

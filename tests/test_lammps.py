@@ -56,7 +56,9 @@ def test_a_run_that_was_brought_back_passes_the_check_and_goes_on(tmp_path):
     theirs, ours = SCENES["melt"](), SCENES["melt"]()
     done = handed_over(theirs, tmp_path / "run", 200, store_forces=True)
     assert done.folder == tmp_path / "run"
-    assert check_file(done.trajectory).passed
+    checked = check_file(done.trajectory)
+    assert checked.passed
+    assert "108 atoms, run by LAMMPS" in checked.heading
     ours.run(200, progress=False)
     resumed = md.Simulation.resume(done.trajectory, LJ)
     assert (resumed.step, resumed.time) == (200, pytest.approx(200 * TIMESTEP))

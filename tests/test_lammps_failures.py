@@ -67,6 +67,17 @@ def test_without_mpiexec(tmp_path, monkeypatch):
     assert len(md.lammps.hand_over(in_cell(fluid()), tmp_path / "run", 20, progress=False, tell=None).record) == 1
 
 
+def test_copies_of_a_serial_lammps_are_noticed(tmp_path, monkeypatch):
+    """An mpiexec of another MPI starts several programs, each of which believes to be alone."""
+    serial = tmp_path / "mpiexec"
+    serial.write_text('#!/bin/sh\nshift 2\nexec "$@"\n')
+    serial.chmod(0o755)
+    monkeypatch.setattr(program.shutil, "which", lambda *names, **places: str(serial))
+    (tmp_path / "in").mkdir()
+    with refused(md.lammps.HandOverError, "LAMMPS runs on 1 process, asked for 2; it seems that", tmp_path / "in" / "run", in_cell(fluid())) as go:
+        go(processes=2)
+
+
 def test_a_lammps_that_does_not_start(tmp_path, monkeypatch):
     broken = tmp_path / "bin"
     broken.mkdir()

@@ -21,7 +21,7 @@ from minimd.integrators import LangevinBAOAB
 from minimd.lammps import script
 from minimd.lammps.dump import frames
 from minimd.lammps.model import Model
-from minimd.lammps.program import OUTPUT, Log, Program, find_program, run
+from minimd.lammps.program import INSTALL, OUTPUT, Log, Program, find_program, run
 from minimd.lammps.verification import LEAST, Verification, compare, tails_of
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag
@@ -233,9 +233,12 @@ class Job:
         for k, line in enumerate(not_carried_over(self.simulation)):
             self.tell(f"{'' if k else 'not carried':<14} {line}")
         with self.phase("verifying"):
-            run(self.program.command(script.VERIFY, script.LOG, self.processes), self.folder, script.LOG, self)
+            log = run(self.program.command(script.VERIFY, script.LOG, self.processes), self.folder, script.LOG, self)
             if self.stop_requested:
                 raise KeyboardInterrupt("stopped before the run of LAMMPS")
+            if log.processes != self.processes:
+                why = f"that {self.program.lmp} was built without MPI, or for another mpiexec than {self.program.mpiexec}"
+                raise HandOverError(f"LAMMPS runs on {log.processes} process, asked for {self.processes}; it seems {why}: {INSTALL}")
             _, columns = next(frames(self.folder / script.STEP_0, len(self.engine.system)), (0, None))
             if columns is None:
                 raise HandOverError("LAMMPS has not written step 0; is the disk full?")
@@ -301,7 +304,8 @@ class Job:
         theirs = {step: row[0] for step, row in zip(log.steps, log.rows, strict=True)}
         baths = {step: start - row[1] for step, row in zip(log.steps, log.rows, strict=True) if len(row) > 1}
         apart = []
-        with open_trajectories(self.trajectory, self.engine, store_forces=store_forces, overwrite=False, every=self.every) as writers:
+        options = {"store_forces": store_forces, "overwrite": False}
+        with self._titled(), open_trajectories(self.trajectory, self.engine, every=self.every, **options) as writers:
             for step, columns in chain([(self.first_step, None)], [first] if first else [], found):
                 if columns is not None:
                     self._stand(step, columns, baths.get(step, start))
@@ -313,6 +317,17 @@ class Job:
             n_missing = self._end(baths.get(self.first_step + self.steps, start), len(record)) if is_whole else 0
         self.simulation.record = record
         return Brought(record, float(np.max(apart)) / max(self._scale, LEAST), n_missing)
+
+    @contextmanager
+    def _titled(self) -> Iterator[None]:
+        """Context in which files get a title that says who has made the steps."""
+        notes = self.engine.notes
+        before = notes["title"]
+        notes["title"] = f"{before or f'{len(self.engine.system)} atoms'}, run by LAMMPS {self.program.version}"
+        try:
+            yield
+        finally:
+            notes["title"] = before
 
     def _end(self, reservoir_energy: float, n_frames: int) -> int:
         """Stand at the last state; how many frames, or that state, are missing."""

@@ -145,7 +145,7 @@ def _failure(code: int, log: Log, output: str) -> str:
 class Log:
     """The log of a run, read as it grows.
 
-    columns : names.  steps : of its rows.  rows : their numbers.  dangerous_builds : of lists.
+    columns : names.  steps : of its rows.  rows : their numbers.  dangerous_builds : of lists.  processes : that LAMMPS found, 0 before it says so.
     """
 
     def __init__(self, path: Path) -> None:
@@ -154,7 +154,7 @@ class Log:
         self.steps: list[int] = []
         self.rows: list[list[float]] = []
         self.lines_of_errors: list[str] = []
-        self.dangerous_builds = 0
+        self.dangerous_builds = self.processes = 0
 
     def read_on(self) -> None:
         """Take what has been added."""
@@ -172,6 +172,8 @@ class Log:
         words = line.split()
         if "ERROR" in line:
             self.lines_of_errors.append(line)
+        elif line.endswith("MPI processor grid"):
+            self.processes = int(words[0]) * int(words[2]) * int(words[4])
         elif words[:1] == ["Step"]:
             self.columns = words
         elif line.startswith("Dangerous builds ="):

@@ -1,6 +1,7 @@
 """LAMMPS as a second opinion: it finds minimd's energies, forces and virials at step 0, and its positions some steps later."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -141,7 +142,7 @@ def test_laws_are_followed_through_decisions_and_functions_of_numpy():
         if r < 1.0 and width > 0.0:
             u = np.where(r > 0.5, np.tanh(r), 0.25) + abs(r - 2.0)
         elif r <= 1.5:
-            u = r**2.5 - np.maximum(r, 1.2) * (r >= 1.3)
+            u = r2**1.5 - r**0.5 - np.maximum(r, 1.2) * (r >= 1.3)
         else:
             u = -np.log(r) + np.minimum(2.0, r) + 2.0**-r
         return u, 0.0
@@ -164,6 +165,16 @@ def test_laws_are_followed_through_decisions_and_functions_of_numpy():
 def test_laws_that_lepton_cannot_write_are_refused(body, why):
     with pytest.raises(UnwritableError, match=f"Lepton cannot write the law <lambda>: {why}"):
         energy_expression(checked_law(body), (1.0,))
+
+
+def test_the_code_of_the_page_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = Path(__file__).parents[1] / "docs" / "lammps.md"
+    code = page.read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
+    names = {}
+    exec(code, names)
+    assert names["done"].verification.forces < AT_STEP_0
+    assert names["simulation"].step == 2000
 
 
 def test_positions_come_back_to_where_they_were():

@@ -186,6 +186,14 @@ def test_a_lammps_that_disagrees_is_not_run(tmp_path, monkeypatch):
         go()
 
 
+def test_a_start_that_was_projected_is_put_back(tmp_path, monkeypatch):
+    monkeypatch.setattr(Model, "pair_commands", lambda self: ["pair_style nonsense"])
+    simulation = SCENES["dumbbells"]()
+    simulation.positions[0] += 1e-9
+    with refused(md.lammps.HandOverError, "LAMMPS ended before its first step: Unrecognized pair style", tmp_path / "run", simulation) as go:
+        go()
+
+
 def test_what_was_there_stays_if_its_replacement_fails(tmp_path, monkeypatch):
     md.lammps.hand_over(in_cell(fluid()), tmp_path / "run", 20, progress=False, tell=None)
     before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}

@@ -1,5 +1,8 @@
 """minimd: a molecular-dynamics mini-engine, fast and exact. Its modules are described in docs/architecture.md."""
 
+from importlib import import_module
+from types import ModuleType
+
 from minimd import integrators
 from minimd.compiled.machine import version
 from minimd.diagnosis.report import Report
@@ -68,6 +71,7 @@ __all__ = [
     "ensemble",
     "evaluate",
     "integrators",
+    "lammps",
     "lattice",
     "minimize",
     "neighbor_list",
@@ -76,6 +80,13 @@ __all__ = [
     "units",
     "view",
 ]
+
+
+def __getattr__(name: str) -> ModuleType:
+    """The bridge to LAMMPS, when it is asked for."""
+    if name == "lammps":
+        return import_module("minimd.lammps")
+    raise AttributeError(f"module 'minimd' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -23,6 +23,7 @@ FLOORS = [  # highest first; several on one floor do not know each other
     "minimd.scene",
     "minimd.analysis",
     "minimd.mdanalysis",
+    "minimd.lammps",
     "minimd.simulation",
     "minimd.ase",
     "minimd.files",
@@ -149,7 +150,7 @@ from numba.core import event
 compiled = event.install_recorder("numba:compile")
 with compiled as recorder:
     import minimd
-heavy = [m for m in ("ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython") if m in sys.modules]
+heavy = [m for m in ("ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "minimd.lammps") if m in sys.modules]
 assert not heavy, heavy
 assert not recorder.buffer, len(recorder.buffer)
 """

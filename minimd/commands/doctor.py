@@ -2,6 +2,7 @@
 
 import os
 import platform
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import perf_counter
@@ -14,6 +15,7 @@ import minimd as md
 from minimd.compiled import kernels as compiling
 from minimd.compiled.machine import MISSING, available_cores, processor_name, version
 from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
+from minimd.structure.errors import HandOverError
 from minimd.structure.lattice import constant_from_density, crystal
 
 DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
@@ -25,6 +27,7 @@ GRADIENT_ACCURACY = 1e-7  # truncation of the central difference, relative to th
 DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ: what the energy fluctuates by without a drift
 MOMENTUM_ALLOWED = 1e-12  # of Σ|mv|: rounding of 1000 steps
 STEPS_COMPARED = 200  # long enough for lists to be built anew
+STEPS_HANDED_OVER = 20
 STEPS_TIMED, TURNS, TASKS_TIMED = 200, 3, 1000  # half a second a turn on a slow machine
 
 Finding = tuple[bool, str]  # whether the test passed, and a sentence
@@ -151,6 +154,25 @@ def speed() -> Finding:
     )
 
 
+def lammps() -> Finding:
+    """Whether LAMMPS, if it is there, and mpiexec make some steps of the liquid as minimd makes them."""
+    from minimd.lammps import hand_over  # it takes its time to load
+
+    told: list[str] = []
+    simulation = md.Simulation(_liquid(5), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002))
+    simulation.set_temperature(1.44, seed=1)
+    for processes in (1, 2):
+        try:
+            with tempfile.TemporaryDirectory() as folder:
+                done = hand_over(simulation, folder, STEPS_HANDED_OVER, processes=processes, progress=False, tell=None)
+        except FileNotFoundError as missing:
+            return True, "; ".join([*told, f"{missing} (only `minimd lammps` needs it)"])
+        except HandOverError as failed:
+            return False, "; ".join([*told, str(failed)])
+        told.append(f"on {processes} process{'es' * (processes > 1)} forces agree within {done.verification.forces:.0e}")
+    return True, f"{done.version}: {' and '.join(told)}"
+
+
 def _moved(threads: int | None) -> md.Simulation:
     """The liquid of 4000 atoms after some steps on a number of threads; all cores if None."""
     simulation = md.Simulation(_liquid(10), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002), threads=threads)
@@ -165,4 +187,12 @@ def _liquid(n_cells: int) -> md.System:
     return md.System(positions, cell=edges)
 
 
-TESTS = {"cache folder": cache, "known energy": known_energy, "forces": gradient, "dynamics": conservation, "threads": same_bits, "speed": speed}
+TESTS = {
+    "cache folder": cache,
+    "known energy": known_energy,
+    "forces": gradient,
+    "dynamics": conservation,
+    "threads": same_bits,
+    "LAMMPS": lammps,
+    "speed": speed,
+}

@@ -8,15 +8,16 @@ from contextlib import suppress
 from typing import Any
 
 from minimd.bench.outcome import DisagreementError
-from minimd.commands import archive, bench, check, doctor, frames, plot, replay, resume, run, scan, view
+from minimd.commands import archive, bench, check, doctor, frames, lammps, plot, replay, resume, run, scan, view
 from minimd.compiled.machine import version
 from minimd.ensemble.running import EnsembleError
 from minimd.structure.console import Terminated
-from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
+from minimd.structure.errors import ConstraintError, HandOverError, NonFiniteError, sentence
 
 OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
 CODES: dict[type[BaseException], int] = dict.fromkeys((OSError, ValueError, TypeError), WRONG_INPUT)
-CODES |= {KeyboardInterrupt: INTERRUPTED, NonFiniteError: BLOWN_UP, ConstraintError: BLOWN_UP, DisagreementError: FAILED, EnsembleError: FAILED}
+CODES |= {KeyboardInterrupt: INTERRUPTED, NonFiniteError: BLOWN_UP, ConstraintError: BLOWN_UP}
+CODES |= dict.fromkeys((DisagreementError, EnsembleError, HandOverError), FAILED)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -28,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="minimd", description="Molecular dynamics from a scene file, in small.", epilog="Begin with: minimd doctor")
     parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
     commands = parser.add_subparsers(metavar="command", title="commands")
-    for command in (run, scan, resume, replay, check, plot, view, frames, archive, bench, doctor):
+    for command in (run, scan, resume, replay, lammps, check, plot, view, frames, archive, bench, doctor):
         command.add(commands)
     arguments = parser.parse_args(argv)
     if "command" not in arguments:

@@ -33,6 +33,10 @@ class ConvergenceError(ArithmeticError):
     solution: Any = None
 
 
+class HandOverError(RuntimeError):
+    """Another program to which a scene was given disagrees with minimd, or has failed."""
+
+
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C in a computation that has a partial result.  result : that result."""
 

@@ -1,0 +1,86 @@
+"""The cell as LAMMPS holds it: a along x, b in the xy plane; positions go there turned and wrapped, and come back as they were."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.structure.system import System
+
+Array = NDArray[np.float64]
+MARGIN = 0.01  # of the extent of the atoms: room around them in open directions; LAMMPS moves those walls with the atoms
+
+
+class Box:
+    """How the atoms of a system stand in LAMMPS.
+
+    Attributes
+    ----------
+    turn : (3, 3) orthogonal; a vector r of minimd's is r @ turn in LAMMPS. It may contain a reflection, which no law of minimd's feels.
+    edges : (3, 3) [length], lower triangle; rows are the lattice vectors in LAMMPS, of minimd's reduced lattice.
+    low, high : (3,) bounds along the diagonal [length].  open : (3,) bool.
+    positions : (N, 3) [length], turned and wrapped.
+
+    Periodic directions begin at 0. Atoms are wrapped here, and where they came from is remembered: LAMMPS counts only some hundred images.
+    """
+
+    def __init__(self, system: System) -> None:
+        cell = system.cell
+        self.turn, self.edges = _turned(cell.lattice)
+        self.open = ~cell.pbc
+        images = np.where(self.open, 0.0, np.floor(system.positions @ cell.inverse))
+        self._shifts = images @ cell.lattice
+        self.positions = self.turned(system.positions - self._shifts)
+        self.low, self.high = np.zeros(3), np.diag(self.edges).copy()
+        for k in np.flatnonzero(self.open):
+            column = self.positions[:, k]
+            room = MARGIN * max(1.0, float(np.ptp(column)))
+            self.low[k], self.high[k] = column.min() - room, column.max() + room
+
+    @property
+    def is_tilted(self) -> bool:
+        """Whether the cell is no rectangular box."""
+        return bool(np.tril(self.edges, -1).any())
+
+    def turned(self, vectors: Array) -> Array:
+        """Vectors (N, 3) as they stand in LAMMPS."""
+        return vectors if self._is_straight else vectors @ self.turn
+
+    def back(self, vectors: Array) -> Array:
+        """Vectors (N, 3) of LAMMPS as they stand in minimd."""
+        return vectors if self._is_straight else vectors @ self.turn.T
+
+    def positions_back(self, unwrapped: Array) -> Array:
+        """Unwrapped positions of LAMMPS (N, 3) [length] as those of minimd, not wrapped."""
+        return self.back(unwrapped) + self._shifts
+
+    def tensors_back(self, virials: Array) -> Array:
+        """Symmetric tensors of LAMMPS (N, 6), xx yy zz yz xz xy, as they stand in minimd."""
+        if self._is_straight:
+            return virials
+        full = virials[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
+        turned = self.turn @ full @ self.turn.T
+        return turned[:, [0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
+
+    @property
+    def _is_straight(self) -> bool:
+        return np.array_equal(self.turn, np.eye(3))
+
+    def boundary(self) -> str:
+        """The arguments of LAMMPS' command boundary: p, or s, whose walls follow the atoms."""
+        return " ".join("s" if is_open else "p" for is_open in self.open)
+
+    def lines(self) -> list[str]:
+        """The lines of a data file about the box."""
+        lines = [f"{low:.17g} {high:.17g} {axis}lo {axis}hi" for low, high, axis in zip(self.low, self.high, "xyz", strict=True)]
+        tilts = self.edges[[1, 2, 2], [0, 0, 1]]
+        return lines + ([f"{' '.join(f'{tilt:.17g}' for tilt in tilts)} xy xz yz"] if self.is_tilted else [])
+
+
+def _turned(lattice: Array) -> tuple[Array, Array]:
+    """An orthogonal matrix q and a lower triangle with a positive diagonal, lattice @ q."""
+    if np.array_equal(lattice, np.tril(lattice)) and (np.diag(lattice) > 0.0).all():
+        return np.eye(3), np.array(lattice)
+    q, upper = np.linalg.qr(lattice.T)
+    signs = np.where(np.diag(upper) < 0.0, -1.0, 1.0)
+    return q * signs, np.tril((upper * signs[:, None]).T)

@@ -1,0 +1,321 @@
+"""A law u(r) as a text that LAMMPS' styles "lepton" read: the function of the law is called once with symbols, which write down what is done to them.
+
+Lepton differentiates the text itself, so that only u is needed, not the −u′(r)/r that the law returns beside it. A law that decides by its
+distance is called once for each way through its decisions.
+P. Eastman et al., PLoS Comput. Biol. 13, e1005659 (2017), for Lepton, the parser of OpenMM.
+"""
+
+from __future__ import annotations
+
+import builtins
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from types import CellType, CodeType, FunctionType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+from minimd.potentials.law import evaluate_law
+from minimd.potentials.tabulated import reads_table
+
+MOST_DECISIONS = 8  # one after the other, of a law
+FUNCTIONS = {  # names in math and numpy: in Lepton
+    **{name: name for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "erf", "erfc", "floor", "ceil")},
+    **dict(zip(("arcsin", "arccos", "arctan", "asin", "acos", "atan"), ("asin", "acos", "atan") * 2, strict=True)),
+    **dict.fromkeys(("abs", "fabs", "absolute"), "abs"),
+}
+OPERATORS = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "true_divide": "/", "power": "^", "float_power": "^"}
+COMPARISONS = {"less": "<", "greater": ">", "less_equal": "<=", "greater_equal": ">="}
+
+
+class UnwritableError(ValueError):
+    """A law does something that Lepton has no word for."""
+
+
+class Undecided(Exception):  # noqa: N818 - no error: it never leaves this module
+    """A law asks for the truth of a condition on its symbols."""
+
+    def __init__(self, condition: Symbol) -> None:
+        super().__init__()
+        self.condition = condition
+
+
+class Symbol:
+    """A number that is not known yet: an operation, and its arguments, symbols and numbers.
+
+    decisions : what conditions of this call of a law shall be, in the order in which it asks.
+    """
+
+    __hash__ = object.__hash__
+
+    def __init__(self, operation: str, arguments: tuple[Any, ...], decisions: Iterator[bool]) -> None:
+        self.operation, self.arguments, self.decisions = operation, arguments, decisions
+
+    def _of(self, operation: str, *arguments: Any) -> Symbol:
+        for one in arguments:
+            if not isinstance(one, Symbol | int | float | np.number | np.bool_):
+                raise UnwritableError(f"it computes with {type(one).__name__}, not with numbers")
+        return Symbol(operation, arguments, self.decisions)
+
+    def call(self, name: str, *arguments: Any) -> Symbol:
+        """A function of Lepton's of some arguments, this one among them. √(r²) is r."""
+        if name == "sqrt" and self.operation == "r2":
+            return self._of("r")
+        return self._of(name, *arguments)
+
+    def __add__(self, other: Any) -> Symbol:
+        return self._of("+", self, other)
+
+    def __radd__(self, other: Any) -> Symbol:
+        return self._of("+", other, self)
+
+    def __sub__(self, other: Any) -> Symbol:
+        return self._of("-", self, other)
+
+    def __rsub__(self, other: Any) -> Symbol:
+        return self._of("-", other, self)
+
+    def __mul__(self, other: Any) -> Symbol:
+        return self._of("*", self, other)
+
+    def __rmul__(self, other: Any) -> Symbol:
+        return self._of("*", other, self)
+
+    def __truediv__(self, other: Any) -> Symbol:
+        return self._of("/", self, other)
+
+    def __rtruediv__(self, other: Any) -> Symbol:
+        return self._of("/", other, self)
+
+    def __pow__(self, other: Any) -> Symbol:
+        if self.operation == "r2" and isinstance(other, float) and other % 1.0 == 0.5:
+            return self._of("^", self._of("r"), 2.0 * other)
+        return self._of("^", self, other)
+
+    def __rpow__(self, other: Any) -> Symbol:
+        return self._of("^", other, self)
+
+    def __neg__(self) -> Symbol:
+        return self._of("-", 0.0, self)
+
+    def __pos__(self) -> Symbol:
+        return self
+
+    def __abs__(self) -> Symbol:
+        return self._of("abs", self)
+
+    def __lt__(self, other: Any) -> Symbol:
+        return self._of("-", 1.0, self._of("step", self - other))
+
+    def __gt__(self, other: Any) -> Symbol:
+        return self._of("-", 1.0, self._of("step", other - self))
+
+    def __le__(self, other: Any) -> Symbol:
+        return self._of("step", other - self)
+
+    def __ge__(self, other: Any) -> Symbol:
+        return self._of("step", self - other)
+
+    def __eq__(self, other: object) -> Any:
+        return self._of("delta", self - other)
+
+    def __ne__(self, other: object) -> Any:
+        return self._of("-", 1.0, self == other)
+
+    def __bool__(self) -> bool:
+        decision = next(self.decisions, None)
+        if decision is None:
+            raise Undecided(self)
+        return decision
+
+    def __float__(self) -> float:
+        raise UnwritableError("it uses a function that takes numbers only")
+
+    def __int__(self) -> int:
+        raise UnwritableError("it needs whole numbers")
+
+    def __getattr__(self, name: str) -> Any:
+        raise UnwritableError("it makes arrays" if name.startswith("__array") else f"it uses {name} of its arguments")
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **_options: Any) -> Any:
+        """What functions of numpy do."""
+        return applied(ufunc.__name__, *inputs)
+
+    def __array_function__(self, function: Callable, _types: Any, inputs: Any, _options: Any) -> Any:
+        """What numpy.where does."""
+        return applied(function.__name__, *inputs)
+
+
+def applied(name: str, *inputs: Any) -> Any:
+    """A function of math or numpy, by its name, of symbols and numbers.  Raises UnwritableError if Lepton has none."""
+    first = next(one for one in inputs if isinstance(one, Symbol))
+    if name in OPERATORS:
+        a, b = (x if isinstance(x, Symbol) else float(x) for x in inputs)
+        return a**b if OPERATORS[name] == "^" else first._of(OPERATORS[name], a, b)
+    if name in COMPARISONS:
+        a, b = inputs
+        return {"<": lambda: a < b, ">": lambda: a > b, "<=": lambda: a <= b, ">=": lambda: a >= b}[COMPARISONS[name]]()
+    if name in FUNCTIONS:
+        return first.call(FUNCTIONS[name], *inputs)
+    special: dict[str, Callable[[], Any]] = {
+        "maximum": lambda: first.call("max", *inputs),
+        "minimum": lambda: first.call("min", *inputs),
+        "where": lambda: first.call("select", *inputs),
+        "square": lambda: first * first,
+        "negative": lambda: -first,
+        "reciprocal": lambda: 1.0 / first,
+        "pow": lambda: inputs[0] ** inputs[1],
+        "expm1": lambda: first.call("exp", first) - 1.0,
+        "log1p": lambda: first.call("log", 1.0 + first),
+        "log10": lambda: first.call("log", first) / math.log(10.0),
+        "log2": lambda: first.call("log", first) / math.log(2.0),
+        "cbrt": lambda: first ** (1.0 / 3.0),
+    }
+    if name not in special:
+        raise UnwritableError(f"it uses {name}, for which Lepton has no word")
+    return special[name]()
+
+
+def energy_expression(law: tuple, parameters: tuple[float, ...]) -> str:
+    """u(r) [energy] of a law in Lepton's words, with r [length] as its variable.
+
+    law : law type, truncation included.  parameters : its numbers.
+    Raises UnwritableError, with a sentence, for a law that Lepton cannot write.
+    """
+    try:
+        if reads_table(law):
+            raise UnwritableError("it looks up a table")
+        return written(_followed(law, parameters, ()))
+    except UnwritableError as error:
+        while law and isinstance(law[0], tuple) and hasattr(type(law[0]), "python"):
+            law = law[0]  # the one that is truncated
+        name = type(law).python.__name__  # type: ignore[attr-defined]
+        raise UnwritableError(f"LAMMPS' Lepton cannot write the law {name}: {error}") from None
+
+
+def _followed(law: tuple, parameters: tuple[float, ...], decisions: tuple[bool, ...]) -> Any:
+    """u, for given outcomes of its first decisions; a choice between both outcomes of each further one."""
+    if len(decisions) > MOST_DECISIONS:
+        raise UnwritableError(f"it makes more than {MOST_DECISIONS} decisions one after the other")
+    try:
+        r2 = Symbol("r2", (), iter(decisions))
+        u, _f = Rewritten().law(law, r2, parameters)
+        return u
+    except Undecided as stopped:
+        both = (_followed(law, parameters, (*decisions, outcome)) for outcome in (True, False))
+        return stopped.condition.call("select", stopped.condition, *both)
+    except UnwritableError:
+        raise
+    except (TypeError, ValueError, AttributeError, NotImplementedError, LookupError) as error:
+        raise UnwritableError(str(error)) from None
+
+
+class Rewritten:
+    """Copies of functions that compute with symbols: what they read of math, and min, max and others, takes symbols too."""
+
+    def __init__(self) -> None:
+        self._copies: dict[int, Callable] = {}
+
+    def law(self, law: tuple, r2: Any, parameters: tuple[Any, ...]) -> Any:
+        """What evaluate_law does, see minimd.potentials.law."""
+        formula = self._value(type(law).python)  # type: ignore[attr-defined]
+        return formula(r2, law[0], parameters) if law else formula(r2, *parameters)
+
+    def _value(self, value: Any) -> Any:
+        """What stands in for something that a function reads."""
+        if value is evaluate_law:
+            return self.law
+        if isinstance(value, Dispatcher):
+            return self._value(value.py_func)
+        if value is math:
+            return SimpleNamespace(**{name: self._value(one) for name, one in vars(math).items()})
+        if getattr(value, "__module__", None) == "math" or value in (max, min, abs):
+            return _taking_symbols(value)
+        return self._function(value) if isinstance(value, FunctionType) and not _is_library(value) else value
+
+    def _function(self, function: FunctionType) -> Callable:
+        if id(function) not in self._copies:
+            own = {"__builtins__": builtins, "__name__": function.__module__}
+            cells = tuple(CellType() for _ in function.__closure__ or ())
+            copied = FunctionType(function.__code__, own, function.__name__, function.__defaults__, cells)
+            copied.__kwdefaults__ = function.__kwdefaults__
+            self._copies[id(function)] = copied
+            for name in _names(function.__code__):
+                if name in function.__globals__ or hasattr(builtins, name):
+                    own[name] = self._value(function.__globals__.get(name, getattr(builtins, name, None)))
+            for ours, theirs in zip(cells, function.__closure__ or (), strict=True):
+                ours.cell_contents = self._value(theirs.cell_contents)
+        return self._copies[id(function)]
+
+
+def _is_library(function: FunctionType) -> bool:
+    return function.__module__.split(".")[0] in ("numpy", "numba")
+
+
+def _names(code: CodeType) -> set[str]:
+    """Names that a code reads, functions defined in it included."""
+    inner = (_names(constant) for constant in code.co_consts if isinstance(constant, CodeType))
+    return set(code.co_names).union(*inner)
+
+
+def _taking_symbols(function: Callable) -> Callable:
+    """A function of math, or max, min, abs, that takes symbols too."""
+    name = function.__name__
+
+    def called(*inputs: Any) -> Any:
+        if not any(isinstance(one, Symbol) for one in inputs):
+            return function(*inputs)
+        if name in ("max", "min"):
+            result = inputs[0]
+            for one in inputs[1:]:
+                both = (result, one)
+                result = applied(f"{name}imum", *both) if any(isinstance(x, Symbol) for x in both) else function(*both)
+            return result
+        return applied(name, *inputs)
+
+    return called
+
+
+def written(expression: Any) -> str:
+    """A symbol in Lepton's words; what occurs more than once gets a name of its own, defined behind semicolons."""
+    if not isinstance(expression, Symbol):
+        return _number(expression)
+    uses: Counter[int] = Counter()
+    _count(expression, uses)
+    texts: dict[int, str] = {}
+    named: list[str] = []
+    whole = _text(expression, uses, texts, named)
+    return ";".join([whole, *reversed(named)])
+
+
+def _count(symbol: Symbol, uses: Counter[int]) -> None:
+    uses[id(symbol)] += 1
+    if uses[id(symbol)] == 1:
+        for one in symbol.arguments:
+            if isinstance(one, Symbol):
+                _count(one, uses)
+
+
+def _text(one: Any, uses: Counter[int], texts: dict[int, str], named: list[str]) -> str:
+    if not isinstance(one, Symbol):
+        return _number(one)
+    if id(one) not in texts:
+        arguments = [_text(x, uses, texts, named) for x in one.arguments]
+        if one.operation in ("r", "r2"):
+            text = "r" if one.operation == "r" else "(r*r)"
+        else:
+            text = f"({one.operation.join(arguments)})" if one.operation in "+-*/^" else f"{one.operation}({','.join(arguments)})"
+            if uses[id(one)] > 1:
+                named.append(f"t{len(named) + 1}={text}")
+                text = f"t{len(named)}"
+        texts[id(one)] = text
+    return texts[id(one)]
+
+
+def _number(value: Any) -> str:
+    """A number with all its digits.  Raises UnwritableError for one that is not finite."""
+    if not math.isfinite(number := float(value)):
+        raise UnwritableError(f"it contains the number {number}")
+    return repr(number) if number >= 0.0 else f"(0-{-number!r})"

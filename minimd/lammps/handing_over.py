@@ -1,0 +1,351 @@
+"""A simulation handed to LAMMPS and brought back: written, verified at step 0, run under MPI, read again."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+from uuid import uuid4
+
+import numpy as np
+
+from minimd.engine.observation import check_extras, observe
+from minimd.engine.record import Record
+from minimd.files.trajectory import open_trajectories
+from minimd.integrators import LangevinBAOAB
+from minimd.lammps import script
+from minimd.lammps.dump import frames
+from minimd.lammps.model import Model
+from minimd.lammps.program import INSTALL, OUTPUT, Log, Program, find_program, run
+from minimd.lammps.verification import LEAST, Verification, compare, tails_of
+from minimd.simulation.simulation import Simulation
+from minimd.structure.checks import checked_count, checked_flag
+from minimd.structure.console import progress_of, stop_on_signals
+from minimd.structure.display import Displayed, Rows
+from minimd.structure.errors import HandOverError, sentence
+
+TRAJECTORY = "run.h5md"
+BYTES_PER_ATOM, BYTES_PER_FRAME = 260, 130  # of the input and of step 0; of a frame in LAMMPS' file and in ours
+DISAGREEMENT = 1e-8  # of Σ|e_i|, of LAMMPS' energy and ours in a frame: beyond what the rounding of positions explains
+
+MOST_STEPS = 2**31  # of one run of LAMMPS
+
+Tell = Callable[[str], object]
+
+
+@dataclass(frozen=True)
+class HandOver(Displayed):
+    """What came of a hand-over.
+
+    folder : of all files.  trajectory : the H5MD file, from which Simulation.resume goes on.  record : Record of its frames.
+    verification : of step 0.  energy_difference : the largest of all frames between LAMMPS' potential energy and minimd's, of Σ|e_i|.
+    seconds : of each phase.  version : of LAMMPS.  processes : it ran on.
+    """
+
+    folder: Path
+    trajectory: Path
+    record: Record
+    verification: Verification
+    energy_difference: float
+    seconds: dict[str, float]
+    version: str
+    processes: int
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        times = ", ".join(f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items())
+        return [
+            ("LAMMPS", f"{self.version}, on {self.processes} process{'es' * (self.processes > 1)}"),
+            ("verified", f"{self.verification}"),
+            ("frames", f"{len(self.record)}; LAMMPS' potential energy and minimd's differ by at most {self.energy_difference:.1e} of Σ|e_i|"),
+            ("time", times),
+            ("written", str(self.trajectory)),
+        ]
+
+
+def not_carried_over(simulation: Simulation) -> list[str]:
+    """What a run by LAMMPS does not keep of what minimd promises, one sentence each."""
+    engine, method = simulation.engine, simulation.method
+    told = ["exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from positions and velocities alone"]
+    if method.is_thermostat:
+        bath = "its bath is LAMMPS' fix langevin" if isinstance(method, LangevinBAOAB) else "its bath is LAMMPS' fix temp/csvr"
+        told.append(f"noise: {bath}, with random numbers of its own, which depend on the number of processes")
+    if isinstance(method, LangevinBAOAB):
+        told.append("order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, with other errors of Δt than BAOAB")
+    if len(engine.extra_observables):
+        told.append(f"{', '.join(engine.extra_observables)}: computed by minimd for each frame, not by LAMMPS")
+    if engine.interactions.options.precision != "double":
+        told.append("mixed precision: LAMMPS computes in double precision")
+    if engine.constraint_set.bonds is not None:
+        told.append(f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration")
+    return [*told, "observers, crash reports and the run guard: LAMMPS ends with an error of its own, and the frames before it are kept"]
+
+
+def hand_over(
+    simulation: Simulation,
+    folder: str | Path,
+    steps: int,
+    *,
+    processes: int = 1,
+    every: int = 100,
+    store_forces: bool = False,
+    overwrite: bool = False,
+    progress: bool | None = None,
+    tell: Tell | None = print,
+) -> HandOver:
+    """Let LAMMPS make the next steps of a simulation. Afterwards the simulation stands where LAMMPS ended, and can go on.
+
+    The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each atom must agree with minimd's
+    to 1e-10 of the largest, or nothing is run. Then LAMMPS runs as a child process, under mpiexec for several processes. Its frames are read
+    back, observed by minimd, and written as an H5MD file with a restart.
+
+    Parameters
+    ----------
+    folder : for all files; it must not exist, or be empty.  steps : to make.  processes : of MPI.
+    every : steps between frames: the first state, and then those whose step is a multiple of every.  store_forces : in the frames.
+    overwrite : replace the folder.  progress : as for Simulation.run.  tell : gets lines about what is done; None for silence.
+
+    Raises
+    ------
+    FileNotFoundError : without LAMMPS, or without mpiexec for several processes.  FileExistsError : for a folder that is not empty.
+    ValueError : for a scene that LAMMPS cannot do as minimd does.  HandOverError : if LAMMPS disagrees or fails. OSError : for files.
+    The simulation is then where it was, and the folder gone; frames that were complete before LAMMPS failed in a run are kept, and the simulation
+    stands at the last of them.
+    """
+    job = Job(simulation, Path(folder), steps, processes, every, progress, tell or (lambda line: None))
+    with job.in_folder(checked_flag("overwrite", overwrite)):
+        verification = job.prepare()
+        return job.run(verification, checked_flag("store_forces", store_forces))
+
+
+def check_hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100, overwrite: bool = False) -> None:
+    """Raise what hand_over would raise before it starts anything: for a scene that LAMMPS cannot do, without LAMMPS, for the folder."""
+    job = Job(simulation, Path(folder), steps, processes, every)
+    job.check_folder(overwrite)
+    Model(job.engine)
+
+
+class Brought(NamedTuple):
+    """record : of the frames that were read back.  energy_difference : see HandOver.  missing : frames that should be there and are not."""
+
+    record: Record
+    energy_difference: float
+    missing: int
+
+
+class Job:
+    """One hand-over; see hand_over for the arguments.  stop_requested : by a signal, see minimd.structure.console."""
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        folder: Path,
+        steps: int,
+        processes: int,
+        every: int,
+        progress: bool | None = None,
+        tell: Tell = lambda line: None,
+    ) -> None:
+        self.simulation, self.engine, self.folder = simulation, simulation.engine, folder
+        self.steps, self.every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
+        self.processes = checked_count("processes", processes)
+        self.progress, self.tell = progress, tell
+        self.stop_requested, self.seconds = False, dict[str, float]()
+        self.first_step, self.keeps_frames = simulation.step, False
+        check_extras(self.engine)
+        script.check_method(self.engine)
+        self.program: Program = find_program()
+        self.program.command(script.RUN, script.LOG, processes)
+
+    @property
+    def trajectory(self) -> Path:
+        """The H5MD file."""
+        return self.folder / TRAJECTORY
+
+    @contextmanager
+    def in_folder(self, overwrite: bool) -> Iterator[None]:
+        """Context in which the folder exists; it is removed if something fails, unless frames are kept in it."""
+        self.check_folder(overwrite)
+        before, old = self.engine.snapshot(), None
+        if self.folder.is_dir() and any(self.folder.iterdir()):
+            self.folder.rename(old := self.folder.with_name(f"{self.folder.name}.before-{uuid4().hex[:8]}"))
+        self.folder.mkdir(exist_ok=True)
+        try:
+            with stop_on_signals(self):
+                yield
+        except BaseException as error:
+            self._remove_raw()
+            if not self.keeps_frames:
+                shutil.rmtree(self.folder, ignore_errors=True)
+                self.engine.restore(before)
+            if old is not None and not self.keeps_frames:
+                old.rename(self.folder)
+            if isinstance(error, OSError) and error.strerror:
+                raise type(error)(f"the hand-over to LAMMPS failed: {sentence(error)}") from None
+            raise
+        self._remove_raw()
+        if old is not None:
+            shutil.rmtree(old)
+
+    def check_folder(self, overwrite: bool) -> None:
+        """Raise FileExistsError, FileNotFoundError or OSError if the hand-over cannot be written there."""
+        if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+            if not overwrite:
+                raise FileExistsError(f"folder {str(self.folder)!r} exists and is not empty; choose another name, or pass overwrite=True")
+            own = {TRAJECTORY, OUTPUT, *script.FILES}
+            if not self.folder.is_dir() or (others := sorted({file.name for file in self.folder.iterdir()} - own)):
+                held = f"holds more than a hand-over, such as {others[0]!r}" if self.folder.is_dir() else "is a file"
+                raise FileExistsError(f"{str(self.folder)!r} {held}; choose another name")
+        if not self.folder.absolute().parent.is_dir():
+            raise FileNotFoundError(f"folder {str(self.folder.absolute().parent)!r} does not exist; make it first")
+        n_atoms, n_frames = len(self.simulation.system), 2 + self.steps // self.every
+        needed, free = n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames), shutil.disk_usage(self.folder.absolute().parent).free
+        if needed > free:
+            sizes = f"{needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the disk has {free / 1e9:.2g} GB left"
+            raise OSError(f"the hand-over needs {sizes}; make room, or write frames less often")
+
+    def _remove_raw(self) -> None:
+        for name in (script.FRAMES, script.LAST, script.STEP_0, OUTPUT):
+            (self.folder / name).unlink(missing_ok=True)
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Context whose seconds are remembered."""
+        started = perf_counter()
+        yield
+        self.seconds[name] = perf_counter() - started
+
+    def prepare(self) -> Verification:
+        """Write the scene, and compare step 0.  Raises HandOverError if it differs."""
+        with self.phase("writing"):
+            self.engine.begin()
+            self.model = Model(self.engine)
+            script.write_atoms(self.folder / script.ATOMS, self.engine, self.model)
+            (self.folder / script.FORCES).write_text(script.forces_script(self.model), encoding="ascii")
+            (self.folder / script.VERIFY).write_text(script.verify_script(), encoding="ascii")
+            (self.folder / script.RUN).write_text(script.run_script(self.engine, self.model, self.steps, self.every), encoding="ascii")
+        self.tell(f"LAMMPS         {self.program.version}, on {self.processes} process{'es' * (self.processes > 1)}")
+        for k, line in enumerate(not_carried_over(self.simulation)):
+            self.tell(f"{'' if k else 'not carried':<14} {line}")
+        with self.phase("verifying"):
+            log = run(self.program.command(script.VERIFY, script.LOG, self.processes), self.folder, script.LOG, self)
+            if self.stop_requested:
+                raise KeyboardInterrupt("stopped before the run of LAMMPS")
+            if log.processes != self.processes:
+                why = f"that {self.program.lmp} was built without MPI, or for another mpiexec than {self.program.mpiexec}"
+                raise HandOverError(f"LAMMPS runs on {log.processes} process, asked for {self.processes}; it seems {why}: {INSTALL}")
+            _, columns = next(frames(self.folder / script.STEP_0, len(self.engine.system)), (0, None))
+            if columns is None:
+                raise HandOverError("LAMMPS has not written step 0; is the disk full?")
+            energies, forces, virials = script.per_atom(columns)
+            box = self.model.box
+            verification = compare(self.engine, energies, box.back(forces), box.tensors_back(virials))
+            self._scale = float(np.abs(energies).sum())
+            verification.check()
+        self.tell(f"verified       {verification}")
+        (self.folder / script.STEP_0).unlink()
+        return verification
+
+    def run(self, verification: Verification, store_forces: bool) -> HandOver:
+        """Run LAMMPS, and bring back what it has written, also if it fails or is interrupted."""
+        command, log = self.program.command(script.RUN, script.LOG, self.processes), Log(self.folder / script.LOG)
+        (self.folder / script.LOG).unlink()
+        failure: HandOverError | None = None
+        with self.phase("running"), progress_of(self.steps, "LAMMPS", self.progress) as show:
+            try:
+                run(command, self.folder, script.LOG, self, lambda step: show(step - self.first_step))
+            except HandOverError as error:
+                failure = error
+        log.read_on()
+        with self.phase("reading back"):
+            brought = self._bring_back(log, store_forces, is_whole=failure is None and not self.stop_requested)
+        self._judge(failure, brought, log)
+        done = HandOver(
+            self.folder, self.trajectory, brought.record, verification, brought.energy_difference, self.seconds, self.program.version, self.processes
+        )
+        for line in str(done).splitlines()[2:]:
+            self.tell(line)
+        return done
+
+    def _judge(self, failure: HandOverError | None, brought: Brought, log: Log) -> None:
+        """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong; KeyboardInterrupt if the run was to be stopped."""
+        words, different = "", brought.energy_difference
+        if failure is not None:
+            words = str(failure)
+        elif self.stop_requested:
+            words = "the run of LAMMPS was stopped"
+        elif brought.missing:
+            words = f"LAMMPS has made all steps, but {brought.missing} frames are not on the disk; is it full?"
+        elif not different <= DISAGREEMENT:
+            why = f"its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time step"
+            words = f"LAMMPS' potential energy and minimd's differ by {different:.1e} of Σ|e_i| in a frame, allowed is {DISAGREEMENT:g}; {why}"
+        if words and self.keeps_frames:
+            words += f"; {len(brought.record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
+        if words:
+            raise KeyboardInterrupt(words) if self.stop_requested else HandOverError(words)
+
+    def _bring_back(self, log: Log, store_forces: bool, is_whole: bool) -> Brought:
+        """Write the frames, observed by minimd, into the H5MD file; the simulation then stands at the last state.
+
+        is_whole : whether LAMMPS has reached its end. If not, and if there is a frame beyond the first one, those that are there are kept.
+        """
+        path, record = self.folder / script.FRAMES, Record(self.simulation.system.units, len(self.simulation.system), self.trajectory)
+        found = (one for one in frames(path, len(self.engine.system)) if one[0] > self.first_step) if path.is_file() else iter(())
+        first = next(found, None)
+        self.keeps_frames = first is not None
+        if first is None and not is_whole:
+            return Brought(record, 0.0, 0)
+        start, tail = self.engine.reservoir_energy, float(tails_of(self.engine)[0])
+        theirs = {step: row[0] for step, row in zip(log.steps, log.rows, strict=True)}
+        baths = {step: start - row[1] for step, row in zip(log.steps, log.rows, strict=True) if len(row) > 1}
+        apart = []
+        options = {"store_forces": store_forces, "overwrite": False}
+        with self._titled(), open_trajectories(self.trajectory, self.engine, every=self.every, **options) as writers:
+            for step, columns in chain([(self.first_step, None)], [first] if first else [], found):
+                if columns is not None:
+                    self._stand(step, columns, baths.get(step, start))
+                frame = observe(self.engine)
+                record.append(frame)
+                for writer in writers:
+                    writer.write(frame)
+                apart.append(abs(theirs.get(step, np.nan) - float(frame.observables["potential_energy"]) + tail))
+            n_missing = self._end(baths.get(self.first_step + self.steps, start), len(record)) if is_whole else 0
+        self.simulation.record = record
+        return Brought(record, float(np.max(apart)) / max(self._scale, LEAST), n_missing)
+
+    @contextmanager
+    def _titled(self) -> Iterator[None]:
+        """Context in which files get a title that says who has made the steps."""
+        notes = self.engine.notes
+        before = notes["title"]
+        notes["title"] = f"{before or f'{len(self.engine.system)} atoms'}, run by LAMMPS {self.program.version}"
+        try:
+            yield
+        finally:
+            notes["title"] = before
+
+    def _end(self, reservoir_energy: float, n_frames: int) -> int:
+        """Stand at the last state; how many frames, or that state, are missing."""
+        last, end = self.folder / script.LAST, self.first_step + self.steps
+        expected = 1 + end // self.every - self.first_step // self.every
+        final = next(frames(last, len(self.engine.system)), None) if last.is_file() else None
+        if final is not None:
+            self._stand(end, final[1], reservoir_energy)
+        return expected - n_frames + (final is None)
+
+    def _stand(self, step: int, columns: np.ndarray, reservoir_energy: float) -> None:
+        """Let the engine stand where LAMMPS was at a step."""
+        engine, box = self.engine, self.model.box
+        if not np.isfinite(columns).all():
+            raise HandOverError(f"LAMMPS has made positions or velocities that are not finite, at step {step}; reduce the time step")
+        engine.positions[:], engine.velocities[:] = box.positions_back(columns[:, :3]), box.back(columns[:, 3:])
+        engine.count(step - engine.step)
+        engine.reservoir_energy = reservoir_energy
+        engine.moved()
+        engine.fit_images()
+        engine.constraint_set.project(engine.velocities, engine.positions)  # SHAKE leaves a part along the bonds

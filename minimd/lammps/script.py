@@ -1,0 +1,170 @@
+"""The files that LAMMPS reads: atoms, forces, the verification at step 0, the run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.engine.engine import Engine
+from minimd.integrators import LangevinBAOAB, Leapfrog, Splitting, StochasticVelocityRescaling, VelocityVerlet
+from minimd.lammps.model import Model
+
+ATOMS, FORCES, VERIFY, RUN = "atoms.data", "forces.lmp", "verify.lmp", "run.lmp"
+LOG, FRAMES, LAST, STEP_0 = "run.log", "frames.bin", "last.bin", "step0.bin"
+FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, FRAMES, LAST, STEP_0)  # all of a hand-over but the trajectory
+ATOMS_AT_ONCE = 100_000  # that are written
+SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-13, 200  # relative, of lengths
+LARGEST_SEED = 900_000_000  # of LAMMPS' random numbers
+LOOKS = 50  # at the energy in a run, at least
+PER_ATOM = "c_energies fx fy fz c_stresses[1] c_stresses[2] c_stresses[3] c_stresses[6] c_stresses[5] c_stresses[4]"  # xx yy zz yz xz xy
+
+BATHS = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
+METHODS: tuple[type[Splitting], ...] = (
+    VelocityVerlet,
+    Leapfrog,
+    *BATHS,
+)  # leapfrog shows what velocity Verlet shows
+
+
+def check_method(engine: Engine) -> None:
+    """Raise ValueError for a method that LAMMPS has not."""
+    method = engine.method
+    if type(method) not in METHODS:
+        known = ", ".join(one.name for one in METHODS)
+        raise ValueError(f"LAMMPS makes the steps of {known}; the method is {method.name}: take another one, or run this scene with minimd")
+    if method.timestep < 0.0:
+        raise ValueError(f"LAMMPS needs a positive time step; timestep = {method.timestep!r}")
+
+
+def write_atoms(path: Path, engine: Engine, model: Model) -> None:
+    """The data file: box, masses, atoms, velocities, bonds, angles; all numbers with all their digits."""
+    types, bonds, angles = model.types, model.bonds, model.angles
+    is_bonded = len(bonds.atoms) + len(angles.atoms) > 0
+    with path.open("w", encoding="ascii") as file:
+        file.write(f"atoms of a scene of minimd\n\n{len(types.of_atom)} atoms\n{len(types.masses)} atom types\n")
+        for word, groups in (("bond", bonds), ("angle", angles)):
+            if is_bonded:
+                file.write(f"{len(groups.atoms)} {word}s\n{len(groups.coefficients)} {word} types\n")
+        file.write("\n".join(["", *model.box.lines(), "", "Masses", "", ""]))
+        file.writelines(f"{k} {mass:.17g}\n" for k, mass in enumerate(types.masses, start=1))
+        file.write(f"\nAtoms # {'angle' if is_bonded else 'atomic'}\n\n")
+        file.writelines(_rows(f"%d{' 1' if is_bonded else ''} %d %.17g %.17g %.17g\n", types.of_atom + 1, model.box.positions))
+        file.write("\nVelocities\n\n")
+        file.writelines(_rows("%d %.17g %.17g %.17g\n", model.box.turned(engine.velocities)))
+        for title, groups in (("Bonds", bonds), ("Angles", angles)):
+            if len(groups.atoms):
+                file.write(f"\n{title}\n\n")
+                file.writelines(_rows(f"%d %d{' %d' * groups.size}\n", groups.types + 1, groups.atoms + 1))
+
+
+def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
+    """Lines of a table, some at a time: a number from 1 on, and what stands in the columns."""
+    n = len(columns[0])
+    for first in range(0, n, ATOMS_AT_ONCE):
+        part = [one[first : first + ATOMS_AT_ONCE].reshape(-1, one.shape[1] if one.ndim > 1 else 1).T.tolist() for one in columns]
+        numbers = range(first + 1, first + 1 + len(part[0][0]))
+        yield "".join([row % line for line in zip(numbers, *(axis for one in part for axis in one), strict=True)])
+
+
+def forces_script(model: Model) -> str:
+    """What both runs begin with: units, box, atoms, styles, lists."""
+    is_bonded = len(model.bonds.atoms) + len(model.angles.atoms) > 0
+    lines = [
+        "units lj",
+        "suffix opt",
+        f"atom_style {'angle' if is_bonded else 'atomic'}",
+        f"boundary {model.box.boundary()}",
+        "box tilt large",
+        *([f"special_bonds lj/coul {' '.join(f'{factor:.17g}' for factor in model.special_bonds())}"] if is_bonded else []),
+        f"comm_modify cutoff {model.reach:.17g}",
+        f"read_data {ATOMS}",
+        *model.pair_commands(),
+        *model.bonds.commands("bond"),
+        *model.angles.commands("angle"),
+        f"neighbor {model.skin:.17g} {model.search}",
+        "neigh_modify every 1 delay 0 check yes",
+    ]
+    return "\n".join([*lines, ""])
+
+
+def verify_script() -> str:
+    """The run of 0 steps: energy, force and virial of each atom."""
+    lines = [
+        f"include {FORCES}",
+        "compute energies all pe/atom",
+        "compute stresses all stress/atom NULL virial",
+        f"dump step0 all custom 1 {STEP_0} id {PER_ATOM}",
+        "thermo_style custom step pe",
+        "thermo_modify norm no format float %.17g",
+        "run 0",
+    ]
+    return "\n".join([*lines, ""])
+
+
+def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
+    """The run: integrator, bath, rigid bonds, what is written when."""
+    fixed = model.types.named(model.types.is_fixed)
+    moving = "mobile" if fixed else "all"
+    bath = _bath(engine, moving)
+    lines = [
+        f"include {FORCES}",
+        *([f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []),
+        f"reset_timestep {engine.step}",
+        f"timestep {engine.method.timestep:.17g}",
+        f"fix motion {moving} nve",
+        *bath,
+        *_shake(model),
+        f"thermo_style custom step pe{' f_bath' if bath else ''}",
+        f"thermo {look_every(n_steps, every)}",
+        "thermo_modify norm no flush yes format float %.17g",
+        f"dump frames all custom {every} {FRAMES} id xu yu zu vx vy vz",
+        f"run {n_steps}",
+        f"write_dump all custom {LAST} id xu yu zu vx vy vz",
+    ]
+    return "\n".join([*lines, ""])
+
+
+def _shake(model: Model) -> list[str]:
+    """Rigid bonds, behind all other fixes.
+
+    Not fix rattle: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two processes wrongly, and dumps velocities with a
+    part along the bonds. The positions of SHAKE are those of RATTLE, and its velocities are once they are projected, see Job.
+    """
+    if not len(model.rigid_bonds):
+        return []
+    words = [f"fix rigid all shake {SHAKE_TOLERANCE} {SHAKE_ITERATIONS} 0 b", *(str(k + 1) for k in model.rigid_bonds)]
+    return [" ".join(words + (["a", *(str(k + 1) for k in model.rigid_angles)] if len(model.rigid_angles) else []))]
+
+
+def _bath(engine: Engine, moving: str) -> list[str]:
+    """The bath; energies have the unit of k_B T."""
+    method, k_b = engine.method, engine.system.units.k_B
+    if isinstance(method, LangevinBAOAB) and method.friction > 0.0:
+        heat = f"{k_b * method.temperature:.17g}"
+        return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {_seed(method.seed)} tally yes"]
+    if isinstance(method, StochasticVelocityRescaling):
+        heat = f"{k_b * method.temperature:.17g}"
+        style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
+        lines = [f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"]
+        bath = f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {_seed(method.seed)}"
+        return [*lines, bath, "fix_modify bath temp heat"]
+    return []
+
+
+def _seed(seed: int) -> int:
+    return 1 + seed % LARGEST_SEED
+
+
+def look_every(n_steps: int, every: int) -> int:
+    """Steps between two lines of the log: the largest divisor of every that gives LOOKS lines or more."""
+    most = max(1, n_steps // LOOKS)
+    return max(k for k in range(1, every + 1) if every % k == 0 and (k <= most or k == 1))
+
+
+def per_atom(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Energies (N,), forces (N, 3) and virials (N, 6) of the columns of step 0; LAMMPS' stress is minus the virial."""
+    return columns[:, 0], columns[:, 1:4], -columns[:, 4:]

@@ -1,0 +1,84 @@
+"""The kinds of atoms, bonds and angles that LAMMPS tells apart by numbers from 1 on."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.engine.engine import Engine
+from minimd.structure.constraints import FixedAtoms
+
+MOST_TYPES = 500  # of atoms: LAMMPS' tables grow with their square
+
+
+class AtomTypes(NamedTuple):
+    """One type for each species, mass, and whether an atom is held fixed.
+
+    of_atom : (N,) int from 0 on.  species : (T,) index of the species of a type.  masses : (T,) [mass].  is_fixed : (T,) bool.
+    """
+
+    of_atom: NDArray[np.int64]
+    species: NDArray[np.int64]
+    masses: NDArray[np.float64]
+    is_fixed: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, engine: Engine) -> AtomTypes:
+        """Those of an engine.  Raises ValueError for more than MOST_TYPES."""
+        system, fixed = engine.system, np.zeros(len(engine.system), dtype=bool)
+        for one in engine.constraints:
+            if isinstance(one, FixedAtoms):
+                fixed[one.atoms] = True
+        keys = np.column_stack([system.species_index, system.masses, fixed])
+        rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
+        if len(rows) > MOST_TYPES:
+            raise ValueError(f"LAMMPS tells atoms apart by types, one for each species and mass; this scene needs {len(rows)}, at most {MOST_TYPES}")
+        return cls(of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0)
+
+    def named(self, numbers: NDArray[np.bool_]) -> str:
+        """Types for which numbers is true, as LAMMPS' commands take them."""
+        return " ".join(str(k + 1) for k in np.flatnonzero(numbers))
+
+
+class Groups:
+    """Bonds, or angles, with the types that they have.
+
+    size : atoms in a group.  coefficients : of each type, style and numbers.  atoms : (G, size).  types : (G,) from 0 on.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.coefficients: list[tuple[str, str]] = []
+        self._atoms: list[NDArray[np.int64]] = []
+        self._types: list[NDArray[np.int64]] = []
+
+    def add(self, atoms: NDArray[np.int64], of_each: NDArray[np.int64], coefficients: list[tuple[str, str]]) -> range:
+        """Add groups with new types, one for each of the coefficients; of_each : (G,) which of these a group has. Returns the new types."""
+        first = len(self.coefficients)
+        self._atoms.append(atoms.reshape(-1, self.size))
+        self._types.append(np.broadcast_to(of_each, len(atoms)) + first)
+        self.coefficients += coefficients
+        return range(first, len(self.coefficients))
+
+    @property
+    def atoms(self) -> NDArray[np.int64]:
+        """(G, size) atoms, from 0 on."""
+        return np.concatenate([np.zeros((0, self.size), dtype=np.int64), *self._atoms])
+
+    @property
+    def types(self) -> NDArray[np.int64]:
+        """(G,) types, from 0 on."""
+        return np.concatenate([np.zeros(0, dtype=np.int64), *self._types])
+
+    def commands(self, word: str) -> list[str]:
+        """Styles and coefficients as commands.  word : bond or angle."""
+        styles = list(dict.fromkeys(style for style, _ in self.coefficients))
+        if not styles:
+            return []
+        several = len(styles) > 1
+        lines = [f"{word}_style {'hybrid ' if several else ''}{' '.join(styles)}"]
+        for k, (style, numbers) in enumerate(self.coefficients, start=1):
+            lines.append(f"{word}_coeff {k} {f'{style.split()[0]} ' if several else ''}{numbers}")
+        return lines

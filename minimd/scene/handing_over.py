@@ -1,0 +1,46 @@
+"""A scene handed to LAMMPS: minimd builds, minimizes and equilibrates it, LAMMPS runs it."""
+
+from pathlib import Path
+
+from minimd.diagnosis.report import conservation_report
+from minimd.lammps import HandOver, check_hand_over, hand_over
+from minimd.scene.document import Scene
+from minimd.scene.running import Tell, description, equilibrate, minimize
+
+
+def hand_over_scene(
+    scene: Scene,
+    folder: Path,
+    *,
+    steps: int | None = None,
+    processes: int = 1,
+    overwrite: bool = False,
+    progress: bool | None = None,
+    tell: Tell = print,
+) -> HandOver:
+    """Build a scene, minimize and equilibrate it, and let LAMMPS run it.
+
+    folder : for all files.  steps : instead of those of the scene.  The rest is as for minimd.lammps.hand_over, and so is what is raised;
+    ValueError, OSError also for what cannot be built.
+    """
+    output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
+    simulation = scene.simulation()
+    for line in description(scene, simulation, n_steps):
+        tell(line)
+    check_hand_over(simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite)  # before anything is computed
+    minimize(scene, simulation, progress, tell)
+    equilibrate(scene, simulation, progress, tell)
+    done = hand_over(
+        simulation,
+        folder,
+        n_steps,
+        processes=processes,
+        every=output.every,
+        store_forces=output.forces,
+        overwrite=overwrite,
+        progress=progress,
+        tell=tell,
+    )
+    is_free = simulation.conserves_momentum
+    tell(str(conservation_report(done.record, linear=is_free, angular=is_free and not simulation.system.cell.is_periodic)))
+    return done

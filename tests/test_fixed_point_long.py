@@ -1,0 +1,112 @@
+"""Fixed-point dynamics at length: the melt of 4000 atoms, every width of vectors, NIST's configurations, the energy beside float64's."""
+
+import numpy as np
+import pytest
+from fixed_point_scenes import GRID, LAW, bits, mixture, simulated, total_momentum
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import minimd as md
+from minimd.bench.scenes import melt
+from minimd.compiled.simd.lanes import Lanes4, Lanes8
+from minimd.neighbors import cluster_list
+
+pytestmark = pytest.mark.slow
+LJ = md.LennardJones(1.0, 1.0, cutoff=2.5)
+
+
+def of_melt(cells, precision="fixed-point", timestep=0.005, **options):
+    """A melt that is in equilibrium."""
+    return md.Simulation(melt(cells).system, LJ, md.VelocityVerlet(timestep), precision=precision, **options)
+
+
+def test_a_long_run_of_a_melt():
+    """4000 atoms, 100 000 steps on two threads: Σ P changes by 0; 20 000 steps and back return all bits."""
+    simulation = of_melt(10, threads=2)
+    simulation.make_steps(0)
+    start, total = bits(simulation), total_momentum(simulation)
+    simulation.make_steps(20_000)
+    simulation.run_back(20_000)
+    assert bits(simulation) == start
+    simulation.make_steps(100_000)
+    assert total_momentum(simulation) == total
+
+
+@pytest.mark.parametrize("kind", [Lanes4, Lanes8])
+def test_vectors_of_every_width_have_the_same_bits(monkeypatch, kind):
+    reference = simulated(mixture())
+    reference.make_steps(200)
+    monkeypatch.setattr(cluster_list, "lanes_for", lambda bits: kind())
+    other = simulated(mixture())
+    other.make_steps(200)
+    assert kind in [type(term.list.lanes) for term in other.engine.interactions.terms if term.list is not None]
+    assert bits(other) == bits(reference)
+
+
+def test_twenty_stops_at_random():
+    reference = simulated(mixture())
+    reference.make_steps(500)
+    stopped = simulated(mixture())
+    stops = np.sort(np.random.default_rng(3).choice(np.arange(1, 500), 20, replace=False))
+    for n in np.diff([0, *stops, 500]):
+        stopped.make_steps(int(n))
+        parts = {name: getattr(stopped.system, name) for name in ("masses", "velocities", "species", "cell", "bonds", "angles")}
+        stopped = simulated(md.System(stopped.positions, **parts))  # nothing goes along but the state
+    assert bits(stopped) == bits(reference)
+
+
+@pytest.mark.parametrize("timestep", [0.008, 0.005, 0.002])
+def test_the_energy_oscillates_as_in_float64(timestep):
+    oscillations = []
+    for precision in ("double", "fixed-point"):
+        simulation = of_melt(8, precision, timestep)
+        record = simulation.run(int(2.0 / timestep), every=1)
+        oscillations.append(record.total_energy.std())
+    assert oscillations[1] == pytest.approx(oscillations[0], rel=0.01)
+
+
+def test_the_energy_does_not_drift():
+    """250 000 steps with a smooth law."""
+    law = md.LennardJones(1.0, 1.0, cutoff=2.5, truncation="switched")
+    simulation = md.Simulation(melt(5).system, law, md.VelocityVerlet(0.004), precision="fixed-point")
+    simulation.run(250_000, every=50)
+    report = simulation.report()
+    print(report)
+    assert abs(report.energy_drift.slope) < 3.0 * report.energy_drift.error
+
+
+@settings(max_examples=200, suppress_health_check=list(HealthCheck))
+@given(
+    speed=st.floats(0.1, 1e4),
+    distance=st.floats(0.3, 2.0),
+    far=st.integers(0, 10**6),
+    timestep=st.sampled_from([1e-4, 1e-3, 5e-3]),
+    seed=st.integers(0, 99),
+)
+def test_hot_fast_and_far_atoms_are_right_or_stopped(speed, distance, far, timestep, seed):
+    """Whatever happens, momentum is constant and steps lead back, or a sentence says what left its range."""
+    random = np.random.default_rng(seed)
+    system = mixture(with_bonds=False)
+    system.velocities[3] = speed * random.normal(size=3)
+    system.positions[4] = system.positions[5] + distance * np.array([1.0, 0.0, 0.0])
+    system.positions[:] += far * system.cell.vectors[0]
+    message = ""
+    try:
+        simulation = simulated(system, md.VelocityVerlet(timestep), grid=None)
+        simulation.make_steps(0)
+        start, total = bits(simulation), total_momentum(simulation)
+        simulation.make_steps(30)
+        assert total_momentum(simulation) == total
+        simulation.run_back(30)
+        assert bits(simulation) == start
+    except (md.RangeError, md.NonFiniteError, ValueError) as error:
+        message = str(error)
+    assert not message or any(word in message for word in ("beyond the range", "past every neighbor", "would move it", "not finite", "shift them")), (
+        message
+    )
+
+
+def test_grid_of_the_scenes_is_what_the_page_says():
+    grid = of_melt(10).engine.interactions.grid
+    assert (grid.length, grid.momentum) == (2.0**-41, 2.0**-44)
+    assert GRID.length < LAW.cutoff

@@ -186,24 +186,31 @@ def _find_slots(domain, layout, slot_of):
 def _exclude_partners(domain, layout, image, partners, slot_of, rows):
     clusters, domain_start, (start, values) = layout.clusters, layout.domains.cluster, partners
     n_lanes = count(clusters.lanes)
-    for slot in range(domain_start[domain] * n_lanes, domain_start[domain + 1] * n_lanes):
-        i = clusters.atom[slot]
-        if slot == slot_of[i]:  # not padding
-            for p in range(start[i], start[i + 1]):
-                _exclude(slot, slot_of[values[p]], layout, image, rows)
+    for k in range(domain_start[domain], domain_start[domain + 1]):
+        for slot in range(k * n_lanes, k * n_lanes + clusters.filled[k]):
+            i = clusters.atom[slot]
+            for p in range(np.uintp(start[i]), np.uintp(start[i + 1])):  # unsigned: no check for indices that count from the end
+                _exclude(domain, slot, slot_of[np.uintp(values[p])], layout, image, rows)
 
 
 @scalar
-def _exclude(slot, other, layout, image, rows):
+def _exclude(domain, slot, other, layout, image, rows):
     """Clear the lane of the atom in slot other in the row of a slot, if it is there."""
     ghosts, coordinates, n_lanes = layout.ghosts, layout.coordinates, count(layout.clusters.lanes)
-    cluster, lane = other // n_lanes, other % n_lanes
-    own, place = ghosts.home[slot // n_lanes] * DIMENSIONS * n_lanes + slot % n_lanes, ghosts.home[cluster] * DIMENSIONS * n_lanes + lane
-    x, y = coordinates[place] - coordinates[own], coordinates[place + n_lanes] - coordinates[own + n_lanes]
-    z = coordinates[place + 2 * n_lanes] - coordinates[own + 2 * n_lanes]
+    cluster, lane = other // n_lanes, np.uint32(other % n_lanes)
+    own, home = ghosts.home[slot // n_lanes], ghosts.home[cluster]
+    at, place = own * DIMENSIONS * n_lanes + slot % n_lanes, home * DIMENSIONS * n_lanes + lane
+    x, y = coordinates[place] - coordinates[at], coordinates[place + n_lanes] - coordinates[at + n_lanes]
+    z = coordinates[place + 2 * n_lanes] - coordinates[at + 2 * n_lanes]
     a, b, c = minimum_image(x, y, z, *image)
-    key = cluster * IMAGES + HOME + int(9.0 * a + 3.0 * b + c)
-    for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])):  # unsigned: no check for indices that count from the end
+    key, others = cluster * IMAGES + HOME + int(9.0 * a + 3.0 * b + c), ~np.uint32(np.uint32(1) << (np.uint32(LANES_FROM) + lane))
+    if layout.domains.cluster[domain] <= cluster < layout.domains.cluster[domain + 1] and key == ghosts.key[home]:
+        if other < slot:  # rows look ahead
+            return
+        if home == own:  # the last of each row
+            rows.entries[np.uintp(rows.stop[slot] - 1)] &= others
+            return
+    for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])):
         if ghosts.key[rows.entries[entry] & GHOST_BITS] == key:
-            rows.entries[entry] &= ~np.uint32(1 << (LANES_FROM + lane))
+            rows.entries[entry] &= others
             return

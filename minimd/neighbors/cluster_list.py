@@ -12,7 +12,7 @@ from minimd.compiled.simd.lanes import DOUBLE, MIXED, count, lanes_for
 from minimd.compiled.threads import ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers
 from minimd.neighbors.cluster_search import GHOST_BITS, Rows, exclude_pairs, find_rows, make_work
-from minimd.neighbors.clusters import DIMENSIONS, any_moved_from_clusters, make_columns, sort_into_clusters
+from minimd.neighbors.clusters import DIMENSIONS, any_moved_from_clusters, gathered, loaded, make_columns, sort_into_clusters
 from minimd.neighbors.domains import SIDES, Layout, cut_into_domains, fill_ghosts, make_ghosts, sort_ghosts
 from minimd.neighbors.verlet_list import VerletList, partners
 from minimd.structure.cell import Cell
@@ -169,24 +169,24 @@ def lay_grid(ghosts, reach, skin, origin, shift):
 @scalar
 def gather(k, clusters, of_atoms, block, start):
     """Three numbers of each atom of cluster k, from (N, 3) to a flat array of blocks, from index start on."""
-    n_lanes = count(clusters.lanes)
-    for slot in range(n_lanes):
-        i = clusters.atom[k * n_lanes + slot]
-        for c in range(3):
-            block[start + c * n_lanes + slot] = of_atoms[i, c]
+    for c, x in enumerate(gathered(k, clusters, of_atoms)):
+        store(block, start + c * count(clusters.lanes), x)
 
 
 @scalar
-def place(k, arrays, positions, start):
-    """Positions of the atoms of cluster k, in a flat array from index start on, to all its ghosts."""
-    clusters, ghosts, memory = arrays.clusters, arrays.ghosts, arrays.memory
-    lanes, n_lanes = clusters.lanes, count(clusters.lanes)
-    for c in range(3):
-        x = load(positions, start + c * n_lanes, lanes) + load(clusters.offsets, (k * DIMENSIONS + c) * n_lanes, lanes)
-        x = coordinate(x, memory.origin[c], memory.unit, load(memory.coordinates, 0, lanes))
-        for p in range(ghosts.start[k], ghosts.start[k + 1]):
-            m = ghosts.of[p]
-            store(memory.coordinates, (m * DIMENSIONS + c) * n_lanes, x + memory.shift[m, c])
+def place(k, arrays, at):
+    """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts. Indices are unsigned: none counts from the end."""
+    ghosts, memory, lanes, n_lanes = arrays.ghosts, arrays.memory, arrays.clusters.lanes, np.uintp(count(arrays.clusters.lanes))
+    like, block = load(memory.coordinates, 0, lanes), np.uintp(DIMENSIONS) * n_lanes
+    x, y, z = loaded(arrays.clusters.offsets, np.uintp(k) * block, lanes)
+    x = coordinate(at[0] + x, memory.origin[0], memory.unit, like)
+    y = coordinate(at[1] + y, memory.origin[1], memory.unit, like)
+    z = coordinate(at[2] + z, memory.origin[2], memory.unit, like)
+    for p in range(np.uintp(ghosts.start[k]), np.uintp(ghosts.start[k + 1])):
+        m = np.uintp(ghosts.of[p])
+        store(memory.coordinates, m * block, x + memory.shift[m, 0])
+        store(memory.coordinates, m * block + n_lanes, y + memory.shift[m, 1])
+        store(memory.coordinates, m * block + n_lanes + n_lanes, z + memory.shift[m, 2])
 
 
 @by_type
@@ -216,16 +216,14 @@ def clear(domain, arrays):
 @scalar
 def collected(k, arrays):
     """The forces on the atoms of cluster k, sums of those on all its ghosts: vectors x, y, z in double precision."""
-    return _collected(k, 0, arrays), _collected(k, 1, arrays), _collected(k, 2, arrays)
-
-
-@scalar
-def _collected(k, c, arrays):
     ghosts, forces, lanes = arrays.ghosts, arrays.memory.forces, arrays.clusters.lanes
-    force = convert(load(forces, (ghosts.of[ghosts.start[k]] * DIMENSIONS + c) * count(lanes), lanes), 0.0)
-    for p in range(ghosts.start[k] + 1, ghosts.start[k + 1]):
-        force = force + convert(load(forces, (ghosts.of[p] * DIMENSIONS + c) * count(lanes), lanes), 0.0)
-    return force
+    block, first = np.uintp(DIMENSIONS * count(lanes)), np.uintp(ghosts.start[k])
+    x, y, z = loaded(forces, np.uintp(ghosts.of[first]) * block, lanes)
+    x, y, z = convert(x, 0.0), convert(y, 0.0), convert(z, 0.0)
+    for p in range(first + np.uintp(1), np.uintp(ghosts.start[k + 1])):
+        more_x, more_y, more_z = loaded(forces, np.uintp(ghosts.of[p]) * block, lanes)
+        x, y, z = x + convert(more_x, 0.0), y + convert(more_y, 0.0), z + convert(more_z, 0.0)
+    return x, y, z
 
 
 @by_type

@@ -16,6 +16,7 @@ from minimd.integrators.splitting.state import State
 from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList
+from minimd.neighbors.cluster_search import LAYERS
 from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
@@ -38,7 +39,7 @@ class ClusterTerm(Term):
         self._is_mixed = options.precision == "mixed"
         if self._is_mixed:
             laws.check_single_precision()
-        skin = skin_for(system, laws, options, displacement)
+        skin = skin_for(system, laws, options, displacement, LAYERS)
         self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, self._is_mixed, self._pool)
         self._pair_laws, self.widest_skin = laws, widest_skin(system, laws)
         are_recognized = all(is_recognized(one.law) for one in laws.members)

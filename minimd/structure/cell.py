@@ -139,8 +139,8 @@ def minimum_image_translations(positions, first, second, lattice, inverse, pbc, 
     positions : (N, 3) [length].  first, second : (P,) int.
     translations : (P, 3) [length], lattice vectors, such as zeros or those of a moment ago; kept where they are still certainly right.
     """
-    for p in range(first.size):
-        i, j = first[p], second[p]
+    for p in range(np.uintp(first.size)):  # unsigned: no check for indices that count from the end
+        i, j = np.uintp(first[p]), np.uintp(second[p])
         dx = positions[j, 0] - positions[i, 0]
         dy = positions[j, 1] - positions[i, 1]
         dz = positions[j, 2] - positions[i, 2]

@@ -50,13 +50,33 @@ def test_clusters_and_pairs_are_the_same_physics(name, system, seed, atoms):
         agree(clustered, listed, system, EQUAL)
         rng = np.random.default_rng(seed)
         step = rng.normal(size=system.positions.shape)
-        system.positions += 0.499 * SKIN * step / np.linalg.norm(step, axis=1, keepdims=True)
+        step *= 0.249 * clustered.list.skin / np.linalg.norm(step, axis=1, keepdims=True)
         n_builds = clustered.list.n_builds
-        agree(clustered, listed, system, EQUAL)
-        assert clustered.list.n_builds == n_builds + (clustered.list.skin == 0.0)
+        for _layer in range(2):
+            system.positions += step
+            agree(clustered, listed, system, EQUAL)
+        assert clustered.list.n_builds == n_builds
         moved = rng.random(len(system)) < 0.3
         system.positions[moved] += (rng.integers(-2, 3, (moved.sum(), 3)) * system.cell.pbc) @ system.cell.vectors
         agree(clustered, listed, system, EQUAL)
+
+
+def test_layers_of_rows_follow_the_motion_and_change_no_bit():
+    system = liquid(5)
+    clustered, whole = (ClusterTerm(system, pair_laws(system, POTENTIALS["one species"]), SKINNED) for _ in range(2))
+    at_first, n_entries = system.positions.copy(), []
+    for moved in (0.0, 0.249, 0.251, 0.1, 0.499):
+        system.positions[:] = at_first
+        summed(whole, system)
+        system.positions[7, 0] += 0.499 * SKIN
+        summed(whole, system)  # now it needs all layers
+        system.positions[:] = at_first
+        system.positions[7, 0] += moved * SKIN
+        assert np.array_equal(summed(clustered, system)[0], summed(whole, system)[0])
+        rows = clustered.list.arrays.rows
+        n_entries.append(int((rows.stop - rows.start).sum()))
+    assert n_entries[0] == n_entries[1] < n_entries[2] == n_entries[3] == n_entries[4]  # once taken into use, a layer is kept
+    assert (clustered.list.n_builds, whole.list.n_builds) == (1, 1)
 
 
 @pytest.mark.parametrize("name", ["three species", "exclusions"])

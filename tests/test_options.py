@@ -14,6 +14,7 @@ import minimd as md
 from minimd.ase import Calculator, VelocityVerlet
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import skin_for
+from minimd.neighbors.cluster_search import LAYERS
 from minimd.neighbors.verlet_list import BUILD_COST, CALLS_COST, DEFAULT_SKIN, SKINS, STEP_COST, best_skin
 from minimd.scene import parse_scene
 from minimd.structure.system import number_density
@@ -104,14 +105,15 @@ def test_the_report_names_skin_threads_and_precision(threads, words, precision):
     assert f"cluster list (skin 0.25, {words}, {precision} precision)" in str(simulation.report())
 
 
-@given(POSITIVE, POSITIVE, POSITIVE, st.integers(1, 10**7))
-def test_the_best_skin_is_the_cheapest(cutoff, density, stride, n_atoms):
+@given(POSITIVE, POSITIVE, POSITIVE, st.integers(1, 10**7), st.integers(1, 3))
+def test_the_best_skin_is_the_cheapest(cutoff, density, stride, n_atoms, layers):
     """The cost of a step by the formula, for skins to choose from."""
-    skin = best_skin(cutoff, density, stride, n_atoms)
+    skin = best_skin(cutoff, density, stride, n_atoms, layers)
 
     def cost(s):
         crowd = density * (cutoff + s) ** 3
-        return STEP_COST[0] + STEP_COST[1] * crowd + (BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms) / max(1.0, s / (2.0 * stride))
+        in_use = sum(density * (cutoff + s * layer / layers) ** 3 for layer in range(1, layers + 1)) / layers
+        return STEP_COST[0] + STEP_COST[1] * in_use + (BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms) / max(1.0, s / (2.0 * stride))
 
     assert skin in SKINS * cutoff
     assert cost(skin) <= min(cost(s) for s in SKINS * cutoff) * (1.0 + 1e-12)
@@ -146,7 +148,7 @@ def test_skins_follow_the_speed_of_the_atoms_and_of_the_method():
         skins.append(skin_of(after_start(system, timestep=timestep)))
         assert skins[-1] == skin_of(after_start(system, timestep=timestep))
         fastest = timestep * np.linalg.norm(system.velocities, axis=1).max()
-        assert skins[-1] == best_skin(2.5, number_density(system, 2.5), fastest, len(system))
+        assert skins[-1] == best_skin(2.5, number_density(system, 2.5), fastest, len(system), LAYERS)
     assert np.all(np.diff(skins) > 0.0)
     assert skin_of(after_start(liquid(8), skin=0.2)) == 0.2
 

@@ -4,13 +4,14 @@ A solver is a function solver(first, last, *arguments) that treats components fi
 NamedTuple class that type_of(solver) ties to it, so that the next process finds the compiled kernel in the cache.
 """
 
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
 from numba.core import types
 from numba.extending import overload
 
-from minimd.compiled.kernels import shared_kernel
+from minimd.compiled.kernels import DirectCalls, shared_kernel
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take, thread_pool
 from minimd.constraints.graph import Floats, Graph, Ints, graph_of
 from minimd.constraints.linear_triatomic import DriftLinear, ProjectLinear
@@ -31,13 +32,16 @@ class SolverPool:
         self.n_components, n_chunks = n_components, max(1, min(n_components, n_constraints // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS))
         self._threads: ThreadPool = thread_pool(min(most_threads, n_chunks))
         self._answers = np.zeros(n_chunks, dtype=np.int64)
+        self._calls: defaultdict[type, DirectCalls] = defaultdict(DirectCalls)
 
     def run(self, solver: tuple, atoms: tuple, *arguments: Any) -> int:
         """The worst answer of a solver: that of the first components that failed, negative, or else the largest.
 
-        atoms : the fields of Atoms, of which compiled code makes one: a plain tuple is a microsecond faster to pass.
+        atoms : the fields of Atoms, of which compiled code makes one.  arguments : always of the same types for a solver.
         """
-        self._threads.run(run_chunks, self._answers, solver, self.n_components, atoms, arguments)
+        are_plain = all(array.flags.carray and array.dtype == np.float64 for array in atoms)
+        calls = self._calls[type(solver)] if are_plain else None
+        self._threads.run(run_chunks, self._answers, solver, self.n_components, atoms, arguments, calls=calls)
         failed = self._answers[self._answers < 0]
         return int(failed[0] if failed.size else self._answers.max())
 
@@ -97,7 +101,7 @@ class Networks:
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
         """Drift of the atoms of the group. Returns a number of iterations, or −1 − the constraint, within the group, that cannot be kept."""
-        answer = self.pool.run(self.drifter, (positions, velocities, self.masses), *self.known, duration)
+        answer = self.pool.run(self.drifter, (positions, velocities, self.masses), *self.known, float(duration))
         return answer if answer >= 0 else self.n_each * (answer + 1) - 1  # the first constraint of the molecule
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:

@@ -26,10 +26,10 @@ def drift_pairs(start, end, atoms, bonds, duration):
         discriminant = b * b - a * c
         if not (discriminant >= 0.0 and b > 0.0):
             return NOTHING - k
-        scale = -c / (b + sqrt(discriminant))
+        scale = -c / (b + sqrt(discriminant)) / duration
         wi, wj = scale * inverse_masses[i], scale * inverse_masses[j]
         for x in range(3):
-            vi, vj = velocities[i, x] - wi / duration * s[x], velocities[j, x] + wj / duration * s[x]
+            vi, vj = velocities[i, x] - wi * s[x], velocities[j, x] + wj * s[x]
             velocities[i, x], velocities[j, x] = vi, vj
             positions[i, x] += duration * vi
             positions[j, x] += duration * vj

@@ -6,13 +6,13 @@ import numpy as np
 
 from minimd.compiled.fixed_point import MOST, is_fixed
 from minimd.compiled.kernels import by_type, scalar, shared_kernel
-from minimd.compiled.simd import bits_from_mask, load, store, total
+from minimd.compiled.simd import bits_from_mask, lane, load, store, total
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, stop, take, was_stopped
 from minimd.forces.cluster_loop import add_cluster_forces, lanes_beyond
 from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, momentum_in_steps, velocity_of
 from minimd.neighbors.cluster_list import clear, collected, gather, is_mixed, place
-from minimd.neighbors.clusters import DIMENSIONS
+from minimd.neighbors.clusters import DIMENSIONS, gathered, loaded
 
 
 class Rest(namedtuple("Rest", "steps")):
@@ -43,11 +43,10 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
     sums : Sums or ForceSums.  motion : Motion or Rest.
     """
     n, n_moves, n_made = arrays.domain_start.size - 1, moves(motion), 0
-    work, forces_of_cluster = np.empty(DIMENSIONS * count(arrays.clusters.lanes)), np.empty(DIMENSIONS * count(arrays.clusters.lanes), forces.dtype)
     phase = begin(worker, task)
     chunk = take(worker, phase, n)
     while chunk >= 0:
-        _begin(chunk, arrays, positions, motion, work)
+        _begin(chunk, arrays, positions, motion)
         chunk = finish_and_take(worker, phase, n)
     phase = barrier(worker, phase)
     while True:
@@ -67,7 +66,7 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
         chunk = take(worker, phase, n)
         while chunk >= 0:
             if n_moves == 0:
-                _scatter(chunk, arrays, excess, forces, forces_of_cluster)
+                _scatter(chunk, arrays, excess, forces)
             elif not (is_in_range and _move(chunk, arrays, excess, motion, n_made)):
                 stop(worker, phase)
             chunk = finish_and_take(worker, phase, n)
@@ -127,21 +126,21 @@ def _add_all(domain, arrays, laws, sums, steps, which):
 
 
 @by_type
-def _begin(domain, arrays, positions, motion, work):
+def _begin(domain, arrays, positions, motion):
     """Positions of the atoms of a domain to all their ghosts; of a Motion also its own arrays."""
     if motion.instance_class is Rest:
-        return lambda domain, arrays, positions, motion, work: _place_all(domain, arrays, positions, work)
+        return lambda domain, arrays, positions, motion: _place_all(domain, arrays, positions)
 
-    def begin_motion(domain, arrays, positions, motion, work):
+    def begin_motion(domain, arrays, positions, motion):
         if motion.n == 0:
-            _place_all(domain, arrays, positions, work)
+            _place_all(domain, arrays, positions)
             return
         clusters, n_lanes = arrays.clusters, count(arrays.clusters.lanes)
         for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
             start = k * DIMENSIONS * n_lanes
             gather(k, clusters, positions, motion.own_positions, start)
             gather(k, clusters, motion.velocities, motion.own_velocities, start)
-            place(k, arrays, motion.own_positions, start)
+            place(k, arrays, loaded(motion.own_positions, start, clusters.lanes))
             for slot in range(k * n_lanes, (k + 1) * n_lanes):
                 motion.own_inverse_masses[slot] = motion.inverse_masses[clusters.atom[slot]]
             _to_momenta(k, start, n_lanes, motion, motion.steps)
@@ -164,10 +163,9 @@ def _to_momenta(k, start, n_lanes, motion, steps):
 
 
 @scalar
-def _place_all(domain, arrays, positions, work):
+def _place_all(domain, arrays, positions):
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-        gather(k, arrays.clusters, positions, work, 0)
-        place(k, arrays, work, 0)
+        place(k, arrays, gathered(k, arrays.clusters, positions))
 
 
 @scalar
@@ -192,16 +190,18 @@ def _excess(arrays, forces):
 
 
 @scalar
-def _scatter(domain, arrays, excess, forces, work):
-    """forces (N, 3) += those on the atoms of a domain, less the excess.  work : (3 n,) of their type, scratch."""
+def _scatter(domain, arrays, excess, forces):
+    """forces (N, 3) += those on the atoms of a domain, less the excess."""
     clusters, n_lanes = arrays.clusters, count(arrays.clusters.lanes)
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-        for c, force in enumerate(collected(k, arrays)):
-            store(work, c * n_lanes, force - excess[c])
-        for lane in range(clusters.filled[k]):
-            i = clusters.atom[k * n_lanes + lane]
-            for c in range(3):
-                forces[i, c] += work[c * n_lanes + lane]
+        x, y, z = collected(k, arrays)
+        x, y, z, filled = x - excess[0], y - excess[1], z - excess[2], clusters.filled[k]
+        for k_lane in range(n_lanes):
+            if k_lane < filled:
+                i = np.uintp(clusters.atom[k * n_lanes + k_lane])
+                forces[i, 0] += lane(x, k_lane)
+                forces[i, 1] += lane(y, k_lane)
+                forces[i, 2] += lane(z, k_lane)
 
 
 @by_type
@@ -230,7 +230,7 @@ def _move(domain, arrays, excess, motion, n_made):
             is_valid &= ~bits_from_mask(moved2 <= motion.limit2) & filled == 0
             if lanes_beyond(size2, _most_momentum2(motion.steps)) & filled:
                 arrays.memory.net[domain, 1], is_valid = 1.0, False
-            place(k, arrays, motion.own_positions, start)
+            place(k, arrays, loaded(motion.own_positions, start, lanes))
         return is_valid
 
     return move
@@ -276,12 +276,12 @@ def _end(domain, arrays, positions, motion):
     def end(domain, arrays, positions, motion):
         clusters, n_lanes = arrays.clusters, count(arrays.clusters.lanes)
         for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-            for lane in range(clusters.filled[k]):
-                i = clusters.atom[k * n_lanes + lane]
+            for k_lane in range(clusters.filled[k]):
+                i = clusters.atom[k * n_lanes + k_lane]
                 for c in range(3):
-                    place = (k * DIMENSIONS + c) * n_lanes + lane
+                    place = (k * DIMENSIONS + c) * n_lanes + k_lane
                     positions[i, c] = motion.own_positions[place]
-                    motion.velocities[i, c] = _velocity(motion.own_velocities[place], motion.own_inverse_masses[k * n_lanes + lane], motion.steps)
+                    motion.velocities[i, c] = _velocity(motion.own_velocities[place], motion.own_inverse_masses[k * n_lanes + k_lane], motion.steps)
 
     return end
 

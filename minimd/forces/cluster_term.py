@@ -1,7 +1,7 @@
 """Pair laws on the cluster list: eight pairs at a time, on a pool of threads."""
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from minimd.integrators.splitting.state import GridState, State, steps_of
 from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList
+from minimd.neighbors.cluster_search import LAYERS
 from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm
@@ -42,13 +43,13 @@ class ClusterTerm(OwnTerm):
         self._is_mixed, self._precision = options.precision == "mixed", options.precision
         if self._is_mixed:
             laws.check_single_precision()
-        skin = skin_for(system, laws, options, displacement)
+        skin = skin_for(system, laws, options, displacement, LAYERS)
         self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, options.precision, self._pool)
         self._pair_laws, self.widest_skin = laws, widest_skin(system, laws)
         are_recognized = all(is_recognized(one.law) for one in laws.members)
         self._evaluate = evaluate_clusters if are_recognized else without_cache(evaluate_clusters)
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
-        self._prepared_for = 0  # which build of the list
+        self._prepared_for, self._started_for = 0, cast(Any, None)  # which build of the list, and which arrays
         self._memory = Buffers()
         self._own: tuple[NDArray, ...] = ()
 
@@ -111,14 +112,15 @@ class ClusterTerm(OwnTerm):
         self.list.update(system.positions, system.cell)
         if self._prepared_for != self.list.n_builds:
             self._prepare(system)
+        if self._precision == FIXED_POINT and self._started_for is not self.list.arrays:  # a new list, or another layer of it
+            self._started_for = self.list.arrays
+            start_sums(self.list.arrays.rows, len(self._laws), self.list.memory.first_sum)
 
     def _prepare(self, system: System) -> None:
         """After a list build: parameters in the order of its clusters, and the array of its forces."""
         of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(self._pair_laws.members)]
         self._laws = tuple((one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True))
         self._force_sums = ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
-        if self._precision == FIXED_POINT:
-            start_sums(self.list.rows, len(self._laws), self.list.memory.first_sum)
         self._own = ()  # made where atoms march
         self._prepared_for = self.list.n_builds
 

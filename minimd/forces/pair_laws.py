@@ -7,6 +7,7 @@ import numpy as np
 
 from minimd.forces.cluster_loop import runs_on_vectors
 from minimd.forces.options import Options
+from minimd.neighbors.cluster_search import LAYERS
 from minimd.neighbors.verlet_list import LEAST_SKIN, best_skin
 from minimd.potentials.law import law_at
 from minimd.potentials.term import PairLaw
@@ -42,7 +43,7 @@ class PairLaws:
         """Whether clusters are used: for CLUSTERS_FROM atoms or more, a finite cutoff, heights ≥ cutoff + skin, laws that run on vectors."""
         if len(system) < CLUSTERS_FROM or self.cutoff == np.inf:
             return False
-        reach = self.cutoff + skin_for(system, self, options, displacement)
+        reach = self.cutoff + skin_for(system, self, options, displacement, LAYERS)
         high_enough = bool(np.all(system.cell.heights[system.cell.pbc] >= reach))
         return high_enough and all(runs_on_vectors(one.law, one.table.shape[-1] - 1) for one in self.members)
 
@@ -66,14 +67,14 @@ def deepest(one: PairLaw) -> float:
     return max((-u for u in energies if isfinite(u)), default=0.0)
 
 
-def skin_for(system: System, laws: PairLaws, options: Options, displacement: float) -> float:
+def skin_for(system: System, laws: PairLaws, options: Options, displacement: float, layers: int = 1) -> float:
     """The skin that the user gave, or the best one, but not more than fits into the cell [length].
 
-    displacement : of the fastest atom in a step [length], 0 if unknown.
+    displacement : of the fastest atom in a step [length], 0 if unknown.  layers : of the list.
     """
     cutoff, cell, widest, skin = laws.cutoff, system.cell, widest_skin(system, laws), options.skin
     if skin is None:
-        skin = best_skin(cutoff, number_density(system, cutoff), displacement, len(system))
+        skin = best_skin(cutoff, number_density(system, cutoff), displacement, len(system), layers)
         room = ROUNDED_DOWN * (cell.heights[cell.pbc].min(initial=np.inf) - cutoff)
         skin = min(skin, room) if room > LEAST_SKIN * cutoff else skin
     return min(skin, widest)

@@ -11,8 +11,8 @@ from minimd.compiled.simd import broadcast, convert, lane, load, store, with_lan
 from minimd.compiled.simd.lanes import DOUBLE, MIXED, count, lanes_for
 from minimd.compiled.threads import ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers
-from minimd.neighbors.cluster_search import GHOST_BITS, Rows, exclude_pairs, find_rows, make_work
-from minimd.neighbors.clusters import DIMENSIONS, any_moved_from_clusters, make_columns, sort_into_clusters
+from minimd.neighbors.cluster_search import AHEAD, GHOST_BITS, LAYERS, Layers, Rows, exclude_pairs, find_rows, make_work
+from minimd.neighbors.clusters import DIMENSIONS, any_moved_from_clusters, gathered, loaded, make_columns, sort_into_clusters
 from minimd.neighbors.domains import SIDES, Layout, cut_into_domains, fill_ghosts, make_ghosts, sort_ghosts
 from minimd.neighbors.verlet_list import VerletList, partners
 from minimd.structure.cell import Cell
@@ -41,12 +41,16 @@ class ClusterArrays(namedtuple("ClusterArrays", "clusters domain_start ghost_sta
 class ClusterList(VerletList):
     """Clusters with an atom within cutoff + skin of each atom.
 
+    Each row has two layers: what is within cutoff + skin/2, which is enough until an atom has moved by skin/4, and the rest. So rows are short
+    at first. What is left out then would add zeros: forces have the same bits either way.
+
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
     cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.
     precision : see Options.  pool : the threads that build it.
     lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.
-    arrays : what the loop needs of them.  n_domains : number of chunks of a task.
+    arrays : what the loop needs of them, the layers that are in use.  n_domains : number of chunks of a task.
+    limit2 : square of the distance that an atom may move before another layer is needed, or a new list [length²].
     """
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool) -> None:
@@ -63,7 +67,19 @@ class ClusterList(VerletList):
         self._far[:] = sets
 
     def _has_moved(self, positions: NDArray[np.float64]) -> bool:
-        return self._calls(any_moved_from_clusters, positions, self.clusters, self.limit2)
+        while self._calls(any_moved_from_clusters, positions, self.clusters, self.limit2):
+            if self._n_layers == LAYERS:
+                return True
+            self._use_layers(self._n_layers + 1)
+        return False
+
+    def _use_layers(self, n: int) -> None:
+        """Rows are the first n layers."""
+        self._n_layers, self.limit2 = n, (0.5 * self.skin * n / LAYERS) ** 2
+        self.arrays = self._whole._replace(rows=self._rows_of(n))
+
+    def _rows_of(self, n: int) -> Rows:
+        return Rows(self.rows.start, self.rows.stops[n - 1], self.rows.entries)
 
     def _built_at(self) -> NDArray[np.float64]:
         clusters, n_lanes = self.clusters, self.lanes.size
@@ -87,18 +103,21 @@ class ClusterList(VerletList):
         self.memory = self._make_memory(exact)
         if self._excluded is not None:
             slot_of, image = self._memory.array("slot of", np.int64, len(positions)), (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-            self._pool.run(exclude_pairs, layout, image, self._excluded, slot_of, self.rows, calls=self._calls)
+            self._pool.run(exclude_pairs, layout, image, self._excluded, slot_of, self._rows_of(LAYERS), calls=self._calls)
         first_ghosts = self.domains.ghost[self.domains.run]
-        self.arrays = ClusterArrays(self.clusters, self.domains.cluster, first_ghosts, self.ghosts, self.rows, self.memory)
+        self._whole = ClusterArrays(self.clusters, self.domains.cluster, first_ghosts, self.ghosts, self._rows_of(LAYERS), self.memory)
+        self._use_layers(1)
 
-    def _find_rows(self, layout: Layout) -> Rows:
+    def _find_rows(self, layout: Layout) -> Layers:
         """Find the rows. If the memory is too small, it is enlarged and the search repeated."""
-        start, stop = (self._memory.array(name, np.int32, len(self.clusters.atom)) for name in ("row start", "row stop"))
+        start = self._memory.array("row start", np.int32, len(self.clusters.atom))
+        stops = self._memory.array("row stops", np.int32, LAYERS * len(start)).reshape(LAYERS, -1)
+        reaches2 = (self.cutoff + self.skin * np.arange(1, LAYERS + 1) / LAYERS) ** 2
         if len(self._entry_start) != self.n_domains + 1:
             self._make_entries(np.diff(self.domains.cluster) * self.lanes.size * ENTRIES_GUESSED)
         needed = np.zeros(self.n_domains, dtype=np.int64)
         while True:
-            rows = Rows(start, stop, self._entries)
+            rows = Layers(start, stops, self._entries, reaches2)
             self._pool.run(_build_domains, layout, rows, self._entry_start, needed, calls=self._calls)
             if np.all(needed <= np.diff(self._entry_start)):
                 return rows
@@ -109,7 +128,7 @@ class ClusterList(VerletList):
         start, most = np.concatenate([[0], np.cumsum(room)]), np.iinfo(np.int32).max
         if start[-1] > most:
             raise ValueError(f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: reduce cutoff or skin, or simulate fewer atoms")
-        self._entry_start, self._entries = start, np.empty(start[-1], dtype=np.uint32)
+        self._entry_start, self._entries = start, np.empty(start[-1] + AHEAD, dtype=np.uint32)
 
     def _make_memory(self, exact: NDArray[np.float64]) -> Memory:
         ghosts, number = self.ghosts, np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64
@@ -141,7 +160,7 @@ def _build_domains(worker, task, layout, rows, entries, needed):
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
     """
     phase = begin(worker, task)
-    space = make_work(layout.domains, layout.columns)
+    space = make_work(layout)
     chunk = take(worker, phase, needed.size)
     while chunk >= 0:
         _build_domain(chunk, layout, rows, entries, needed, space)
@@ -174,24 +193,24 @@ def lay_grid(ghosts, reach, skin, origin, shift):
 @scalar
 def gather(k, clusters, of_atoms, block, start):
     """Three numbers of each atom of cluster k, from (N, 3) to a flat array of blocks, from index start on."""
-    n_lanes = count(clusters.lanes)
-    for slot in range(n_lanes):
-        i = clusters.atom[k * n_lanes + slot]
-        for c in range(3):
-            block[start + c * n_lanes + slot] = of_atoms[i, c]
+    for c, x in enumerate(gathered(k, clusters, of_atoms)):
+        store(block, start + c * count(clusters.lanes), x)
 
 
 @scalar
-def place(k, arrays, positions, start):
-    """Positions of the atoms of cluster k, in a flat array from index start on, to all its ghosts."""
-    clusters, ghosts, memory = arrays.clusters, arrays.ghosts, arrays.memory
-    lanes, n_lanes = clusters.lanes, count(clusters.lanes)
-    for c in range(3):
-        x = load(positions, start + c * n_lanes, lanes) + load(clusters.offsets, (k * DIMENSIONS + c) * n_lanes, lanes)
-        x = coordinate(x, memory.origin[c], memory.unit, load(memory.coordinates, 0, lanes))
-        for p in range(ghosts.start[k], ghosts.start[k + 1]):
-            m = ghosts.of[p]
-            store(memory.coordinates, (m * DIMENSIONS + c) * n_lanes, x + memory.shift[m, c])
+def place(k, arrays, at):
+    """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts. Indices are unsigned: none counts from the end."""
+    ghosts, memory, lanes, n_lanes = arrays.ghosts, arrays.memory, arrays.clusters.lanes, np.uintp(count(arrays.clusters.lanes))
+    like, block = load(memory.coordinates, 0, lanes), np.uintp(DIMENSIONS) * n_lanes
+    x, y, z = loaded(arrays.clusters.offsets, np.uintp(k) * block, lanes)
+    x = coordinate(at[0] + x, memory.origin[0], memory.unit, like)
+    y = coordinate(at[1] + y, memory.origin[1], memory.unit, like)
+    z = coordinate(at[2] + z, memory.origin[2], memory.unit, like)
+    for p in range(np.uintp(ghosts.start[k]), np.uintp(ghosts.start[k + 1])):
+        m = np.uintp(ghosts.of[p])
+        store(memory.coordinates, m * block, x + memory.shift[m, 0])
+        store(memory.coordinates, m * block + n_lanes, y + memory.shift[m, 1])
+        store(memory.coordinates, m * block + n_lanes + n_lanes, z + memory.shift[m, 2])
 
 
 @by_type
@@ -230,16 +249,14 @@ def _first_sum(ghost, first_sum, forces):
 @scalar
 def collected(k, arrays):
     """The forces on the atoms of cluster k, sums of those on all its ghosts: vectors x, y, z in double precision, or of int64."""
-    return _collected(k, 0, arrays), _collected(k, 1, arrays), _collected(k, 2, arrays)
-
-
-@scalar
-def _collected(k, c, arrays):
     ghosts, forces, lanes = arrays.ghosts, arrays.memory.forces, arrays.clusters.lanes
-    force = in_full(load(forces, (ghosts.of[ghosts.start[k]] * DIMENSIONS + c) * count(lanes), lanes))
-    for p in range(ghosts.start[k] + 1, ghosts.start[k + 1]):
-        force = force + in_full(load(forces, (ghosts.of[p] * DIMENSIONS + c) * count(lanes), lanes))
-    return force
+    block, first = np.uintp(DIMENSIONS * count(lanes)), np.uintp(ghosts.start[k])
+    x, y, z = loaded(forces, np.uintp(ghosts.of[first]) * block, lanes)
+    x, y, z = in_full(x), in_full(y), in_full(z)
+    for p in range(first + np.uintp(1), np.uintp(ghosts.start[k + 1])):
+        more_x, more_y, more_z = loaded(forces, np.uintp(ghosts.of[p]) * block, lanes)
+        x, y, z = x + in_full(more_x), y + in_full(more_y), z + in_full(more_z)
+    return x, y, z
 
 
 @by_type

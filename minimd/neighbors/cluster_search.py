@@ -17,15 +17,22 @@ from collections import namedtuple
 import numpy as np
 
 from minimd.compiled.kernels import inlined, scalar, shared_kernel
-from minimd.compiled.simd import bits_from_mask, broadcast, fma, load
+from minimd.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, trailing_zeros
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, take
-from minimd.neighbors.clusters import DIMENSIONS
+from minimd.neighbors.clusters import DIMENSIONS, loaded
 from minimd.neighbors.domains import BOXES, HOME, IMAGES, SIDES
 from minimd.structure.cell import minimum_image
 
 LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
 GHOST_BITS = (1 << LANES_FROM) - 1
+LAYERS = 2  # of each row; with more, a build costs as much more as steps cost less
+AHEAD = 2 * BOXES  # see Rows
+WORD = 64  # candidates, one for each bit of a number
+AT_A_TIME = 4  # entries written without a branch
+SETS = np.arange(1 << BOXES)[:, None] >> np.arange(BOXES) & 1 == 1  # of boxes, row k those whose bits are set in k
+HOW_MANY = SETS.sum(axis=1)
+SET_BITS = np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()  # their numbers, in ascending order, and then the others
 ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the rounding of float32
 
 
@@ -33,25 +40,36 @@ class Rows(namedtuple("Rows", "start stop entries")):
     """Clusters within reach of each atom: those of the atom in slot s are entries[start[s] : stop[s]].
 
     start, stop : (slots,) int.  entries : (E,) uint32, the number of a ghost, and above its 24 bits one for each lane that counts.
-    One more entry follows the last one: the loop reads one entry ahead."""
+    After the last one there is memory for AHEAD more, because some read ahead. The loop reads one of them, which must name a ghost.
+    """
+
+
+class Layers(namedtuple("Layers", "start stops entries reaches2")):
+    """Rows in layers: entries[start[s] : stops[l, s]] are the clusters that have an atom within reach l of the atom in slot s.
+
+    stops : (LAYERS, slots) int.  reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].  The rest as Rows.
+    """
 
 
 class Work(namedtuple("Work", "ahead candidates entries near")):
     """Memory for the search of one cluster.
 
     ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, and the entries they become.
-    near : (M,) uint8, bit k is set if the candidate is near the atom in lane k.
+    near : flat int64, for each WORD candidates, each layer and each lane of the cluster a number: bit b is set if candidate b stands in that
+        layer of the row of the atom in that lane.
     """
 
 
 @inlined
-def make_work(domains, columns):
+def make_work(layout):
     """Enough for any cluster of any domain."""
+    domains, columns, n_lanes = layout.domains, layout.columns, count(layout.clusters.lanes)
     n_runs = (columns.reach[0] + 1) * (2 * columns.reach[1] + 1)
     n = 0
     for k in range(domains.run.size - 1):
         n = max(n, domains.ghost[domains.run[k + 1]] - domains.ghost[domains.run[k]])
-    return Work(np.empty((n_runs, 2), dtype=np.int64), np.empty(n + BOXES, dtype=np.int64), np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint8))
+    ahead, candidates = np.empty((n_runs, 2), dtype=np.int64), np.empty(n + BOXES, dtype=np.int32)
+    return Work(ahead, candidates, np.empty(n + WORD + 1, dtype=np.uint32), np.empty((n // WORD + 1) * LAYERS * n_lanes, dtype=np.int64))
 
 
 @scalar
@@ -99,10 +117,10 @@ def _candidates(k, n_ahead, layout, work):
             x = _gap(boxes, j, stride, own[0], own[3])
             y = _gap(boxes, j + stride, stride, own[1], own[4])
             z = _gap(boxes, j + 2 * stride, stride, own[2], own[5])
-            near = bits_from_mask(fma(x, x, fma(y, y, z * z)) < limit2)
-            for lane in range(min(BOXES, last - j)):
-                candidates[n] = j + lane
-                n += near >> lane & 1
+            near = bits_from_mask(fma(x, x, fma(y, y, z * z)) < limit2) & (1 << min(BOXES, last - j)) - 1
+            numbers = load(SET_BITS, near * BOXES, BOXES)
+            store(candidates, n, numbers + j)
+            n += HOW_MANY[near]
             j += BOXES
     return n
 
@@ -124,34 +142,61 @@ def _gap(boxes, j, stride, low, high):
 
 @scalar
 def _prune(k, n, layout, rows, n_entries, last, work):
-    """Write the rows of the atoms of cluster k: those of the n candidates that are within reach, then k itself. Returns the end of the entries."""
-    lanes, n_lanes = layout.clusters.lanes, count(layout.clusters.lanes)
-    if n_entries + n_lanes * (n + 1) >= last:  # no room: an upper bound tells how much is missing
-        return n_entries + n_lanes * (n + 1) + 1
-    ghosts, coordinates, reach, filled = layout.ghosts, layout.coordinates, layout.columns.distance, layout.clusters.filled[k]
-    home, own = ghosts.home[k], ghosts.home[k] * DIMENSIONS * n_lanes
-    x, y, z = load(coordinates, own, lanes), load(coordinates, own + n_lanes, lanes), load(coordinates, own + 2 * n_lanes, lanes)
-    for c in range(n):
-        ghost = work.candidates[c]
-        nearest = broadcast(np.inf, x)
-        for lane in range(n_lanes):  # all atoms of k at a time against one of the candidate's
-            other = ghost * DIMENSIONS * n_lanes + lane
-            dx, dy, dz = x - coordinates[other], y - coordinates[other + n_lanes], z - coordinates[other + 2 * n_lanes]
-            nearest = min(nearest, fma(dx, dx, fma(dy, dy, dz * dz)))
-        near = bits_from_mask(nearest < reach * reach)
-        work.near[c], work.entries[c] = near, ghost | ghosts.lanes[ghost] << LANES_FROM
-        ghosts.is_used[ghost] |= near != 0
-    end = np.uintp(n_entries)  # unsigned: no check for indices that count from the end
+    """Write the rows of the atoms of cluster k: k itself, then those of the n candidates that are within reach. Returns the end of the entries."""
+    n_lanes, filled = count(layout.clusters.lanes), layout.clusters.filled[k]
+    most = n_lanes * (n + 1) + AT_A_TIME
+    if n_entries + most >= last:  # no room: an upper bound tells how much is missing
+        return n_entries + most + 1
+    _find_near(k, n, layout, rows.reaches2, work)
+    home, end = layout.ghosts.home[k], np.uintp(n_entries)  # unsigned: no check for indices that count from the end
     for lane in range(n_lanes):
         rows.start[k * n_lanes + lane] = end
-        if lane < filled:
-            for c in range(n):
-                rows.entries[end] = work.entries[c]  # overwritten by the next unless near
-                end += np.uintp(work.near[c] >> lane & 1)
-            rows.entries[end] = home | (ghosts.lanes[home] >> (lane + 1) << (lane + 1)) << LANES_FROM
-            end += np.uintp(lane < filled - 1)
-        rows.stop[k * n_lanes + lane] = end
+        rows.entries[end] = home | (layout.ghosts.lanes[home] >> (lane + 1) << (lane + 1)) << LANES_FROM
+        end += np.uintp(lane < filled - 1)
+        for layer in range(LAYERS):
+            for first in range(0, n if lane < filled else 0, WORD):
+                end = _append(work, first, work.near[(first // WORD * LAYERS + layer) * n_lanes + lane], rows.entries, end)
+            rows.stops[layer, k * n_lanes + lane] = end
     return np.int64(end)
+
+
+@scalar
+def _append(work, first, near, entries, end):
+    """Append those of WORD candidates, from the first on, whose bits in near are set. Returns the end of the entries."""
+    bits = np.uint64(near)
+    while True:
+        for _ in range(AT_A_TIME):  # without a branch: what is one too many is overwritten by the next
+            entries[end] = work.entries[np.uintp(first) + trailing_zeros(bits)]
+            end += np.uintp(bits != np.uint64(0))
+            bits &= bits - np.uint64(1)
+        if bits == np.uint64(0):
+            return end
+
+
+@scalar
+def _find_near(k, n, layout, reaches2, work):
+    """Which of the n candidates stand in which layers of the rows of the atoms of cluster k: work.near; their entries: work.entries."""
+    ghosts, coordinates, lanes, n_lanes = layout.ghosts, layout.coordinates, layout.clusters.lanes, count(layout.clusters.lanes)
+    block = np.uintp(DIMENSIONS * n_lanes)
+    x, y, z = loaded(coordinates, np.uintp(ghosts.home[k]) * block, lanes)
+    none = broadcast(0, load(work.near, 0, lanes))
+    for first in range(0, n, WORD):
+        bit, a, b = broadcast(1, none), none, none
+        for p in range(np.uintp(first), np.uintp(min(first + WORD, n))):
+            ghost = np.uintp(work.candidates[p])
+            nearest = broadcast(np.inf, x)
+            for lane in range(np.uintp(n_lanes)):  # all atoms of k at a time against one of the candidate's
+                at_x = ghost * block + lane
+                at_y, at_z = at_x + np.uintp(n_lanes), at_x + np.uintp(2 * n_lanes)
+                dx, dy, dz = x - coordinates[at_x], y - coordinates[at_y], z - coordinates[at_z]
+                nearest = min(nearest, fma(dx, dx, fma(dy, dy, dz * dz)))
+            within = nearest < reaches2[1]
+            a, b = a | select(nearest < reaches2[0], bit, none), b | select(within, bit, none)
+            bit = bit + bit
+            ghosts.is_used[ghost] |= bits_from_mask(within) != 0
+            work.entries[p] = ghost | np.uintp(ghosts.lanes[ghost]) << np.uintp(LANES_FROM)
+        for layer, near in enumerate((a, b - a)):  # each layer holds those before it
+            store(work.near, (first // WORD * LAYERS + layer) * n_lanes, near)
 
 
 @shared_kernel
@@ -186,24 +231,52 @@ def _find_slots(domain, layout, slot_of):
 def _exclude_partners(domain, layout, image, partners, slot_of, rows):
     clusters, domain_start, (start, values) = layout.clusters, layout.domains.cluster, partners
     n_lanes = count(clusters.lanes)
-    for slot in range(domain_start[domain] * n_lanes, domain_start[domain + 1] * n_lanes):
-        i = clusters.atom[slot]
-        if slot == slot_of[i]:  # not padding
-            for p in range(start[i], start[i + 1]):
-                _exclude(slot, slot_of[values[p]], layout, image, rows)
+    for k in range(domain_start[domain], domain_start[domain + 1]):
+        for slot in range(k * n_lanes, k * n_lanes + clusters.filled[k]):
+            i = clusters.atom[slot]
+            for p in range(np.uintp(start[i]), np.uintp(start[i + 1])):  # unsigned: no check for indices that count from the end
+                _exclude(domain, slot, slot_of[np.uintp(values[p])], layout, image, rows)
 
 
 @scalar
-def _exclude(slot, other, layout, image, rows):
+def _exclude(domain, slot, other, layout, image, rows):
     """Clear the lane of the atom in slot other in the row of a slot, if it is there."""
     ghosts, coordinates, n_lanes = layout.ghosts, layout.coordinates, count(layout.clusters.lanes)
-    cluster, lane = other // n_lanes, other % n_lanes
-    own, place = ghosts.home[slot // n_lanes] * DIMENSIONS * n_lanes + slot % n_lanes, ghosts.home[cluster] * DIMENSIONS * n_lanes + lane
-    x, y = coordinates[place] - coordinates[own], coordinates[place + n_lanes] - coordinates[own + n_lanes]
-    z = coordinates[place + 2 * n_lanes] - coordinates[own + 2 * n_lanes]
+    cluster, lane = other // n_lanes, np.uint32(other % n_lanes)
+    own, home = ghosts.home[slot // n_lanes], ghosts.home[cluster]
+    at, place = own * DIMENSIONS * n_lanes + slot % n_lanes, home * DIMENSIONS * n_lanes + lane
+    x, y = coordinates[place] - coordinates[at], coordinates[place + n_lanes] - coordinates[at + n_lanes]
+    z = coordinates[place + 2 * n_lanes] - coordinates[at + 2 * n_lanes]
     a, b, c = minimum_image(x, y, z, *image)
-    key = cluster * IMAGES + HOME + int(9.0 * a + 3.0 * b + c)
-    for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])):  # unsigned: no check for indices that count from the end
-        if ghosts.key[rows.entries[entry] & GHOST_BITS] == key:
-            rows.entries[entry] &= ~np.uint32(1 << (LANES_FROM + lane))
-            return
+    ghost = _ghost_of(domain, cluster, HOME + int(9.0 * a + 3.0 * b + c), layout)
+    if ghost == home and other < slot:  # rows look ahead
+        return
+    entry = _find_entry(rows, slot, ghost)
+    if entry >= 0:
+        rows.entries[np.uintp(entry)] &= ~np.uint32(np.uint32(1) << (np.uint32(LANES_FROM) + lane))
+
+
+@scalar
+def _ghost_of(domain, cluster, image, layout):
+    """The ghost of a cluster in a domain; −1 if there is none."""
+    ghosts, domains = layout.ghosts, layout.domains
+    first, last = domains.ghost[domains.run[domain]], domains.ghost[domains.run[domain + 1]]
+    for p in range(np.uintp(ghosts.start[cluster]), np.uintp(ghosts.start[cluster + 1])):
+        ghost = ghosts.of[p]
+        if first <= ghost < last and ghosts.key[ghost] == cluster * IMAGES + image:
+            return ghost
+    return -1
+
+
+@scalar
+def _find_entry(rows, slot, ghost):
+    """Where a ghost stands in the row of a slot; −1 if it does not. Many entries are compared at a time, for most rows end soon."""
+    start, stop = np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])
+    while start < stop:
+        first, second = load(rows.entries, start, BOXES) & GHOST_BITS, load(rows.entries, start + np.uintp(BOXES), BOXES) & GHOST_BITS
+        bits = bits_from_mask(first == ghost) | bits_from_mask(second == ghost) << BOXES
+        place = start + trailing_zeros(np.uint64(bits))
+        if bits != 0:
+            return np.int64(place) if place < stop else -1
+        start += np.uintp(2 * BOXES)
+    return -1

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import DirectCalls, kernel, scalar, shared_kernel
+from minimd.compiled.simd import bits_from_mask, load, with_lane
 from minimd.compiled.simd.lanes import Lanes, count
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
@@ -147,12 +148,29 @@ def _fill_column(column, positions, columns, binned, clusters):
 @kernel
 def any_moved_from_clusters(positions, clusters, limit2):
     """True if an atom is farther than √limit2 from where it was when the clusters were made, or if its position is NaN."""
-    n_lanes = count(clusters.lanes)
+    lanes = clusters.lanes
     for k in range(clusters.filled.size):
-        for lane in range(clusters.filled[k]):
-            i, at = clusters.atom[k * n_lanes + lane], k * DIMENSIONS * n_lanes + lane
-            dx, dy = positions[i, 0] - clusters.positions[at], positions[i, 1] - clusters.positions[at + n_lanes]
-            dz = positions[i, 2] - clusters.positions[at + 2 * n_lanes]
-            if not dx * dx + dy * dy + dz * dz <= limit2:
-                return True
+        x, y, z = gathered(k, clusters, positions)
+        was_x, was_y, was_z = loaded(clusters.positions, np.uintp(k) * np.uintp(DIMENSIONS * count(lanes)), lanes)
+        dx, dy, dz = x - was_x, y - was_y, z - was_z
+        if bits_from_mask(dx * dx + dy * dy + dz * dz <= limit2) != (1 << count(lanes)) - 1:  # padding moves with the last atom
+            return True
     return False
+
+
+@scalar
+def gathered(k, clusters, of_atoms):
+    """Three numbers of each atom of cluster k, from (N, 3): vectors of the first, of the second and of the third."""
+    n_lanes, x = count(clusters.lanes), load(clusters.positions, 0, clusters.lanes)
+    y, z = x, x
+    for k_lane in range(n_lanes):
+        i = np.uintp(clusters.atom[k * n_lanes + k_lane])
+        x, y, z = with_lane(x, k_lane, of_atoms[i, 0]), with_lane(y, k_lane, of_atoms[i, 1]), with_lane(z, k_lane, of_atoms[i, 2])
+    return x, y, z
+
+
+@scalar
+def loaded(blocks, start, lanes):
+    """The vectors x, y, z of the block of a cluster, from index start on."""
+    n_lanes = np.uintp(count(lanes))
+    return load(blocks, start, lanes), load(blocks, start + n_lanes, lanes), load(blocks, start + n_lanes + n_lanes, lanes)

@@ -18,20 +18,23 @@ BUILD_COST = (40.0, 5.0)  # ns per atom, likewise
 CALLS_COST = 60_000.0  # ns of each build, however small the scene is
 
 
-def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int) -> float:
+def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int, layers: int = 1) -> float:
     """The skin that makes a step cheapest [length].
 
-        cost(s) = step(c) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / d steps between two builds
+        cost(s) = step(c̄) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / d steps between two builds
 
-    cutoff : r_c [length].  density : ρ [1/length³].  displacement : d, of the fastest atom in a step [length].
+    c̄ is the mean of ρ (r_c + s l/L)³ over L layers of a list, l = 1 … L, of which one after the other is taken into use: c if there is one.
+
+    cutoff : r_c [length].  density : ρ [1/length³].  displacement : d, of the fastest atom in a step [length].  layers : L.
     The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat.
     """
     if not displacement > 0.0:
         return DEFAULT_SKIN * cutoff
     skins = SKINS * cutoff
     crowd = density * (cutoff + skins) ** 3
+    in_use = density * np.mean([(cutoff + skins * (layer / layers)) ** 3 for layer in range(1, layers + 1)], axis=0)
     builds = np.minimum(1.0, 2.0 * displacement / skins)  # in each step
-    cost = STEP_COST[0] + STEP_COST[1] * crowd + (BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms) * builds
+    cost = STEP_COST[0] + STEP_COST[1] * in_use + (BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms) * builds
     return float(skins[np.argmin(cost)])
 
 

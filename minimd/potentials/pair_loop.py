@@ -87,11 +87,11 @@ def add_pair_forces(positions, pairs, law, parameters, detail, sums):
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
         fx = fy = fz = no_force(sums)
         energy = xx = yy = zz = yz = xz = xy = size2 = 0.0
-        for p in range(pairs.start[i], pairs.start[i + 1]):
-            j = pairs.second[p]
+        for p in range(np.uintp(pairs.start[i]), np.uintp(pairs.start[i + 1])):  # unsigned: no check for indices that count from the end
+            j = np.uintp(pairs.second[p])
             dx, dy, dz = positions[j, 0] - x, positions[j, 1] - y, positions[j, 2] - z
             if shifted:
-                t = pairs.image[p]
+                t = np.uintp(pairs.image[p])
                 dx, dy, dz = dx + pairs.translations[t, 0], dy + pairs.translations[t, 1], dz + pairs.translations[t, 2]
             r2 = fma(dx, dx, fma(dy, dy, dz * dz))
             numbers = parameters_of_pair(parameters, p, i, j)

@@ -102,9 +102,11 @@ class Cell(Displayed):
 def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
     """Integers (a, b, c) for which d + (a, b, c) · lattice is shortest.
 
-    Rounding the fractional coordinates is right for vectors shorter than half the smallest height; longer ones are
-    compared with their 26 neighbors, which suffices in a reduced lattice.
+    A vector shorter than half the smallest height is so itself. Otherwise rounding the fractional coordinates is right if the
+    result is so short; longer ones are compared with their 26 neighbors, which suffices in a reduced lattice.
     """
+    if dx * dx + dy * dy + dz * dz <= safe_distance2:
+        return 0.0, 0.0, 0.0
     a = -np.rint(dx * inverse[0, 0] + dy * inverse[1, 0] + dz * inverse[2, 0]) if pbc[0] else 0.0
     b = -np.rint(dx * inverse[0, 1] + dy * inverse[1, 1] + dz * inverse[2, 1]) if pbc[1] else 0.0
     c = -np.rint(dx * inverse[0, 2] + dy * inverse[1, 2] + dz * inverse[2, 2]) if pbc[2] else 0.0
@@ -137,8 +139,8 @@ def minimum_image_translations(positions, first, second, lattice, inverse, pbc, 
     positions : (N, 3) [length].  first, second : (P,) int.
     translations : (P, 3) [length], lattice vectors, such as zeros or those of a moment ago; kept where they are still certainly right.
     """
-    for p in range(first.size):
-        i, j = first[p], second[p]
+    for p in range(np.uintp(first.size)):  # unsigned: no check for indices that count from the end
+        i, j = np.uintp(first[p]), np.uintp(second[p])
         dx = positions[j, 0] - positions[i, 0]
         dy = positions[j, 1] - positions[i, 1]
         dz = positions[j, 2] - positions[i, 2]

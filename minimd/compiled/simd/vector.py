@@ -60,6 +60,12 @@ def bits_from_mask(_context, mask):
 
 
 @intrinsic
+def trailing_zeros(_context, bits):
+    """The number of the lowest bit of an uint64 that is set; 64 if none is."""
+    return types.uint64(types.uint64), lambda context, builder, signature, arguments: builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 0))
+
+
+@intrinsic
 def convert(_context, vector, like):
     """A vector of float64, float32 or int32 with the element type of like, a vector or a number of float64 or float32."""
     element = like.element if isinstance(like, Vector) else like

@@ -54,7 +54,7 @@ class ClusterTerm(OwnTerm):
         self._own: tuple[NDArray, ...] = ()
 
     def add_to(self, system: System, detail: int, sums: Any) -> None:
-        """See OwnTerm."""
+        """See Term."""
         self._update(system)
         own = self._force_sums if detail == FORCES else self._sums(detail)
         steps = self._steps(sums.steps) if isinstance(sums, GridSums) else ()

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba.core.errors import NumbaError
@@ -167,25 +167,29 @@ class Forces:
         if detail != FORCES:
             self._clear_accumulators(detail)
         with KNOWN if detail in self._compiled else self._compiling(detail):
-            if self.grid is None:
-                self.forces[:] = 0.0
-                for term in self.terms:
-                    term.add(self.system, detail, self.forces, self._energies, self._virials)
-            else:
-                self._add_on_grid(self.grid, detail, self.unit if unit is None else unit)
+            unit = self.unit if unit is None else unit
+            sums = self._sums(unit)
+            sums[0][:] = 0
+            for term in self.terms:
+                term.add_to(self.system, detail, sums)
+            self._take(sums, unit)
         self.n_evaluations += 1
         self._detail = detail
         return self.forces
 
-    def _add_on_grid(self, grid: Grid, detail: int, unit: float) -> None:
-        """Impulses over a unit of time, and the forces that they are of."""
-        sums = GridSums(self.impulses, self._energies, self._virials, steps_of(grid, (unit,)), np.zeros(1, dtype=np.int64))
-        self.impulses[:] = 0
-        for term in self.terms:
-            term.add_on_grid(self.system, detail, sums)
+    def _sums(self, unit: float) -> tuple[Any, ...]:
+        """What terms add to: forces, energies and virials; or, on a grid, impulses over a unit of time."""
+        if self.grid is None:
+            return self.forces, self._energies, self._virials
+        return GridSums(self.impulses, self._energies, self._virials, steps_of(self.grid, (unit,)), np.zeros(1, dtype=np.int64))
+
+    def _take(self, sums: tuple[Any, ...], unit: float) -> None:
+        """The forces of impulses over a unit of time.  Raises RangeError if one is out of range."""
+        if self.grid is None or not isinstance(sums, GridSums):
+            return
         if sums.faults[0]:
             raise RangeError(TOO_LARGE)
-        np.multiply(self.impulses, grid.momentum / unit, out=self.forces)
+        np.multiply(self.impulses, self.grid.momentum / unit, out=self.forces)
 
     def prepare(self) -> None:
         """Compile all that steps need, before the first of them.  Raises as compute."""

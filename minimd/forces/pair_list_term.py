@@ -37,7 +37,7 @@ class PairListTerm(OwnTerm):
         self._positions, self._sums = np.empty((n, 3)), (np.empty((n, 3)), np.empty(n), np.empty((n, 6)))  # forces of floats or of whole numbers
 
     def add_to(self, system: System, detail: int, sums: Any) -> None:
-        """See OwnTerm."""
+        """See Term."""
         self.list.update(system.positions, system.cell)
         if self._parameters_of != self.list.n_builds:
             species = system.species_index[self.list.order]

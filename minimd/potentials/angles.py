@@ -124,7 +124,7 @@ class AngleTerm(OwnTerm):
         self._angles = Angles(first, middle, last, translations[0], translations[1], k, angle)
 
     def add_to(self, system: System, detail: int, sums: Any) -> None:
-        """See OwnTerm."""
+        """See Term."""
         cell, angles = system.cell, self._angles
         if cell.is_periodic:
             lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)

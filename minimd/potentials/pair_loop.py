@@ -142,7 +142,7 @@ class FixedPairs(OwnTerm):
         self._parameters = ByPair(from_table(table[order]))
 
     def add_to(self, system: System, detail: int, sums: Any) -> None:
-        """See OwnTerm."""
+        """See Term."""
         cell = system.cell
         if cell.is_periodic:
             lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)

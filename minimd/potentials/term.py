@@ -6,7 +6,6 @@ from typing import Any, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 
-from minimd.compiled.fixed_point import GridSums
 from minimd.neighbors.verlet_list import VerletList
 from minimd.structure.checks import shown
 from minimd.structure.display import Displayed, Rows, as_text, call_of
@@ -64,7 +63,7 @@ class Term:
     acts_from_outside : whether its forces need not add up to zero, as those of fields and walls: the total momentum is then no constant.
     needs_one_accumulator : whether add with TOTALS adds to the first elements of energies and virials only.
     marches : whether march does anything.
-    fits_grid : whether it has add_on_grid, for precision="fixed-point".
+    fits_grid : whether its add_to takes GridSums, for precision="fixed-point".
     """
 
     pair_law: PairLaw | None = None
@@ -87,9 +86,9 @@ class Term:
         """
         raise NotImplementedError(f"{type(self).__name__} has no add")
 
-    def add_on_grid(self, system: System, detail: int, sums: GridSums) -> None:
-        """add in fixed-point arithmetic."""
-        raise NotImplementedError(f"{type(self).__name__} has no add_on_grid")
+    def add_to(self, system: System, detail: int, sums: Any) -> None:
+        """Add to the accumulators of Forces: forces, energies and virials; or GridSums, if fits_grid."""
+        self.add(system, detail, *sums)
 
     def prepare(self, system: System, forces: NDArray, steps: Any = ()) -> None:
         """After add: compile what steps need and looks do not, kernels of add with FORCES and of march. Nothing is added, no list built."""
@@ -108,7 +107,7 @@ class Term:
 
 
 class OwnTerm(Term):
-    """Base of minimd's own terms: add_to does what add and add_on_grid do, for their accumulators."""
+    """Base of minimd's own terms: they write add_to."""
 
     fits_grid = True
 
@@ -120,10 +119,6 @@ class OwnTerm(Term):
         """See Term."""
         self.add_to(system, detail, (forces, energies, virials))
 
-    def add_on_grid(self, system: System, detail: int, sums: GridSums) -> None:
-        """See Term."""
-        self.add_to(system, detail, sums)
-
 
 class NoTerm(OwnTerm):
     """The term of a potential in a system where it has nothing to act on."""
@@ -132,7 +127,7 @@ class NoTerm(OwnTerm):
         self.warning = warning
 
     def add_to(self, system: System, detail: int, sums: Any) -> None:
-        """See OwnTerm."""
+        """See Term."""
 
 
 class Potential(Protocol):

@@ -7,6 +7,7 @@ Each half is solved exactly, so every composition is symplectic and conserves to
 equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
 """
 
+import functools
 from collections.abc import Callable
 from typing import ClassVar
 
@@ -30,6 +31,13 @@ def stages(method: "type[Splitting]") -> int:
     """Force evaluations per step of a long run: groups of kicks with no drift between them, the last and the first kick being one group."""
     kicks = [isinstance(substep, Kick) for substep in merged(mechanical(method.substeps))]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
+
+
+@functools.cache
+def ends(method: "type[Splitting]") -> Substeps:
+    """The substeps with which a step begins and ends."""
+    sequence = method.sequence()
+    return sequence[0], sequence[-1]
 
 
 class Splitting(Method):
@@ -65,7 +73,6 @@ class Splitting(Method):
     order = ClassProperty(lambda method: nystrom_order(method.sequence()))
     is_symmetric = ClassProperty(lambda method: is_palindrome(method.sequence()))
     stages = ClassProperty(stages)
-    _ends = ClassProperty(lambda method: method.sequence())
 
     @classmethod
     def sequence(cls) -> Substeps:
@@ -158,7 +165,7 @@ class Splitting(Method):
         It is that of the substep with which a step begins or ends, if these are made of several of them: two merged half kicks then have the bits
         of two half kicks.
         """
-        for end in (cls._ends[0], cls._ends[-1]):
+        for end in ends(cls):
             if type(end) is type(substep) and substep.coefficient % end.coefficient == 0.0:
                 return end.coefficient
         return substep.coefficient

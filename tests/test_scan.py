@@ -107,6 +107,19 @@ def test_the_preparation_of_the_scene_is_made_once(folder, capsys):
         assert Path("whole", name).read_bytes() == Path("parts", name).read_bytes()
 
 
+def test_the_status_tells_of_members_that_were_stopped_and_that_run(folder, capsys):
+    """As if more steps had been asked for than were made."""
+    assert cli.main(["scan", "melt.toml", "--replicas", "2", "--workers", "0", "--quiet"]) == 0
+    description = Path("scan/ensemble.json")
+    description.write_text(description.read_text().replace('"steps": 40', '"steps": 100'))
+    simulation = parse_scene(SCENE, Path("a.toml")).simulation()
+    look = {"observers": [lambda _: cli.main(["scan", "--status", "scan"])], "overwrite": True, "progress": False}
+    simulation.run(1, every=5, trajectory="scan/0000-0999/0001.h5md", **look)
+    told = capsys.readouterr().out
+    assert "member 0: stopped after 40 of 100 steps" in told
+    assert "2 members in scan: 2 begun" in told
+
+
 def test_members_that_fail_are_told_and_the_code_is_one(folder, capsys):
     command = ["scan", "melt.toml", "--set", "dynamics.timestep=0.004,0.5", "--workers", "0"]
     assert cli.main(command) == 1

@@ -1,11 +1,11 @@
 """What is done in the folder of an ensemble, seen from outside; an ensemble may be running there."""
 
-from contextlib import suppress
 from pathlib import Path
 
 from minimd.ensemble.folder import DESCRIPTION, EnsembleFolder
 from minimd.ensemble.table import EnsembleTable, table_of
 from minimd.ensemble.work import BEGUN
+from minimd.structure.errors import sentence
 
 MOST_TOLD = 10  # members in the middle of their runs
 
@@ -20,14 +20,16 @@ def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
     lines = str(table).splitlines()
     begun = [index for index, word in enumerate(table["status"]) if word == BEGUN]
     for index in begun[:MOST_TOLD]:
-        lines.append(f"{'begun':<14} member {index}: step {_step(table['file'][index])} of {steps}")
+        lines.append(f"{'begun':<14} member {index}: {_progress(table['file'][index], steps)}")
     return table, lines + ([f"{'':<14} and {len(begun) - MOST_TOLD} more"] if len(begun) > MOST_TOLD else [])
 
 
-def _step(file: str) -> str:
-    """The step of the restart in a file."""
+def _progress(file: str, steps: int) -> str:
+    """How far a member is, in words. A file that is being written cannot be read."""
     from minimd.files.h5md_reader import read_file
 
-    with suppress(OSError, ValueError):
-        return str(read_file(file).step)
-    return "?"
+    try:
+        contents = read_file(file)
+        return f"stopped after {contents.step - int(contents.record.step[0])} of {steps} steps"
+    except (OSError, ValueError) as error:
+        return "running" if "another run is writing it" in str(error) else sentence(error)

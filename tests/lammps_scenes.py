@@ -3,7 +3,8 @@
 from math import exp, sqrt
 
 import numpy as np
-from references import liquid
+from references import fourmol, liquid, load
+from test_reference_lammps import SCALE, coefficients, harmonic_angles, harmonic_bonds
 
 import minimd as md
 
@@ -192,8 +193,39 @@ def far_away():
     return in_cell(fluid(positions=start.positions + images @ start.cell.vectors))
 
 
+def sheet():
+    """Four atoms in a plane, two directions periodic."""
+    positions = [[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [0.3, 1.0, 0.0], [2.0, 2.0, 0.0]]
+    return in_cell(md.System(positions, cell=[[10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 0.0]]))
+
+
+def in_mixed_precision():
+    return md.Simulation(fluid(), LJ, md.VelocityVerlet(TIMESTEP), precision="mixed")
+
+
 def only_bonds():
     return md.Simulation(chain_system(), [md.HarmonicBond(100.0, 1.1)], md.VelocityVerlet(TIMESTEP))
+
+
+def springs_at_rest():
+    """All forces are rounding."""
+    system = md.System([[0.1, 0.2, 0.3], [0.7, 0.8, 1.0], [2.0, 2.0, 2.0], [3.0, 3.0, 3.5]], cell=SKEWED * 9.0, bonds=[[0, 1], [2, 3]])
+    lengths = [np.sqrt(0.36 + 0.36 + 0.49), 1.5]
+    return md.Simulation(system, md.HarmonicBond(300.0, lengths), md.VelocityVerlet(TIMESTEP))
+
+
+def fourmol_scene():
+    """LAMMPS' own molecule: everything bonded, a cutoff of more than half the cell."""
+    system, table = fourmol()
+    reference = load("lammps_fourmol/mol-pair-lj_cut.json")
+    own, unlike = coefficients(reference["pair_coeff"])
+    bonds, angles = (load(f"lammps_fourmol/{name}-harmonic.json") for name in ("bond", "angle"))
+    potentials = [
+        md.LennardJones(own, cutoff=8.0, truncation="truncated", pairs=unlike, mixing="geometric", bonded_scale=SCALE),
+        harmonic_bonds(table, bonds["bond_coeff"]),
+        harmonic_angles(table, angles["angle_coeff"]),
+    ]
+    return md.Simulation(system, potentials, md.VelocityVerlet(0.002))
 
 
 SCENES = {
@@ -224,6 +256,9 @@ SCENES = {
     "without cutoff": without_cutoff,
     "fixed atoms": with_fixed_atoms,
     "argon": argon,
+    "sheet": sheet,
     "far away": far_away,
     "only bonds": only_bonds,
+    "springs at rest": springs_at_rest,
+    "fourmol": fourmol_scene,
 }

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lammps_scenes import LJ, SCENES, TIMESTEP, buckingham, fluid
+from lammps_scenes import LJ, SCENES, TIMESTEP, buckingham, fluid, in_mixed_precision
 from references import melt_scene
 
 import minimd as md
@@ -67,6 +67,12 @@ def test_a_run_that_was_brought_back_passes_the_check_and_goes_on(tmp_path):
     resumed.run(20, every=10, trajectory=done.trajectory, append=True, progress=False)
     theirs.run(20, progress=False)
     assert np.array_equal(resumed.positions, theirs.positions)
+
+
+def test_frames_of_mixed_precision_may_differ_by_its_rounding(tmp_path):
+    done = handed_over(in_mixed_precision(), tmp_path / "run")
+    assert done.verification.worst < AT_STEP_0
+    assert 1e-10 < done.energy_difference < 1e-6
 
 
 def test_a_run_whose_end_is_no_frame_stands_at_its_end(tmp_path):

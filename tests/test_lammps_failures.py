@@ -194,6 +194,14 @@ def test_a_start_that_was_projected_is_put_back(tmp_path, monkeypatch):
         go()
 
 
+def test_two_atoms_on_one_spot(tmp_path):
+    simulation = with_potential(LJ)
+    simulation.positions[1] = simulation.positions[0]
+    with pytest.raises((md.NonFiniteError, md.lammps.HandOverError), match=r"finite|Non-numeric|NaN"):
+        md.lammps.hand_over(simulation, tmp_path / "run", 20, tell=None)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_was_there_stays_if_its_replacement_fails(tmp_path, monkeypatch):
     md.lammps.hand_over(in_cell(fluid()), tmp_path / "run", 20, progress=False, tell=None)
     before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from minimd.structure.system import System
 
 Array = NDArray[np.float64]
-MARGIN = 0.01  # of the extent of the atoms: room around them in open directions; LAMMPS moves those walls with the atoms
 
 
 class Box:
@@ -32,10 +31,12 @@ class Box:
         self._shifts = images @ cell.lattice
         self.positions = self.turned(system.positions - self._shifts)
         self.low, self.high = np.zeros(3), np.diag(self.edges).copy()
+
+    def make_room(self, length: float) -> None:
+        """Set the walls in open directions, so far from the atoms [length]: LAMMPS wants no box thinner than cutoffs, and moves them."""
         for k in np.flatnonzero(self.open):
             column = self.positions[:, k]
-            room = MARGIN * max(1.0, float(np.ptp(column)))
-            self.low[k], self.high[k] = column.min() - room, column.max() + room
+            self.low[k], self.high[k] = column.min() - length, column.max() + length
 
     @property
     def is_tilted(self) -> bool:
@@ -67,8 +68,8 @@ class Box:
         return np.array_equal(self.turn, np.eye(3))
 
     def boundary(self) -> str:
-        """The arguments of LAMMPS' command boundary: p, or s, whose walls follow the atoms."""
-        return " ".join("s" if is_open else "p" for is_open in self.open)
+        """The arguments of LAMMPS' command boundary: p, or m, whose walls give way to the atoms."""
+        return " ".join("m" if is_open else "p" for is_open in self.open)
 
     def lines(self) -> list[str]:
         """The lines of a data file about the box."""

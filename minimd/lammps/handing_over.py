@@ -31,7 +31,7 @@ from minimd.structure.errors import HandOverError, sentence
 
 TRAJECTORY = "run.h5md"
 BYTES_PER_ATOM, BYTES_PER_FRAME = 260, 130  # of the input and of step 0; of a frame in LAMMPS' file and in ours
-DISAGREEMENT = 1e-8  # of Σ|e_i|, of LAMMPS' energy and ours in a frame: beyond what the rounding of positions explains
+DISAGREEMENT = {"double": 1e-8, "mixed": 1e-5}  # of Σ|e_i|, of LAMMPS' energy and ours in a frame: more than rounding, by our precision
 
 MOST_STEPS = 2**31  # of one run of LAMMPS
 
@@ -274,16 +274,16 @@ class Job:
 
     def _judge(self, failure: HandOverError | None, brought: Brought, log: Log) -> None:
         """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong; KeyboardInterrupt if the run was to be stopped."""
-        words, different = "", brought.energy_difference
+        words, different, allowed = "", brought.energy_difference, DISAGREEMENT[self.engine.interactions.options.precision]
         if failure is not None:
             words = str(failure)
         elif self.stop_requested:
             words = "the run of LAMMPS was stopped"
         elif brought.missing:
             words = f"LAMMPS has made all steps, but {brought.missing} frames are not on the disk; is it full?"
-        elif not different <= DISAGREEMENT:
+        elif not different <= allowed:
             why = f"its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time step"
-            words = f"LAMMPS' potential energy and minimd's differ by {different:.1e} of Σ|e_i| in a frame, allowed is {DISAGREEMENT:g}; {why}"
+            words = f"LAMMPS' potential energy and minimd's differ by {different:.1e} of Σ|e_i| in a frame, allowed is {allowed:g}; {why}"
         if words and self.keeps_frames:
             words += f"; {len(brought.record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
         if words:

@@ -73,6 +73,7 @@ class Model:
         self.cutoff = max((style.cutoff for style in self.pair_styles), default=bonded)
         self.skin = SKIN * (self.smallest_cutoff if self.smallest_cutoff < np.inf else bonded)
         self.reach = max(self.cutoff + self.skin, REACH * bonded + self.skin)
+        self.box.make_room(self.reach)
 
     def _take(self, potential: Any, engine: Engine) -> None:
         system = engine.system

@@ -9,7 +9,7 @@ equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integra
 
 import functools
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -34,8 +34,8 @@ def stages(method: "type[Splitting]") -> int:
 
 
 @functools.cache
-def ends(method: "type[Splitting]") -> Substeps:
-    """The substeps with which a step begins and ends."""
+def ends(method: Any) -> Substeps:
+    """The substeps with which a step of a splitting, a class, begins and ends."""
     sequence = method.sequence()
     return sequence[0], sequence[-1]
 

@@ -104,6 +104,7 @@ def replay(
     simulation = Simulation(past.system, acting, past.method, precision=past.precision, skin=past.skin)
     simulation.restore(past.start)
     simulation.engine.noise_shift = past.noise_shift
+    simulation.guard.judge_by(*past.judgment)
     rows: list[ReplayedStep] = []
     failed_at, ending = _run(simulation, past.findings, frames, rows)
     rows = rows or [ReplayedStep.of(simulation)]

@@ -238,6 +238,7 @@ class Simulation(Displayed):
         """Make steps without observations.  Raises ValueError for a negative count, and as run."""
         n_steps = checked_count("n_steps", n_steps, 0)
         if not self.engine.is_as_left:
+            self.guard.forget()
             self.engine.begin()
         self.guard.make_steps(n_steps)
 

@@ -16,6 +16,7 @@ from minimd.structure.checks import LARGEST
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.observables import Array, longest, temperature
 from minimd.structure.system import System
+from minimd.structure.units import LJ, SYSTEMS
 
 OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
 THROWN = 0.1  # of the distance by which a force moves a pair in one step: the same, of laws without a length of their own
@@ -76,13 +77,16 @@ class CrashReport:
     units: str
 
     def __str__(self) -> str:
-        pair, largest = self.pair, f"largest force {self.largest_force:.3g} on atom {self.pushed}"
+        pair, units = self.pair, SYSTEMS.get(self.units, LJ)
+        force, length = f"{units.energy}/{units.length}", units.length
         lines = [f"fault          {self.fault}, at step {self.step}", f"cause          {self.cause}", f"what to do     {self.advice}"]
         if pair is not None:
             what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms} ({pair.law})"
-            lines.append(f"pair           {what}, {pair.apart}, −u′ {pair.force:.3g}{pair.stiffness(self.timestep)}")
-        lines.append(f"last good      step {self.last_good_step}; closest {self.closest}")
-        return "\n".join([*lines, f"               {largest}; atom {self.fastest} moves {self.displacement:.3g} in a step"])
+            lines.append(f"pair           {what}, {pair.apart(length)}, −u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}")
+        closest = self.closest.told(length) if self.closest else "none"
+        largest = f"largest force {self.largest_force:.3g} {force} on atom {self.pushed}"
+        lines.append(f"last good      step {self.last_good_step}; closest {closest}")
+        return "\n".join([*lines, f"               {largest}; atom {self.fastest} moves {self.displacement:.3g} {length} in a step"])
 
 
 def examine(engine: Engine, failure: Failure) -> CrashReport:
@@ -146,7 +150,7 @@ def law_without_number(evidence: Evidence) -> Verdict | None:
     """A law of the user's, or a table, that is not finite at some distance."""
     for one in evidence.found:
         if not one.is_finite and not _is_overlap(one) and (one.is_users or one.is_bond):
-            cause = f"the law of {one.law} gives no finite number for {one.atoms}, {one.apart}"
+            cause = f"the law of {one.law} gives no finite number for {one.atoms}, {one.apart(evidence.system.units.length)}"
             return Verdict("law", one, cause, "mend the law at that distance, or keep the atoms from coming there")
     return None
 
@@ -163,7 +167,7 @@ def overlap_at_start(evidence: Evidence) -> Verdict | None:
     if not over:
         return None
     worst = min(over, key=lambda one: one.distance)
-    cause = f"{worst.atoms} overlap at {f'step {step}' if step else 'the start'}, {worst.apart}"
+    cause = f"{worst.atoms} overlap at {f'step {step}' if step else 'the start'}, {worst.apart(evidence.system.units.length)}"
     return Verdict("overlap", worst, cause, "minimize moves atoms apart; or lower the energy of the start in another way")
 
 
@@ -218,7 +222,7 @@ def long_step(evidence: Evidence) -> Verdict:
             return verdict
         cause = "atoms fly apart though no pair of a known law pushes them: the forces come from elsewhere"
         return Verdict("law", None, cause, "look at the forces in the last good state")
-    what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}, {pair.apart}{pair.stiffness(evidence.timestep)}"
+    what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}, {pair.apart(evidence.system.units.length)}{pair.stiffness(evidence.timestep)}"
     return Verdict("pair", pair, f"timestep {evidence.shown_timestep} too large for the {what}", "halve it until the energy is conserved")
 
 

@@ -259,7 +259,7 @@ class RunGuard:
             report = examine(engine, failure)
             why = f"Likely cause: {report.cause}; {report.advice}"
         pair = closest_pair(engine.system)
-        near = f"; the closest pair before it is {pair}" if pair else ""
+        near = f"; the closest pair before it is {pair.told(engine.system.units.length)}" if pair else ""
         error = kind(f"{why}\nAt step {step}: {fault}{near}. The system holds the last good state, that of step {engine.step}")
         error.crash_report = report
         return error

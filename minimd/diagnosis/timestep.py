@@ -70,7 +70,7 @@ class StepAdvice(Displayed):
         if self.bond is not None:
             motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
         lines = [
-            f"stiffest mode  ω = {self.frequency:.4g} / {self.units.time}, period {self.units.shown(self.period)}",
+            f"stiffest mode  ω = {self.frequency / self.units.to_picosecond:.4g} / {self.units.shown_time}, period {self.units.shown(self.period)}",
             f"               {motion}",
             f"limit          {self.units.shown(self.limit)} for {self.method}: longer steps blow up, and at a temperature shorter ones may",
             f"recommended    {self.units.shown(self.recommended)}: {self.period / self.recommended:.3g} steps a period",

@@ -20,6 +20,7 @@ from minimd.integrators.splitting.verlet import VelocityVerlet as Method
 from minimd.structure.ase_atoms import same_scene
 from minimd.structure.console import outside_minimd, stop_on_signals
 from minimd.structure.system import System
+from minimd.structure.units import ASE
 
 
 class MinimdSteps(MolecularDynamics):
@@ -45,6 +46,9 @@ class MinimdSteps(MolecularDynamics):
     _is_new_run = True  # no step of the present run was made yet
     _steps_made = 0  # by whatever call: noise has their numbers
     _is_told = False
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self.atoms)} atoms, timestep {ASE.shown(self.dt)}, step {self.nsteps})"
 
     def method(self) -> Splitting:
         """The method of minimd with the present parameters."""

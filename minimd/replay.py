@@ -16,11 +16,11 @@ from minimd.neighbors.queries import closest_pair
 from minimd.simulation.simulation import Simulation
 from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.observables import longest
-from minimd.structure.units import UnitSystem
+from minimd.structure.units import LJ, SYSTEMS, UnitSystem
 
 PATIENCE = 20  # steps behind the failure, should it not come again: rounding is not the same on every processor
 LAST_ROWS, APART = 12, 10  # of the table: the last ones all, of the others every tenth
-HEAD = "    step       time  total energy   closest pair  distance largest force      on  fastest      speed"  # see ReplayedStep.__str__
+HEAD = "    step       time  total energy   closest pair  distance largest force      on  fastest      speed"  # see ReplayedStep.row
 SERIES = {"energy": "total energy", "distance": "closest pair", "force": "largest force", "speed": "largest speed"}
 COLORS = ("#1f5fa8", "#1b7f5c", "#c8501e", "#5b3f99")
 WIDE = 50.0  # largest over smallest from which an axis is logarithmic
@@ -50,10 +50,12 @@ class ReplayedStep(NamedTuple):
         energy = float(record.total_energy[-1]) if record is not None and len(record) else np.nan
         return cls(simulation.step, simulation.time, energy, *pair, *longest(simulation.forces), *longest(simulation.velocities))
 
-    def __str__(self) -> str:
+    def row(self, units: UnitSystem) -> str:
+        """A row of the table: time and speed with ps or τ, and all else in the units of the system."""
+        time, speed = self.time * units.to_picosecond, self.speed / units.to_picosecond
         pair = f"{self.first}-{self.second}" if self.first >= 0 else "none"
-        energies = f"{self.step:>8}{self.time:>11.5g}{self.energy:>14.8g}{pair:>15}{self.distance:>10.4g}"
-        return energies + f"{self.force:>14.4g}{self.pushed:>8}{self.fastest:>9}{self.speed:>11.4g}"
+        energies = f"{self.step:>8}{time:>11.5g}{self.energy:>14.8g}{pair:>15}{self.distance:>10.4g}"
+        return energies + f"{self.force:>14.4g}{self.pushed:>8}{self.fastest:>9}{speed:>11.4g}"
 
 
 @dataclass(frozen=True)
@@ -72,8 +74,11 @@ class Replay:
     picture: Path | None
 
     def __str__(self) -> str:
-        shown = [str(row) for k, row in enumerate(self.rows) if k % APART == 0 or k >= len(self.rows) - LAST_ROWS]
-        return "\n".join([HEAD, *shown, self.ending])
+        units = SYSTEMS.get(self.findings.units, LJ)
+        length, force, speed = units.length, f"{units.energy}/{units.length}", f"{units.length}/{units.shown_time}"
+        named = f"{'':>8}{units.shown_time:>11}{units.energy:>14}{'':>15}{length:>10}{force:>14}{'':>17}{speed:>11}"
+        shown = [row.row(units) for k, row in enumerate(self.rows) if k % APART == 0 or k >= len(self.rows) - LAST_ROWS]
+        return "\n".join([HEAD, named, *shown, self.ending])
 
 
 def replay(
@@ -104,6 +109,7 @@ def replay(
     simulation = Simulation(past.system, acting, past.method, precision=past.precision, skin=past.skin)
     simulation.restore(past.start)
     simulation.engine.noise_shift = past.noise_shift
+    simulation.guard.judge_by(*past.judgment)
     rows: list[ReplayedStep] = []
     failed_at, ending = _run(simulation, past.findings, frames, rows)
     rows = rows or [ReplayedStep.of(simulation)]
@@ -117,14 +123,15 @@ def _output(wanted: str | Path | bool, file: Path, suffix: str, overwrite: bool)
         return None
     path = file.with_name(file.name.removesuffix(SUFFIX).removesuffix(file.suffix) + suffix) if wanted is True else Path(wanted)
     if path.exists() and not overwrite:
-        raise FileExistsError(f"output {str(path)!r} exists; choose another name, or replace it with overwrite")
+        raise FileExistsError(f"output {str(path)!r} exists; choose another name, or replace it: overwrite=True, or --overwrite of the command")
     return path
 
 
 def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Potential]:
     """Those of the text of a scene.  words : what acted on the atoms, for the message.  Raises ValueError if there is no scene."""
     if not scene:
-        raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; pass those of the script: {'; '.join(words)}")
+        pass_them = "pass those of the script, as in minimd.replay(file, [...]), or to the command --scene with a scene that has them"
+        raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {pass_them}")
     from minimd.scene import parse_scene
 
     return parse_scene(scene, file).potentials()
@@ -151,9 +158,10 @@ def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, pi
     from minimd.analysis.picture import four_panels, save  # matplotlib takes its time to load
 
     figure, panels = four_panels()
-    shown = (units.energy, units.length, f"{units.energy}/{units.length}", f"{units.length}/{units.time}")
+    shown = (units.energy, units.length, f"{units.energy}/{units.length}", f"{units.length}/{units.shown_time}")
+    scales = {"speed": 1.0 / units.to_picosecond}
     for panel, (name, label), unit, color in zip(panels, SERIES.items(), shown, COLORS, strict=True):
-        numbers = np.array([getattr(row, name) for row in rows])
+        numbers = np.array([getattr(row, name) for row in rows]) * scales.get(name, 1.0)
         finite = numbers[np.isfinite(numbers)]
         panel.plot([row.step for row in rows], numbers, color=color, lw=1.1, marker="o", ms=3.0)
         if finite.size and finite.min() > 0.0 and finite.max() > WIDE * finite.min():

@@ -30,9 +30,9 @@ def test_a_failure_is_judged_by_the_energy_of_its_own_positions(monkeypatch):
     """A method that ends with a drift has not evaluated the forces of its last positions; the replay of a failure does."""
     judged, runaway = [], run_guard.runaway
 
-    def judge(engine, first):
+    def judge(engine, *by):
         judged.append((engine.interactions.potential_energy, md.evaluate(engine.system, LJ).potential_energy))
-        return runaway(engine, first)
+        return runaway(engine, *by)
 
     monkeypatch.setattr(run_guard, "runaway", judge)
     sim = liquid_run(md.PositionVerlet(0.03))

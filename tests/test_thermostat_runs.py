@@ -154,12 +154,12 @@ def test_a_file_with_a_bath_is_not_continued_without_and_the_other_way_round(fir
 
 
 def test_drift_of_a_walk_has_an_honest_error():
-    """Of walks without drift few seem to have one, where a fitted line finds it in most; one that is there is found."""
+    """Of walks without drift few seem to have one, where a fitted line cannot tell in most; one that is there is found."""
     rng, t = np.random.default_rng(0), np.linspace(0.0, 100.0, 4001)
     walks = np.cumsum(rng.normal(size=(300, t.size)), axis=1)
     misses = sum(abs(drift_of_walk(t, walk).slope) > 2.0 * drift_of_walk(t, walk).error for walk in walks)
     assert misses < 35  # 5 % expected, with few blocks 6
-    assert sum(drift(t, walk).is_significant for walk in walks) > 150
+    assert sum(drift(t, walk).is_too_short for walk in walks) > 150
     assert all(drift_of_walk(t, walk + 10.0 * np.sqrt(t.size) / 100.0 * t).is_significant for walk in walks)
 
 

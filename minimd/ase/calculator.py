@@ -55,6 +55,9 @@ class Calculator(ASECalculator):
         self._plan: tuple[Atoms, Forces] | None = None
         self.potentials, self.bonds, self.options = potentials, bonds, Options(threads, precision, skin)
 
+    def __repr__(self) -> str:
+        return f"Calculator({self._potentials!r})"
+
     @property
     def potentials(self) -> Potential | Sequence[Potential]:
         """One potential or several; setting others drops results and lists."""

@@ -1,6 +1,7 @@
 """ASE's molecular dynamics with the steps made by minimd: what all of its classes have in common, and velocity Verlet."""
 
 import warnings
+from collections.abc import Iterator
 from typing import Any
 
 import ase.md.verlet
@@ -19,6 +20,7 @@ from minimd.integrators.splitting.verlet import VelocityVerlet as Method
 from minimd.structure.ase_atoms import same_scene
 from minimd.structure.console import outside_minimd, stop_on_signals
 from minimd.structure.system import System
+from minimd.structure.units import ASE
 
 
 class MinimdSteps(MolecularDynamics):
@@ -41,8 +43,12 @@ class MinimdSteps(MolecularDynamics):
     _guard: RunGuard
     _made_for: Atoms | None = None
     _made_with: Any = None  # potentials of the calculator, constraints
+    _is_new_run = True  # no step of the present run was made yet
     _steps_made = 0  # by whatever call: noise has their numbers
     _is_told = False
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self.atoms)} atoms, timestep {ASE.shown(self.dt)}, step {self.nsteps})"
 
     def method(self) -> Splitting:
         """The method of minimd with the present parameters."""
@@ -59,6 +65,11 @@ class MinimdSteps(MolecularDynamics):
             self.log()
             self.call_observers()
         return bool(self.nsteps == self.max_steps)
+
+    def irun(self, steps: int = 50) -> Iterator[bool]:
+        """As ASE's: make this many steps, one by one, and yield after each."""
+        self._is_new_run = True
+        return super().irun(steps)  # type: ignore[no-any-return]
 
     def step(self, forces: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
         """Make one step, which the caller counts; returns the forces after it, (N, 3) [eV/Å].
@@ -80,12 +91,12 @@ class MinimdSteps(MolecularDynamics):
 
     def _advance(self, n_steps: int) -> None:
         """Make n_steps steps; atoms and nsteps are right also after an exception."""
-        atoms, guard = self.atoms, self._guard_at(self.atoms)
+        atoms, (guard, is_same_run) = self.atoms, self._guard_at(self.atoms)
         engine, start, given = guard.engine, guard.engine.step, guard.engine.reservoir_energy
         engine.method, engine.noise_shift = self.method(), self._steps_made - start
         try:
             with stop_on_signals(engine.surroundings):
-                guard.check_start()
+                guard.check_start(is_same_run)
                 guard.observe()
                 guard.make_steps(n_steps, with_energy=True)
                 guard.observe()
@@ -101,18 +112,22 @@ class MinimdSteps(MolecularDynamics):
     def _count_heat(self, energy: float) -> None:
         """The bath has given this energy [eV] to the atoms."""
 
-    def _guard_at(self, atoms: Atoms) -> RunGuard:
-        """The guarded engine, with positions and momenta of the atoms; a new one if anything else was changed from outside."""
-        made_for = self._made_for
+    def _guard_at(self, atoms: Atoms) -> tuple[RunGuard, bool]:
+        """The guarded engine, with positions and momenta of the atoms; a new one if anything else was changed from outside.
+
+        Also whether this is the run that its last steps were part of, and nobody has moved the atoms since.
+        """
+        made_for, is_new_run, self._is_new_run = self._made_for, self._is_new_run, False
         if made_for is None or not self._is_made_for(made_for, atoms):
-            return self._new_guard(atoms)
+            return self._new_guard(atoms), False
         engine = self._guard.engine
         engine.positions[:] = atoms.positions
         if not np.array_equal(atoms.get_momenta(), _momenta(engine)):
             engine.velocities[:] = atoms.get_velocities()
+        is_same_run = engine.is_as_left and not is_new_run
         if not isinstance(atoms.calc, Calculator):
             engine.moved()  # who knows what became of its parameters: it is asked again, and answers at once if nothing did
-        return self._guard
+        return self._guard, is_same_run
 
     def _is_made_for(self, made_for: Atoms, atoms: Atoms) -> bool:
         """Whether the engine can go on with these atoms. Rigid bonds are measured anew where atoms were moved."""

@@ -12,15 +12,16 @@ from ase.calculators.singlepoint import SinglePointCalculator
 
 from minimd.files.h5md_reader import read_file
 from minimd.files.h5md_schema import STEPS, TRAJECTORY, opened
-from minimd.structure.ase_atoms import atoms_from_system
+from minimd.structure.ase_atoms import atoms_from_system, calculators_stress
 from minimd.structure.units import UnitSystem
 
 
 def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
     """Frames of a minimd file, to the last bit: positions (not wrapped), momenta, masses, cell, constraints, bonds, and energy.
 
-    Forces are there if the run stored them; they come through kJ/mol and are right to rounding. Bonds and angles stand in the arrays "bonds" and
-    "angles", as ASE's reader of LAMMPS data leaves them; step and time in info. Reduced numbers are no Å and eV.
+    Forces are there if the run stored them; they come through kJ/mol and are right to rounding. The stress is there if the run observed it.
+    Bonds and angles stand in the arrays "bonds" and "angles", as ASE's reader of LAMMPS data leaves them; step and time in info. Reduced numbers
+    are no Å and eV.
 
     index : which frames, as ase.io.read takes it.
 
@@ -44,5 +45,7 @@ def _frame(h5: h5py.File, number: int, template: Atoms, units: UnitSystem) -> At
     results: dict[str, Any] = {"energy": float(h5["observables/potential_energy/value"][number])}
     if "force" in group:
         results["forces"] = group["force/value"][number] * (units.to_angstrom / units.to_kj_per_mol)
+    if "stress" in h5["observables"]:
+        results["stress"] = calculators_stress(h5["observables/stress/value"][number], atoms)
     atoms.calc = SinglePointCalculator(atoms, **results)
     return atoms

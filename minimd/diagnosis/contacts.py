@@ -56,11 +56,10 @@ class Contact:
         """The pair in words."""
         return f"atoms {self.first} and {self.second}"
 
-    @property
-    def apart(self) -> str:
-        """The distance in words."""
+    def apart(self, length: str) -> str:
+        """The distance in words.  length : its unit."""
         ratio = "" if self.ratio is None else f" (r/{'r₀' if self.is_bond else 'σ'} = {self.ratio:.3g})"
-        return f"{self.distance:.3g} apart{ratio}"
+        return f"{self.distance:.3g} {length} apart{ratio}"
 
     def stiffness(self, timestep: float) -> str:
         """Δt·ω in words; empty where the pair does not oscillate."""

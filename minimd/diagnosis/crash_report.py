@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from minimd.diagnosis.contacts import Contact, contacts
+from minimd.diagnosis.timestep import StepAdvice, advice_at
 from minimd.engine.engine import Engine, Snapshot
 from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair
@@ -15,13 +16,15 @@ from minimd.structure.checks import LARGEST
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.observables import Array, kinetic_energy, longest, temperature
 from minimd.structure.system import System
+from minimd.structure.units import LJ, SYSTEMS
 
 OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
 THROWN = 0.1  # of the distance by which a force moves a pair in one step: the same, of laws without a length of their own
 HOT_STEP = 0.05  # of σ that the atoms move in a step, root mean square; a liquid at its usual step moves a fifth of this
 HOT_SPOT = 6.0  # times the root mean square speed; in 10⁹ atoms of a thermal ensemble none is as fast
 FAST = 0.3  # of ωσ at the minimum of a pair: speeds above are those of heat, k_B T > 3 ε, below it is the step that is too long
-BOND_STEP = 0.2  # Δt·ω of a bond that conserves energy well
+NEAR_LIMIT = 0.5  # of the longest stable step: atoms that meet in motion are that much stiffer than those of the state
+ADVICE_SECONDS = 10.0  # at most, for the search of the stiffest mode
 
 
 class Failure(NamedTuple):
@@ -39,7 +42,7 @@ class Failure(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """kind : "law", "overlap", "constraint", "bond", "hot" or "pair".  pair : to blame, or None.  cause, advice : one sentence each."""
+    """kind : "law", "overlap", "constraint", "bond", "hot", "step" or "pair".  pair : to blame, or None.  cause, advice : one sentence each."""
 
     kind: str
     pair: Contact | None
@@ -74,13 +77,16 @@ class CrashReport:
     units: str
 
     def __str__(self) -> str:
-        pair, largest = self.pair, f"largest force {self.largest_force:.3g} on atom {self.pushed}"
+        pair, units = self.pair, SYSTEMS.get(self.units, LJ)
+        force, length = f"{units.energy}/{units.length}", units.length
         lines = [f"fault          {self.fault}, at step {self.step}", f"cause          {self.cause}", f"what to do     {self.advice}"]
         if pair is not None:
             what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms} ({pair.law})"
-            lines.append(f"pair           {what}, {pair.apart}, −u′ {pair.force:.3g}{pair.stiffness(self.timestep)}")
-        lines.append(f"last good      step {self.last_good_step}; closest {self.closest}")
-        return "\n".join([*lines, f"               {largest}; atom {self.fastest} moves {self.displacement:.3g} in a step"])
+            lines.append(f"pair           {what}, {pair.apart(length)}, −u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}")
+        closest = self.closest.told(length) if self.closest else "none"
+        largest = f"largest force {self.largest_force:.3g} {force} on atom {self.pushed}"
+        lines.append(f"last good      step {self.last_good_step}; closest {closest}")
+        return "\n".join([*lines, f"               {largest}; atom {self.fastest} moves {self.displacement:.3g} {length} in a step"])
 
 
 def examine(engine: Engine, failure: Failure) -> CrashReport:
@@ -109,7 +115,26 @@ class Evidence:
         self.found = self.contacts(self.system, suspects)
         if failure.at is not None and (np.abs(failure.at) <= LARGEST).all():
             self.found += [one for one in self.contacts(self.moved(failure.at), suspects) if not one.is_finite]
+        self._advice: list[StepAdvice | None] = []
         self.strongest = max((one for one in self.found if one.is_finite), key=lambda one: abs(one.force), default=None)
+
+    @property
+    def advice(self) -> StepAdvice | None:
+        """On the time step, for the last good state; None if it takes too long, or cannot be had."""
+        if not self._advice:
+            try:
+                self._advice.append(advice_at(self.engine, ADVICE_SECONDS))
+            except Exception:  # whatever a term of the user's own raises: the failure itself must be told
+                self._advice.append(None)
+        return self._advice[0]
+
+    @property
+    def recommended(self) -> str:
+        """What advise_timestep recommends for the last good state, as advice."""
+        advice = self.advice
+        if advice is None or not advice.frequency:
+            return "ask advise_timestep for a shorter one"
+        return f"take {self.system.units.shown(advice.recommended)}, as advise_timestep recommends for the last good state"
 
     def contacts(self, system: System, atoms: list[int]) -> list[Contact]:
         """Of some atoms in some state."""
@@ -125,7 +150,7 @@ def law_without_number(evidence: Evidence) -> Verdict | None:
     """A law of the user's, or a table, that is not finite at some distance."""
     for one in evidence.found:
         if not one.is_finite and not _is_overlap(one) and (one.is_users or one.is_bond):
-            cause = f"the law of {one.law} gives no finite number for {one.atoms}, {one.apart}"
+            cause = f"the law of {one.law} gives no finite number for {one.atoms}, {one.apart(evidence.system.units.length)}"
             return Verdict("law", one, cause, "mend the law at that distance, or keep the atoms from coming there")
     return None
 
@@ -142,7 +167,7 @@ def overlap_at_start(evidence: Evidence) -> Verdict | None:
     if not over:
         return None
     worst = min(over, key=lambda one: one.distance)
-    cause = f"{worst.atoms} overlap at {f'step {step}' if step else 'the start'}, {worst.apart}"
+    cause = f"{worst.atoms} overlap at {f'step {step}' if step else 'the start'}, {worst.apart(evidence.system.units.length)}"
     return Verdict("overlap", worst, cause, "minimize moves atoms apart; or lower the energy of the start in another way")
 
 
@@ -163,7 +188,7 @@ def unstable_bond(evidence: Evidence) -> Verdict | None:
     if stiffest is None or x <= limit:
         return None
     cause = f"timestep {evidence.shown_timestep} too large for the bond of {stiffest.atoms}: Δt·ω = {x:.3g} (stable to {limit:.3g})"
-    return Verdict("bond", stiffest, cause, f"take a timestep {BOND_STEP / x:.2g} times as long, or hold the bond rigid")
+    return Verdict("bond", stiffest, cause, f"{evidence.recommended}; or hold the bond rigid")
 
 
 def too_hot(evidence: Evidence) -> Verdict | None:
@@ -193,10 +218,23 @@ def long_step(evidence: Evidence) -> Verdict:
     """What is left: the pair with the largest force, if there is one."""
     pair = evidence.strongest
     if pair is None:
+        if verdict := _long_for_a_mode(evidence):
+            return verdict
         cause = "atoms fly apart though no pair of a known law pushes them: the forces come from elsewhere"
         return Verdict("law", None, cause, "look at the forces in the last good state")
-    what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}, {pair.apart}{pair.stiffness(evidence.timestep)}"
+    what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}, {pair.apart(evidence.system.units.length)}{pair.stiffness(evidence.timestep)}"
     return Verdict("pair", pair, f"timestep {evidence.shown_timestep} too large for the {what}", "halve it until the energy is conserved")
+
+
+def _long_for_a_mode(evidence: Evidence) -> Verdict | None:
+    """Forces that come from elsewhere, whose curvature is measured."""
+    advice, shown = evidence.advice, evidence.system.units.shown
+    if advice is None or not advice.frequency or evidence.timestep <= NEAR_LIMIT * advice.limit:
+        return None
+    where = f"{advice.method} is stable up to {shown(advice.limit)} on the stiffest mode of the last good state"
+    if evidence.timestep <= advice.limit:
+        where += ", and less where atoms come closer"
+    return Verdict("step", None, f"timestep {evidence.shown_timestep} too large: {where}", evidence.recommended)
 
 
 RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (law_without_number, overlap_at_start, broken_constraint, unstable_bond, too_hot, long_step)

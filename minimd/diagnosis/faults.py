@@ -9,6 +9,7 @@ from minimd.structure.checks import LARGEST
 from minimd.structure.observables import longest
 
 RUNAWAY = 1e4  # growth of the energies: an unstable mode passes it within a few hundred steps, a stable run never does
+GROWTH = 2.0  # the same in a run that is known to have run away: from here on its states are not good ones
 HALF = 0.5  # of the energies: where they are exchanged, and not made, their sum changes by much less
 
 
@@ -43,13 +44,13 @@ def fault_at_start(engine: Engine) -> str | None:
     return fault_of(engine)
 
 
-def runaway(engine: Engine, first: Mapping[str, float]) -> str | None:
+def runaway(engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY, since: str = "the run began") -> str | None:
     """What a method does beyond its limit of stability: energies grow without bound. None if they do not.
 
-        K + |U| > RUNAWAY (K₀ + |U₀| + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²
+        K + |U| > growth (K₀ + |U₀| + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²
 
-    first : observables of an earlier frame.  E is the total energy minus the reservoir energy, R the energy [energy] that the rounding of
-    positions can make in a step.
+    first : observables of an earlier frame.  since : when that was, for the sentence.  E is the total energy minus the reservoir energy, R the
+    energy [energy] that the rounding of positions can make in a step.
     """
     system, kinetic, potential = engine.system, engine.kinetic_energy, engine.interactions.potential_energy
     with np.errstate(over="ignore"):  # infinite for time steps that nobody needs
@@ -57,6 +58,6 @@ def runaway(engine: Engine, first: Mapping[str, float]) -> str | None:
     name = "conserved_energy" if engine.method.is_thermostat else "total_energy"
     energy = kinetic + potential - (engine.reservoir_energy if engine.method.is_thermostat else 0.0)
     before, now = first["kinetic_energy"] + abs(first["potential_energy"]), kinetic + abs(potential)
-    if now > RUNAWAY * (before + rounding) and abs(energy - first[name]) > HALF * now:
-        return f"the {name.replace('_', ' ')} has gone from {first[name]:.3g} to {energy:.3g} {system.units.energy} since the run began"
+    if now > growth * (before + rounding) and abs(energy - first[name]) > HALF * now:
+        return f"the {name.replace('_', ' ')} has gone from {first[name]:.3g} to {energy:.3g} {system.units.energy} since {since}"
     return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,16 @@ from numpy.typing import NDArray
 from minimd.engine.record import SERIES, Record
 from minimd.structure.display import Displayed
 
-BLOCKS = 20  # averages of the total energy between which the drift is fitted
-SIGNIFICANT = 3.0  # standard errors
+BLOCKS = 40  # averages of the total energy between which the drift is fitted
+BLOCKS_OF_WALK = 20  # the same of a series that wanders
+SIGNIFICANT = 3.0  # standard errors, where these are known well: chance passes them 3 times in 1000
+MOST_SIGNIFICANT = 6.0  # standard errors, where these are known badly: no fluctuation looks so straight
+INDEPENDENT = 4.0  # entries, below which a series is too short to judge
 LARGEST_RANGE = 0.5  # of the kinetic energy
 RANGE_OF_ROUNDING = 1e-11  # of the potential energy
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
 FEW = 4  # frames below which nothing can be judged
+QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
 SETTLING = 0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
@@ -43,25 +47,51 @@ class Drift:
     """Slope of a straight line through block averages [per time], and its standard error.
 
     Below four blocks the error is infinite and the slope that between the ends.
+    n_independent : how many independent averages would leave this error.  is_unsure : whether they are too few to rule a drift out.
     """
 
     slope: float
     error: float
+    n_independent: float = np.inf
+    is_unsure: bool = False
 
     def __str__(self) -> str:
         return f"{self.slope:+.2e}" + ("" if np.isinf(self.error) else f" ± {self.error:.1e}")
 
     @property
     def is_significant(self) -> bool:
-        """True if the slope differs from zero by more than three standard errors, or is no number."""
-        return not abs(self.slope) <= SIGNIFICANT * self.error
+        """True if chance makes such a slope less than 3 times in 1000, or if it is no number.
+
+        It then differs from zero by more than three standard errors; by up to six where fluctuations are long beside the run, by Student's t.
+        """
+        return not abs(self.slope) <= self._significant * self.error
+
+    @property
+    def _significant(self) -> float:
+        if np.isinf(self.n_independent):
+            return SIGNIFICANT
+        from scipy.special import ndtr, stdtrit  # takes its time to load
+
+        return min(MOST_SIGNIFICANT, float(stdtrit(max(1.0, self.n_independent - 2.0), ndtr(SIGNIFICANT))))
+
+    @property
+    def is_too_short(self) -> bool:
+        """True if fluctuations last so long beside the run that nobody can tell them from a drift."""
+        return self.is_unsure and not self.is_significant
 
 
-def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS) -> Drift:
+def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS, beside: NDArray[np.float64] | None = None) -> Drift:
     """Least-squares slope of a series, with the standard error that its correlated fluctuations leave.
 
-    Averages over a few long blocks are nearly independent of each other, so that their scatter about the line gives the
-    error. time, series : (T,). NaN if one of them is not finite.  H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989).
+        error² = σ² / ((n − 2) Var t),   n = blocks (1 − ρ)/(1 + ρ)
+
+    Averages over blocks scatter by σ about the line, and each resembles the next by ρ, the correlation of neighbors: n of them are
+    independent. A short series makes ρ too small by (2 + 4ρ)/blocks, since the line follows it; that is put right.
+    time, series : (T,). NaN if one of them is not finite.
+    beside : (T,) another series of the same run, of which n is taken if it is less. The error of a method's energy depends on the state, and
+    so do slow changes of the kinetic energy, which are plain to see where those of the energy hide below faster ones.
+
+    H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989), on blocks; M. G. Kendall, Biometrika 41, 403 (1954), on the bias of ρ.
     """
     blocks = min(blocks, len(series))
     if not np.isfinite([time, series]).all():
@@ -69,11 +99,30 @@ def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = 
     if blocks < FEW or np.ptp(time) == 0.0:
         slope = (series[-1] - series[0]) / np.ptp(time) if np.ptp(time) > 0.0 else 0.0
         return Drift(float(slope), np.inf)
-    (slope, _), covariance = np.polyfit(block_means(time, blocks), block_means(series, blocks), 1, cov=True)
-    return Drift(float(slope), float(np.sqrt(covariance[0, 0])))
+    t = block_means(time, blocks)
+    slope, rest = _line(t, block_means(series, blocks))
+    own = least = _independent(rest)
+    if beside is not None:
+        least = min(own, _independent(_line(t, block_means(beside, blocks))[1]))
+    one, safe = (Drift(slope, float(np.sqrt(rest @ rest / blocks / max(1.0, n - 2.0) / t.var())), n) for n in (own, least))
+    return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
 
 
-def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS) -> Drift:
+def _line(t: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    """Slope of the line through points, and their distances from it."""
+    slope, at_zero = np.polyfit(t, y, 1)
+    return float(slope), y - slope * t - at_zero
+
+
+def _independent(rest: NDArray[np.float64]) -> float:
+    """How many numbers of a correlated series are independent, n in drift."""
+    square, n = float(rest @ rest), len(rest)
+    alike = float(rest[1:] @ rest[:-1]) / square if square > 0.0 else 0.0
+    alike = min(max(0.0, alike + (2.0 + 4.0 * alike) / n), 1.0 - 1.0 / n)
+    return n * (1.0 - alike) / (1.0 + alike)
+
+
+def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS_OF_WALK) -> Drift:
     """Slope of a series that wanders about its drift as a random walk does, with the standard error that this leaves.
 
     Total energy minus reservoir energy is such a series: each contact with the bath also changes the difference between the energy and
@@ -155,7 +204,7 @@ class Report(Displayed):
 
     @property
     def energy_is_conserved(self) -> bool | None:
-        """True if the drift is zero within three standard errors, or below 1e-6 of the kinetic energy in each ps or τ; None if unknown.
+        """True if the drift is zero within its error, or below 1e-6 of the kinetic energy in each ps or τ; None if the run is too short to tell.
 
         Energies that differ by half the kinetic energy are not conserved, whatever the line through them: one bad step is no drift. Nor is
         anything conserved where an observable is not finite.
@@ -176,6 +225,10 @@ class Report(Displayed):
             return None
         if not np.isfinite([slope.slope, slope.error, self.kinetic_energy]).all():
             return False
+        if abs(slope.slope) + SIGNIFICANT * slope.error < NEGLIGIBLE_DRIFT * self.kinetic_energy:
+            return True
+        if slope.is_too_short:
+            return None
         return not slope.is_significant or abs(slope.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
 
     @property
@@ -201,10 +254,12 @@ class Report(Displayed):
         def tell(name: str, words: str) -> None:
             lines.append(f"{name:<14} {words}")
 
-        tell("E - reservoir" if self.has_bath else "total energy", f"drift {slope} {per} per {time}")
+        only = self.n_frames == 1
+        drifts = "drift unknown: one frame" if only else f"drift {slope} {per} per {time}{'' if np.isinf(slope.error) else ' (standard error)'}"
+        tell("E - reservoir" if self.has_bath else "total energy", drifts)
         tell("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)")
         if shadow is not None:
-            said = {None: "too few frames to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
+            said = {None: "too short to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
             tell("shadow energy", f"drift {shadow} {per} per {time}: {said}")
             tell("", f"oscillation {self.shadow_oscillation:.2e} {per}")
         if self.momentum_change is not None:
@@ -216,23 +271,38 @@ class Report(Displayed):
             said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
             tell("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
         lines.extend(map(str, self.lines))
-        tell("temperature", f"{self.mean_temperature:.4g} ± {self.temperature_deviation:.2g} {temperature}")
+        spread = "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {temperature}"
+        tell("temperature", f"{self.mean_temperature:.4g} {temperature} {spread}")
         lines.extend(self.cost.lines() if self.cost is not None else ())
         tell("verdict", self.verdict)
         return "\n".join(lines)
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether the energy stays within a hundredth of the kinetic energy, in a run that is too short to tell a drift from fluctuations."""
+        return self.energy_is_conserved is None and self.n_frames >= FEW and self.energy_range < QUIET * self.kinetic_energy
+
+    @property
+    def _energy_verdict(self) -> str:
+        name, (first, last) = "total energy minus reservoir energy" if self.has_bath else "total energy", self.temperatures
+        if self.energy_is_conserved is None:
+            within = f"stays within {self.energy_range / self.kinetic_energy:.1g} of the kinetic energy" if self.is_quiet else "varies"
+            return f"the {name} {within}; the run is too short to tell whether it drifts: fluctuations last nearly as long"
+        if self.energy_is_conserved:
+            return f"the {name} is conserved"
+        why = "reduce the time step or smooth the cutoff"
+        if self.is_settling:
+            why = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
+        return f"THE {name.upper()} DRIFTS: {why}"
 
     @property
     def verdict(self) -> str:
         """One sentence."""
         if self.not_finite:
             return f"NOTHING IS CONSERVED: {self.not_finite}"
-        if self.energy_is_conserved is None:
-            return f"{self.n_frames} frames are too few to judge; observe more often"
-        name, (first, last) = "total energy minus reservoir energy" if self.has_bath else "total energy", self.temperatures
-        why = "reduce the time step or smooth the cutoff"
-        if self.is_settling:
-            why = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
-        energy = f"the {name} is conserved" if self.energy_is_conserved else f"THE {name.upper()} DRIFTS: {why}"
+        if self.n_frames < FEW:
+            return f"{self.n_frames} frame{'s are' if self.n_frames > 1 else ' is'} too few to judge the energy; observe more often"
+        energy = self._energy_verdict
         if self.momentum_change is None:
             return f"{energy}; momentum is not a constant here."
         if self.momentum_is_conserved:
@@ -249,9 +319,9 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
     """
     units, has_bath = record.units, "conserved_energy" in record
     time, energy = record.time * units.to_picosecond, (record.conserved_energy if has_bath else record.total_energy) / record.n_atoms
-    slope = (drift_of_walk if has_bath else drift)(time, energy)
+    slope = drift_of_walk(time, energy) if has_bath else drift(time, energy, beside=record.kinetic_energy)
     shadow = record.shadow_energy / record.n_atoms if "shadow_energy" in record else None
-    shadow_slope = None if shadow is None else drift(time, shadow)
+    shadow_slope = None if shadow is None else drift(time, shadow, beside=record.kinetic_energy)
     fifth = max(1, len(time) // 5)
     return Report(
         energy_drift=slope,

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 from minimd.compiled.kernels import compile_clock
 from minimd.diagnosis.crash_report import Failure, examine
-from minimd.diagnosis.faults import RUNAWAY, fault_at_start, fault_of, runaway
+from minimd.diagnosis.faults import GROWTH, RUNAWAY, fault_at_start, fault_of, runaway
 from minimd.diagnosis.first_hints import hints
 from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.observation import observe
@@ -21,7 +21,10 @@ from minimd.structure.errors import ConstraintError, NonFiniteError, RangeError
 from minimd.structure.observables import Array, longest
 
 BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
+RUN_BEGAN, FAILED_AS_BLOCK = "the run began", "a block of steps failed that succeeded one by one"
+LEAST_SNAPSHOTS, MOST_SNAPSHOTS, ROOM = 2, 16, 10**6  # that are kept: as many as hold so many atoms in all
 SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
+SAME_ENERGY = 1e-3  # of K + |U|: a potential that gives another energy for the same atoms has been changed
 LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the failure, if there were as many
 
 
@@ -36,15 +39,19 @@ class RunGuard:
         self.seconds, self.n_steps = 0.0, 0
         self.failed_from: Snapshot | None = None
         self._checked_timestep = 0.0  # none yet
+        self._judged_by: tuple[Mapping[str, Any] | None, float] = None, RUNAWAY  # of every run: see judge_by
         self._first: Mapping[str, Any] | None = None  # observables at the first look of a run
+        self._growth, self._since = RUNAWAY, RUN_BEGAN  # with which energies have run away, and since when
+        self._seen: tuple[int, float] = (0, 0.0)  # step of the last look, and the total energy then
         self._reason: NonFiniteError | ConstraintError | None = None  # why the last block failed, if something was raised
         self._before: Snapshot | None = None  # the start of the last block
-        self._snapshots: list[Snapshot] = []  # at most two, at least SNAPSHOTS_APART steps apart
+        self._snapshots: list[Snapshot] = []  # at least SNAPSHOTS_APART steps apart
         self._first_step = 0  # of the present run
 
     def begin_run(self) -> None:
         """Count from zero: steps, seconds, evaluations, list builds, iterations of constraints."""
-        self.seconds, self.n_steps, self._first = 0.0, 0, None
+        self.seconds, self.n_steps = 0.0, 0
+        self._first, self._growth = self._judged_by
         self.engine.interactions.reset_counts()
         if self.engine.constraint_set.bonds is not None:
             self.engine.constraint_set.bonds.iterations = 0
@@ -59,13 +66,25 @@ class RunGuard:
         finally:
             self.seconds, self.n_steps, interactions.counts = counted
 
-    def check_start(self) -> None:
+    def judge_by(self, first: Mapping[str, Any] | None, growth: float) -> None:
+        """Judge the runs to come by the energies at the first look of another run, of which they are a part. See faults.runaway."""
+        self._judged_by = first, growth
+
+    @property
+    def judgment(self) -> tuple[Mapping[str, Any] | None, float]:
+        """By what the present run is judged, for judge_by."""
+        return self._first, self._growth
+
+    def check_start(self, is_same_run: bool = False) -> None:
         """Take the state as it is now. Raise NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution.
 
         A state that nobody has changed since the last step goes on as if there had been no pause.
+        is_same_run : energies and snapshots of the steps before still count, if the energy is what it was.
         """
         engine = self.engine
-        self._snapshots, self._first_step, self._reason, self._before, self._first = [], engine.step, None, None, None
+        self._reason = self._before = None
+        if not is_same_run:
+            self.forget()
         engine.interactions.check_resolution()
         goes_on = engine.is_as_left
         if not goes_on:
@@ -74,6 +93,8 @@ class RunGuard:
             engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
         engine.evaluate()
         engine.interactions.prepare()
+        if is_same_run and self._is_another_energy():
+            self.forget()
         if not goes_on:
             engine.leave()
         if self._checked_timestep != engine.method.timestep:
@@ -84,10 +105,12 @@ class RunGuard:
             raise self._failure(fault, engine.step)
 
     def make_steps(self, n_steps: int, with_energy: bool = False) -> None:
-        """Make steps, in blocks.  with_energy : evaluate the energy with the last forces.  Raises as advance."""
+        """Make steps, in blocks.  with_energy : evaluate the energy with the last forces.  Raises as advance and observe."""
         try:
             for done in range(0, n_steps, BLOCK):
                 self.advance(min(BLOCK, n_steps - done), with_energy and done + BLOCK >= n_steps)
+                if self.is_hot():
+                    self.observe()
         finally:
             self.engine.leave()
 
@@ -99,7 +122,8 @@ class RunGuard:
         """
         engine = self.engine
         is_due = not self._snapshots or engine.step - self._snapshots[-1].step >= SNAPSHOTS_APART
-        self._snapshots, self._before = self._snapshots[-1:] if is_due else self._snapshots, None  # makes room for the new one
+        kept = max(LEAST_SNAPSHOTS, min(MOST_SNAPSHOTS, ROOM // len(engine.positions))) - 1
+        self._snapshots, self._before = self._snapshots[-kept:] if is_due else self._snapshots, None  # makes room for the new one
         self._before = before = engine.snapshot()
         if is_due:
             self._snapshots.append(before)
@@ -108,21 +132,21 @@ class RunGuard:
         try:
             done = engine.advance(n_steps, with_energy)
         except (NonFiniteError, ConstraintError):
-            self._replay(before, n_steps)
+            self._replay(before, n_steps, FAILED_AS_BLOCK)
         except BaseException:  # a list that does not fit, or a second Ctrl-C in the middle of a step
             engine.restore(before)
             raise
         self.seconds += perf_counter() - started - (compile_clock.seconds - compiled)
         if fault_of(engine):
-            self._replay(before, n_steps)
+            self._replay(before, n_steps, FAILED_AS_BLOCK)
         self._count(done)
         engine.is_whole = is_whole
         if engine.surroundings.stop_requested:
             engine.leave()
             raise KeyboardInterrupt(f"stopped after step {engine.step}")
 
-    def _replay(self, before: Snapshot, n_steps: int) -> NoReturn:
-        """Repeat a failed block step by step, up to the last good state; raise the error of the next step."""
+    def _replay(self, before: Snapshot, n_steps: int, otherwise: str) -> NoReturn:
+        """Repeat failed steps one by one, up to the last good state; raise the error of the next step.  otherwise : the fault, should none fail."""
         engine = self.engine
         engine.restore(before)
         for _ in range(n_steps):
@@ -132,7 +156,7 @@ class RunGuard:
                 fault = fault_of(engine)
                 if not fault:
                     engine.evaluate()  # a method that ends with a drift has not
-                    fault = runaway(engine, self._first) if self._first is not None else None
+                    fault = self._fault_of_energy()
             except (NonFiniteError, ConstraintError) as reason:
                 words = str(reason) if isinstance(reason, RangeError) else "the forces are not finite"
                 self._reason, fault = reason, fault_of(engine) or words
@@ -141,7 +165,9 @@ class RunGuard:
                 engine.restore(good)
                 raise self._failure(fault, engine.step + 1, at)
             self._count(1)
-        raise self._failure("a block of steps failed that succeeded one by one", engine.step)
+        step = engine.step
+        engine.restore(before)
+        raise self._failure(otherwise, step)
 
     def _count(self, done: int) -> None:
         self.engine.count(done)
@@ -150,18 +176,34 @@ class RunGuard:
     def observe(self) -> Frame:
         """The present state, checked.
 
-        Raises NonFiniteError if its energy is not finite or has run away; the engine is back in the state before the last block.
+        Raises NonFiniteError if its energy is not finite or has run away; the engine is back in the last good state.
         """
         frame = observe(self.engine)
         if self._first is None:
             self._first = frame.observables
-        is_finite = isfinite(frame.observables["total_energy"])
-        self._fail_if(runaway(self.engine, self._first) if is_finite else "the potential energy is not finite")
+        self._fail_if(self._fault_of_energy())
+        self._seen = frame.step, float(frame.observables["total_energy"])
         return frame
 
+    def _fault_of_energy(self) -> str | None:
+        """What is wrong with the energies, which are current; None if they are good."""
+        if not isfinite(self.engine.interactions.potential_energy):
+            return "the potential energy is not finite"
+        return None if self._first is None else runaway(self.engine, self._first, self._growth, self._since)
+
+    def _is_another_energy(self) -> bool:
+        """Whether the total energy is not that of the last look, although nothing has moved since."""
+        kinetic, potential = self.engine.kinetic_energy, self.engine.interactions.potential_energy
+        return not abs(kinetic + potential - self._seen[1]) <= SAME_ENERGY * (kinetic + abs(potential))
+
     def check_kinetic_energy(self, most: float) -> None:
-        """Raise NonFiniteError if the kinetic energy is larger than most [energy]; the state is then restored as in observe."""
-        kinetic = self.engine.kinetic_energy
+        """Raise NonFiniteError if the kinetic energy is larger than most [energy]; the engine is then in the last good state of the last block."""
+        kinetic, before = self.engine.kinetic_energy, self._before
+        if kinetic > most and before is not None:
+            end = self.engine.snapshot()
+            self.engine.restore(before)
+            self._first, self._since, self._seen = observe(self.engine).observables, f"step {before.step}", (before.step, 0.0)
+            self.engine.restore(end)
         self._fail_if(f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}" if kinetic > most else None)
 
     def is_hot(self) -> bool:
@@ -171,18 +213,35 @@ class RunGuard:
 
     def forget(self) -> None:
         """The state was changed from outside: energies and snapshots from before say nothing about it."""
-        self._snapshots, self._first, self._first_step = [], None, self.engine.step
+        self._snapshots, self._first_step = [], self.engine.step
+        self._first, self._growth, self._since, self._seen = None, RUNAWAY, RUN_BEGAN, (self.engine.step, 0.0)
 
     def drop_snapshots(self) -> None:
         """The velocities were rescaled: a replay from before would not come to the present state."""
         self._snapshots = []
 
     def _fail_if(self, fault: str | None) -> None:
-        if fault:
-            step, at = self.engine.step, self.engine.positions.copy()
-            if self._before is not None:
-                self.engine.restore(self._before)
-            raise self._failure(fault, step, at)
+        """Fail with the first step that is not good, for a fault that was found some steps later."""
+        if not fault:
+            return
+        if self._before is None:
+            raise self._failure(fault, self.engine.step, self.engine.positions.copy())
+        end = self.engine.step
+        start = self._good_start(self._before)
+        self.n_steps -= end - start.step
+        self._replay(start, end - start.step, fault)
+
+    def _good_start(self, before: Snapshot) -> Snapshot:
+        """The latest stored state in which no energy had run away yet, and from which nobody has looked since; else that before the last block."""
+        self._growth, growth = min(GROWTH, self._growth), self._growth
+        known = {one.step: one for one in (*self._snapshots, before) if self._seen[0] <= one.step <= before.step}
+        for step in sorted(known, reverse=True):
+            self.engine.restore(known[step])
+            self.engine.evaluate()
+            if not self._fault_of_energy():
+                return known[step]
+        self._growth = growth
+        return before
 
     def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
         """The error for a run that failed in a step, with its crash report; the engine is in the last good state.  at : (N, 3), of the failure."""
@@ -201,7 +260,7 @@ class RunGuard:
             report = examine(engine, failure)
             why = "" if isinstance(reason, RangeError) else f"Likely cause: {report.cause}; {report.advice}\n"
         pair = closest_pair(engine.system)
-        near = f"; the closest pair before it is {pair}" if pair else ""
+        near = f"; the closest pair before it is {pair.told(engine.system.units.length)}" if pair else ""
         error = kind(f"{why}At step {step}: {fault}{near}. The system holds the last good state, that of step {engine.step}")
         error.crash_report = report
         return error

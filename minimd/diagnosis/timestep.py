@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan, pi
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.diagnosis.hessian import Curvature, bonded_pairs, stiffest_bond
+from minimd.engine.engine import Engine
 from minimd.forces.forces import Forces, Potential
 from minimd.integrators.splitting.linear_stability import accurate_step, stability_limit
 from minimd.integrators.splitting.splitting import Splitting
@@ -25,6 +27,7 @@ from minimd.structure.system import AnySystem, System
 from minimd.structure.units import UnitSystem
 
 OSCILLATION = 1.0 / 80.0  # of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
+EVALUATIONS = 200  # of the forces, with which the stiffest mode of many atoms is mostly found
 SHOWN_ATOMS = 4  # of the stiffest mode, at most
 HALF = 0.5  # of a mode: a bond whose stretching makes up more is named
 SHOWN_SHARE = 0.05  # of its kinetic energy, at least
@@ -67,7 +70,7 @@ class StepAdvice(Displayed):
         if self.bond is not None:
             motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
         lines = [
-            f"stiffest mode  ω = {self.frequency:.4g} / {self.units.time}, period {self.units.shown(self.period)}",
+            f"stiffest mode  ω = {self.frequency / self.units.to_picosecond:.4g} / {self.units.shown_time}, period {self.units.shown(self.period)}",
             f"               {motion}",
             f"limit          {self.units.shown(self.limit)} for {self.method}: longer steps blow up, and at a temperature shorter ones may",
             f"recommended    {self.units.shown(self.recommended)}: {self.period / self.recommended:.3g} steps a period",
@@ -109,7 +112,26 @@ def advise_timestep(
         raise TypeError(f"method must be a splitting, such as VelocityVerlet or VelocityVerlet(0.005); got {shown(method)}")
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
     constraint_set = ConstraintSet(system, system.constraints if constraints is None else constraints)
-    forces = Forces(system, potentials)
+    return _advice(Forces(system, potentials), constraint_set, method)
+
+
+def advice_at(engine: Engine, seconds: float) -> StepAdvice | None:
+    """advise_timestep for the present state of an engine, which is left as it is; None if that would take longer than so many seconds.
+
+    Raises NonFiniteError as advise_timestep, and whatever a potential raises.
+    """
+    system = engine.system.copy()
+    forces = Forces(system, engine.interactions.potentials, engine.interactions.options)
+    forces.compute()  # compiles
+    started = perf_counter()
+    forces.compute()
+    if (perf_counter() - started) * min(2 * system.positions.size, EVALUATIONS) > seconds:
+        return None
+    return _advice(forces, ConstraintSet(system, engine.constraints), engine.method)
+
+
+def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | type[Splitting]) -> StepAdvice:
+    system = forces.system
     curvature = Curvature(forces, constraint_set)
     square, mode = _stiffest_mode(curvature, system, forces.potentials, constraint_set)
     frequency = float(np.sqrt(max(square, 0.0)))

@@ -151,7 +151,7 @@ class Record(Displayed):
             if series.ndim > 1:
                 told = f"change at most {np.abs(series - series[0]).max():.2g}"
             else:
-                told = f"from {series[0]:.8g} to {series[-1]:.8g}, mean {series.mean():.8g}, standard deviation {series.std():.2g}"
+                told = f"first {series[0]:.8g}, last {series[-1]:.8g}, mean {series.mean():.8g}, standard deviation {series.std():.2g}"
             rows.append((name.replace("_", " "), f"{told} {self.unit(name)}".rstrip()))
         return rows
 

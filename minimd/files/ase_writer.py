@@ -7,14 +7,15 @@ from ase.io.trajectory import TrajectoryWriter
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.claim import Claim
-from minimd.structure.ase_atoms import atoms_from_system
+from minimd.structure.ase_atoms import atoms_from_system, calculators_stress
 
 
 class ASEWriter:
     """A trajectory written by ASE, in the units of the system: .traj in float64, .xyz and .extxyz as extended XYZ, with 8 decimals.
 
     Each frame holds positions (not wrapped), momenta, masses, cell, constraints (.traj: all, but no lengths; else fixed atoms), bonds and
-    angles as texts (not .traj), the potential energy as that of a calculator, forces if they are to be stored, and step and time in info.
+    angles as texts (not .traj), the potential energy as that of a calculator, forces if they are to be stored, the stress if it is observed,
+    and step and time in info.
 
     claim : on the file, which appears with its first frame.
     """
@@ -31,7 +32,8 @@ class ASEWriter:
         atoms.set_momenta(frame.velocities * atoms.get_masses()[:, None], apply_constraint=False)
         atoms.info.update(step=frame.step, time=frame.time)
         forces = frame.forces if self._store_forces else None
-        atoms.calc = SinglePointCalculator(atoms, energy=frame.observables["potential_energy"], forces=forces)
+        stress = calculators_stress(frame.observables["stress"], atoms) if "stress" in frame.observables else None
+        atoms.calc = SinglePointCalculator(atoms, energy=frame.observables["potential_energy"], forces=forces, stress=stress)
         if isinstance(self._output, TrajectoryWriter):
             self._output.write(atoms)
         else:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from minimd.diagnosis.contacts import Contact
 from minimd.diagnosis.crash_report import CrashReport
+from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Snapshot
 from minimd.engine.observation import observe
@@ -32,7 +33,8 @@ class CrashFile(NamedTuple):
     """What such a file holds.
 
     findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.  method : as it was.
-    precision, skin, noise_shift : of the engine.  potentials : in words.  scene : text, empty if the run came from a script.
+    precision, skin, noise_shift : of the engine.  judgment : of the guard.
+    potentials : in words.  scene : text, empty if the run came from a script.
     """
 
     findings: CrashReport
@@ -42,6 +44,7 @@ class CrashFile(NamedTuple):
     precision: Any
     skin: float | None
     noise_shift: int
+    judgment: tuple[dict[str, float] | None, float]
     potentials: list[str]
     scene: str
 
@@ -109,7 +112,9 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
         finally:
             engine.go_on_from(last)
             writer.close()
-        known = {"noise_shift": engine.noise_shift}
+        first, growth = guard.judgment
+        energies = {name: value for name, value in (first or {}).items() if name.endswith("energy")}
+        known = {"noise_shift": engine.noise_shift, "first": energies or None, "growth": growth}
 
         def add(h5: Any) -> None:
             group = h5.create_group("minimd/crash_report")
@@ -146,5 +151,6 @@ def read_crash_report(path: str | Path) -> CrashFile:
         start, system = unflattened(*read_group(group["start"])).state, contents.system
     system.positions, system.velocities = start.positions, start.velocities
     found["pair"], found["closest"] = found["pair"] and Contact(**found["pair"]), found["closest"] and ClosestPair(*found["closest"])
-    options = {"precision": contents.precision, "skin": contents.skin, "potentials": contents.potentials, "scene": contents.scene}
-    return CrashFile(CrashReport(**found), system, start, contents.integrator(), noise_shift=told["noise_shift"], **options)
+    options: dict[str, Any] = {"precision": contents.precision, "skin": contents.skin, "potentials": contents.potentials, "scene": contents.scene}
+    options |= {"noise_shift": told["noise_shift"], "judgment": (told.get("first"), told.get("growth", RUNAWAY))}  # older files have no judgment
+    return CrashFile(CrashReport(**found), system, start, contents.integrator(), **options)

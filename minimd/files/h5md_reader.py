@@ -22,12 +22,13 @@ from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, opened
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.structure.cell import Cell
+from minimd.structure.display import Displayed, Rows
 from minimd.structure.system import System
 from minimd.structure.units import SYSTEMS
 
 
-@dataclass(frozen=True)
-class H5MDContents:
+@dataclass(frozen=True, repr=False)
+class H5MDContents(Displayed):
     """What a minimd file holds apart from its frames.
 
     record : Record, one entry for each frame.  system : System at the restart, to the last bit, with the constraints of the run.
@@ -56,6 +57,19 @@ class H5MDContents:
     skin: float | None
     potentials: list[str]
     repaired: str
+
+    def __repr__(self) -> str:
+        return f"H5MDContents({self.n_frames} frames of {len(self.system)} atoms, {self.method}, step {self.step})"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        shown = self.system.units.shown
+        rows = [("title", self.title)] if self.title else []
+        rows += [("system", repr(self.system)), ("method", f"{self.method}, timestep {shown(self.timestep)}")]
+        rows += [("potential", one) for one in self.potentials]
+        rows += [("frames", f"{self.n_frames}, {'with' if self.has_forces else 'without'} forces")]
+        rows += [("restart", f"step {self.step}, {shown(self.time)}"), ("scene", "stored" if self.scene else "none stored")]
+        return rows + ([("repaired", self.repaired)] if self.repaired else [])
 
     def integrator(self) -> Splitting:
         """The method with its time step.  Raises ValueError if it is not one of minimd."""

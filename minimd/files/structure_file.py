@@ -1,7 +1,7 @@
 """Structures, and the bonds in them, from files that ASE or MDAnalysis reads; masses of chemical elements."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ LAMMPS = "lammps-data"
 SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".mol2": "MOL2", ".gsd": "GSD", ".txyz": "TXYZ"}  # formats that ASE does not know by them
 NAMES_BONDS = ("PDB", "ENT")  # formats of which ASE reads the atoms, and MDAnalysis the bonds
 STATE_MASSES = ("DATA", "GSD")  # formats of MDAnalysis with masses of their own, in units of their own
+MASS_OF_ELEMENT = 1e-3  # relative: 12.0 and 16.0 are carbon and oxygen, 14.027 is no nitrogen but CH₂
 NEAR = 2e-3  # Å, between the same positions read by ASE and by MDAnalysis
 
 
@@ -46,7 +47,7 @@ def system_from_file(
     bonds : "file" for those that the file names, with its angles; another file, such as a PSF, that names them for the same atoms; pairs;
         or None for none, with a warning if the file names some.
 
-    Species of LAMMPS data are its types, unless its masses are those of as many chemical elements and units are ASE's.
+    Species of LAMMPS data are its types, unless its masses are those of as many chemical elements, to 0.1 %, and units are ASE's.
 
     Raises
     ------
@@ -114,8 +115,16 @@ def _system(source: Any, units: UnitSystem, form: str | None) -> System:
         states_masses = is_lammps or str(form).upper() in STATE_MASSES
         own: dict[str, Any] = {} if states_masses else {"masses": None, "velocities": None}
         return changed(system, units=LJ, species=types, **own)
+    return changed(system, species=types) if is_lammps and not _are_elements(system, types) else system
+
+
+def _are_elements(system: System, types: Iterable[str]) -> bool:
+    """Whether the types of LAMMPS data are as many chemical elements, with the masses of these: a group of atoms taken as one has another."""
     symbols = set(system.species_names)
-    return changed(system, species=types) if is_lammps and ("X" in symbols or len(symbols) < len(set(types))) else system
+    if "X" in symbols or len(symbols) < len(set(types)):
+        return False
+    standard = np.array([atomic_mass(str(symbol)) for symbol in system.species])
+    return bool((np.abs(system.masses - standard) <= MASS_OF_ELEMENT * standard).all())
 
 
 def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joined:

@@ -360,7 +360,7 @@ class Evaluation(Displayed):
         """See Displayed."""
         atom, force = longest(self.forces)
         virial = [" ".join(f"{x:>14.6g}" for x in row) for row in self.virial]
-        energies = f"of single atoms from {self.energies.min():.6g} to {self.energies.max():.6g}"
+        energies = f"of single atoms: least {self.energies.min():.6g}, largest {self.energies.max():.6g}"
         energy, largest = f"{self.potential_energy:.10g}", f"{force:.4g}, on atom {atom}"
         return [("energy", energy), ("", energies), ("largest force", largest), *zip(("virial", "", ""), virial, strict=True)]
 

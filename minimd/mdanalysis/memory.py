@@ -31,6 +31,9 @@ class Frames:
         self._rows: list[dict[str, Any]] = []
         self._moving: list[tuple[NDArray[np.float32], ...]] = []
 
+    def __repr__(self) -> str:
+        return f"Frames({len(self)} frames of {'no' if self.system is None else len(self.system)} atoms)"
+
     def __len__(self) -> int:
         return len(self._rows)
 

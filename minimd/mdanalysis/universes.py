@@ -25,6 +25,7 @@ from minimd.mdanalysis.memory import Frames, RecordedReader
 from minimd.mdanalysis.topology import bare_universe
 from minimd.simulation.simulation import Simulation
 from minimd.structure.console import outside_minimd
+from minimd.structure.display import Displayed, Rows
 from minimd.structure.system import System
 from minimd.structure.units import ASE
 
@@ -136,6 +137,10 @@ class RadialDistribution(NamedTuple):
     r: Array
     g: Array
 
+    def __repr__(self) -> str:
+        k = int(np.argmax(self.g))
+        return f"RadialDistribution({len(self.r)} distances from {self.r[0]:.4g} to {self.r[-1]:.4g}; highest at {self.r[k]:.4g}, {self.g[k]:.4g})"
+
 
 def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
     """g(r) by MDAnalysis' InterRDF, up to half the smallest height of the cell, from evenly chosen frames and atoms.
@@ -185,7 +190,7 @@ def _name(made: RunUniverse) -> str:
 
 
 @dataclass(frozen=True)
-class Diffusion:
+class Diffusion(Displayed):
     """Self-diffusion by Einstein's relation ⟨|r(t) − r(0)|²⟩ → 6 D t. str() is one line about it.
 
     Attributes
@@ -199,6 +204,13 @@ class Diffusion:
     window: tuple[float, float]
     lags: Array
     displacements: Array
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        return [("diffusion", str(self)), ("lags", f"{len(self.lags)}, up to {self.lags[-1]:.4g} {'τ' if self.cm2_per_s is None else 'ps'}")]
+
+    def __repr__(self) -> str:
+        return f"Diffusion({self})"
 
     def __str__(self) -> str:
         unit, time = ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")

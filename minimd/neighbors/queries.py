@@ -62,7 +62,11 @@ class ClosestPair(NamedTuple):
     distance: float
 
     def __str__(self) -> str:
-        return f"atoms {self.first} and {self.second}, {self.distance:.3g} apart"
+        return self.told("")
+
+    def told(self, length: str) -> str:
+        """In words.  length : the unit."""
+        return f"atoms {self.first} and {self.second}, {self.distance:.3g}{f' {length}' if length else ''} apart"
 
 
 def closest_pair(system: System) -> ClosestPair | None:

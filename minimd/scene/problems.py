@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from minimd.scene.section import UNKNOWN, Keys, Reading
+from minimd.scene.section import UNKNOWN, Keys, Reading, Section, sections_below
 
 PLAIN = {  # pydantic's words: ours
     "Input should be": "must be",
@@ -52,6 +52,8 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
         return place, f"{place}.type is missing; it says what kind of potential this is: {kinds}"
     if kind == "union_tag_invalid":
         return place, f"{place}.type must be one of {details['ctx']['expected_tags']}; {place}.type = {_shown(value['type'])}"
+    if kind == "model_type" and not isinstance(value, dict):
+        return place, f"{place} must be a table with the keys {', '.join(_keys_of(details['ctx']['class_name'], reading))}; {place} = {_shown(value)}"
     if place == "potential" and isinstance(value, dict):
         return place, "potential must be written [[potential]], with two brackets, because a scene can have several; it is [potential]"
     words = details["msg"]
@@ -59,6 +61,11 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
         words = words.replace(theirs, ours)
     words = words.partition(" after validation")[0]
     return place, f"{place} {words}".strip() + ("" if isinstance(value, dict) else f"; {place} = {_shown(value)}")
+
+
+def _keys_of(name: str, reading: Reading) -> Keys:
+    """The keys of a section.  name : of its class."""
+    return next(one for one in sections_below(Section) if one.__name__ == name).keys(reading.units)
 
 
 def _about_key(loc: tuple, reading: Reading) -> str:

@@ -150,13 +150,14 @@ def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tel
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:
     """Lines about what has been built and will be run."""
     dynamics, units, system = scene.sections.dynamics, scene.units, simulation.system
-    bonds = f"; {len(system.bonds)} bonds" if len(system.bonds) else ""
+    groups = ((system.bonds, "bonds"), (system.angles, "angles"))
+    joined = "".join(f"; {len(group)} {name}" for group, name in groups if len(group))
     species = ", ".join(f"{n} {name}" for n, name in zip(np.bincount(system.species_index), system.species_names, strict=True))
     relaxation = dynamics.relaxation_time
     bath = f", bath at {dynamics.temperature:g} {units.temperature}, relaxation time {units.shown(relaxation)}" if relaxation else ""
     return [
         f"scene          {scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""),
-        f"system         {len(system)} atoms ({species}){bonds}",
+        f"system         {len(system)} atoms ({species}){joined}",
         f"cell           {_cell(system)}",
         *([f"constraints    {_constraints(simulation)}"] if simulation.constraints else []),
         *(f"potential      {_potential(potential, units)}" for potential in scene.potentials()),

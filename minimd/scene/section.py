@@ -4,7 +4,7 @@ A key that holds a quantity ends in its unit, as timestep_fs does. The field is 
 units of the engine.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -97,6 +97,13 @@ class Section(BaseModel):
             name, size = keys.get(key, (UNKNOWN + key, None))
             fields[UNKNOWN + key if name in fields else name] = _multiplied(value, size)
         return fields
+
+
+def sections_below(section: type[Section]) -> Iterator[type[Section]]:
+    """The classes made from one, with those made from these."""
+    for one in section.__subclasses__():
+        yield one
+        yield from sections_below(one)
 
 
 def _multiplied(value: Any, size: float | None) -> Any:

@@ -164,7 +164,7 @@ class Simulation(Displayed):
         store_forces : write forces into formats that can hold them.
         overwrite : replace files that exist.  append : continue the trajectory, an H5MD file in whose restart this simulation stands.
         observers : functions called with this simulation at each observation.
-        progress : show a progress bar; if not given, on a terminal only.
+        progress : show a progress bar; if not given, on a terminal and in a notebook.
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere
             (False). It holds the last good state and what minimd.replay needs; an existing file is kept unless overwrite, and the new one numbered.
 
@@ -234,6 +234,7 @@ class Simulation(Displayed):
         """Make steps without observations.  Raises ValueError for a negative count, and as run."""
         n_steps = checked_count("n_steps", n_steps, 0)
         if not self.engine.is_as_left:
+            self.guard.forget()
             self.engine.begin()
         self.guard.make_steps(n_steps)
 

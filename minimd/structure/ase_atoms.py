@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 from ase import Atoms
 from ase.data import atomic_numbers
-from numpy.typing import ArrayLike
+from ase.stress import full_3x3_to_voigt_6_stress
+from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure.ase_constraints import ases_constraints_of, constraints_of, fixes_center
 from minimd.structure.cell import Cell
 from minimd.structure.joined import joined_in, texts
+from minimd.structure.observables import stress as kinetic_stress
 from minimd.structure.units import ASE
 from minimd.structure.velocities import without_momentum
 
@@ -81,6 +83,15 @@ def same_scene(one: Atoms, other: Atoms) -> bool:
     arrays = [(one.numbers, other.numbers), (one.get_masses(), other.get_masses()), (one.pbc, other.pbc)]
     arrays += [(one.arrays.get(name, ()), other.arrays.get(name, ())) for name in ("bonds", "angles")]
     return all(np.array_equal(a, b) for a, b in arrays) and same_labels(one, other) and one.calc is other.calc
+
+
+def calculators_stress(stress: NDArray[np.float64], atoms: Atoms) -> NDArray[np.float64]:
+    """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part, which get_stress(include_ideal_gas=True) adds.
+
+    stress : (3, 3), observables.stress of the atoms in their present motion.
+    """
+    moving = kinetic_stress(atoms.get_velocities(), atoms.get_masses(), np.zeros((3, 3)), volume_of(atoms))
+    return full_3x3_to_voigt_6_stress(stress - moving)
 
 
 def volume_of(atoms: Atoms) -> float:

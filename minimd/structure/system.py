@@ -102,7 +102,12 @@ class System(Displayed):
 
     def __repr__(self) -> str:
         names = ", ".join(str(name) for name in self.species_names)
-        return f"System({len(self)} atoms of {names}; {len(self.bonds)} bonds; periodic {self.cell.pbc.tolist()}; {self.units.name} units)"
+        return f"System({len(self)} atoms of {names}; {self._joined}; periodic {self.cell.pbc.tolist()}; {self.units.name} units)"
+
+    @property
+    def _joined(self) -> str:
+        """Bonds, and angles if there are any, in words."""
+        return f"{len(self.bonds)} bonds" + (f", {len(self.angles)} angles" if len(self.angles) else "")
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -110,8 +115,11 @@ class System(Displayed):
         rows = [("atoms", f"{len(self)}: {', '.join(f'{n} {name}' for n, name in counts)}"), *self.cell.display_rows()]
         if self.volume is not None:
             density = len(self) / self.volume
-            rows.append(("density", f"{density:.6g} atoms/{units.length}³, {self.masses.sum() / self.volume:.6g} mass/{units.length}³"))
+            mass = self.masses.sum() / self.volume
+            of_mass = f"{mass / unit_systems.GRAM_PER_CM3:.6g} g/cm³" if units is unit_systems.ASE else f"{mass:.6g} mass/{units.length}³"
+            rows.append(("density", f"{density:.6g} atoms/{units.length}³, {of_mass}"))
         rows += [("bonds", str(len(self.bonds)))] if len(self.bonds) else []
+        rows += [("angles", str(len(self.angles)))] if len(self.angles) else []
         rows += [("constraints", ", ".join(map(repr, self.constraints)))] if self.constraints else []
         return [*rows, ("units", f"{units.name}: {units.length}, {units.energy}, {units.time}")]
 

@@ -89,3 +89,8 @@ SYSTEMS = {"ASE": ASE, "LJ": LJ}
 
 def _system(name: str) -> UnitSystem:
     return SYSTEMS[name]
+
+
+def __dir__() -> list[str]:
+    """The public names: what is imported for them is no part."""
+    return [name for name in globals() if name.isupper() or name in ("UnitSystem", "fs", "ps") or name.startswith("__")]

@@ -10,6 +10,7 @@ import numpy as np
 
 from minimd.integrators.method import Array, Method, Problem
 from minimd.structure.checks import checked_count, checked_number, shown
+from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import ConvergenceError, NonFiniteError
 
 __all__ = ["Solution", "run_steps", "run_until"]
@@ -18,8 +19,8 @@ REACHED = "the end was reached"
 LEFTOVER = 1e-12  # of a step: a shorter rest is rounding of the times, and belongs to the step before
 
 
-@dataclass
-class Solution:
+@dataclass(repr=False)
+class Solution(Displayed):
     """A path on a grid of times.
 
     t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities, of problems that have them.
@@ -34,6 +35,16 @@ class Solution:
     success: bool = True
     message: str = REACHED
     n_rejected: int = 0
+
+    def __repr__(self) -> str:
+        return f"Solution({len(self.t)} states at t = {self.t[0]:.6g} to {self.t[-1]:.6g})"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        size = f"q and v of shape {self.shape}" if self.shape is not None else f"{self.y.shape[1]} numbers"
+        rows = [("states", f"{len(self.t)} of {size}, t = {self.t[0]:.6g} to {self.t[-1]:.6g}")]
+        rows += [("evaluations", f"{self.nfev}"), ("outcome", self.message)]
+        return rows + ([("rejected", f"{self.n_rejected} steps")] if self.n_rejected else [])
 
     @property
     def q(self) -> Array:

@@ -63,6 +63,11 @@ class Field:
         self.shape: tuple[int, ...] | None = None  # of its answers, known once there is a start
         self._call = _CALLS[self.takes](function)
 
+    @property
+    def arguments(self) -> str:
+        """What it takes, in words."""
+        return ", ".join(self.takes)
+
     def __call__(self, t: float, q: Array, v: Array) -> Array:
         """(n,) values of the function."""
         return checked_values(self._call(t, q, v), self.shape, self.name)

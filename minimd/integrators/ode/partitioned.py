@@ -61,6 +61,9 @@ class Partitioned:
         self.shape: tuple[int, ...] = ()  # of q and of v, known once there is a start
         self.g_is_v = False
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({'' if self.g_is_v else f'g({self.g.arguments}), '}f({self.f.arguments}))"
+
     @property
     def is_separable(self) -> bool:
         """Whether g takes v alone and f does not take v, so that each half can be solved exactly."""

@@ -29,6 +29,9 @@ class FirstOrder:
 
     shape, remark = None, ""
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(f)"
+
     def __init__(self, f: Function, jacobian: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
         self._f = of_time_and_state(f, "f")
         self.jacobian = jacobian if jacobian is None else of_time_and_state(jacobian, "jacobian")

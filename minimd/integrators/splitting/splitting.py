@@ -7,9 +7,8 @@ Each half is solved exactly, so every composition is symplectic and conserves to
 equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
 """
 
-import functools
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -31,13 +30,6 @@ def stages(method: "type[Splitting]") -> int:
     """Force evaluations per step of a long run: groups of kicks with no drift between them, the last and the first kick being one group."""
     kicks = [isinstance(substep, Kick) for substep in merged(mechanical(method.substeps))]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
-
-
-@functools.cache
-def ends(method: Any) -> Substeps:
-    """The substeps with which a step of a splitting, a class, begins and ends."""
-    sequence = method.sequence()
-    return sequence[0], sequence[-1]
 
 
 class Splitting(Method):
@@ -113,6 +105,7 @@ class Splitting(Method):
         start, cycle, end = self._grouped(may_merge_drifts=around.constraints is None)
         first_kick = next((k for k, substep in enumerate(cycle) if isinstance(substep, Kick)), 0)
         durations = None if march is None or around.constraints is not None else self._durations(cycle[first_kick:] + cycle[:first_kick])
+        units = {substep: self.unit(substep) * self.timestep for substep in {*start, *cycle, *end}}
         step, goes_on = 0, around.take_up(state)
         while step <= n_steps:
             substeps = end if step == n_steps else start if step == 0 and not goes_on else cycle
@@ -121,7 +114,7 @@ class Splitting(Method):
             for k, substep in enumerate(substeps):
                 if march is not None and durations is not None and substeps is cycle and k == first_kick and not state.forces_are_current:
                     step += march(state, durations, n_steps - 1 - step)
-                duration, unit = substep.coefficient * self.timestep, self.unit(substep) * self.timestep
+                duration, unit = substep.coefficient * self.timestep, units[substep]
                 if isinstance(substep, Kick):
                     if not state.has_forces_over(unit):
                         is_last = k == len(substeps) - 1 and step == (n_steps if end else n_steps - 1)
@@ -165,7 +158,8 @@ class Splitting(Method):
         It is that of the substep with which a step begins or ends, if these are made of several of them: two merged half kicks then have the bits
         of two half kicks.
         """
-        for end in ends(cls):
+        sequence = cls.sequence()
+        for end in (sequence[0], sequence[-1]):
             if type(end) is type(substep) and substep.coefficient % end.coefficient == 0.0:
                 return end.coefficient
         return substep.coefficient

@@ -1,0 +1,242 @@
+"""Writes docs/scenes.md: every key of a scene file, with its unit and its default, from minimd/scene/sections.py.
+
+    python docs/write_scenes.py
+
+A key without a meaning below is refused, and a test compares the page with what is written here.
+"""
+
+import json
+import types
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+
+from annotated_types import Ge, Gt, MaxLen
+from pydantic_core import PydanticUndefined
+
+from minimd.potentials.pair import MIXING
+from minimd.potentials.truncation import TRUNCATIONS
+from minimd.scene.section import KEY_UNITS, Dimension, Section
+from minimd.scene.sections import METHODS, PLOT_SUFFIXES, SceneSections
+from minimd.structure.lattice import BASES
+
+PAGE = Path(__file__).parent / "scenes.md"
+UNITS = {
+    "_A": "Å", "_fs": "fs", "_K": "K", "_eV": "eV", "_eV_A": "eV/Å", "_g_cm3": "g/cm³", "_eV_A2": "eV/Å²", "_degree": "°", "_eV_rad2": "eV/rad²",
+}  # fmt: skip
+REDUCED = {
+    "length": "σ", "time": "τ", "temperature": "ε/k_B", "energy": "ε", "force": "ε/σ", "density": "1/σ³", "stiffness": "ε/σ²",
+    "angular stiffness": "ε/rad²", "angle": "°",
+}  # fmt: skip
+CHOICES = {"lattice": BASES, "mixing": MIXING, "truncation": TRUNCATIONS, "method": METHODS}
+MEANINGS = {
+    "": {
+        "title": "a line for reports and files",
+        "units": "those of the whole file",
+    },
+    "structure": {
+        "file": "of any format that ASE or MDAnalysis reads, relative to the scene; instead of `lattice`",
+        "lattice": "a block of a cubic crystal",
+        "element": "chemical symbol of its atoms, beside `lattice`; reduced units need none",
+        "repeat": "cells along x, y and z, beside `lattice`",
+        "density": "beside `lattice`: of mass; in reduced units of atoms",
+        "lattice_constant": "edge of the cubic cell, instead of `density`",
+        "cell": "edges, instead of those of the file",
+        "pbc": "periodic directions, one for all or three",
+        "species": "a label for each atom, instead of those of the file or the element",
+        "format": 'of a file whose suffix does not tell it, such as `"lammps-data"`',
+        "bonds": 'pairs of atoms; `"file"` for those that the file names, with its angles; or another file that names them',
+    },
+    "constraints": {
+        "pairs": 'of atoms whose distance is held; `"bonds"` for those of the structure',
+        "lengths": "one for all, or one for each pair; as they are at the start if not given",
+        "fixed": "atoms that stay where they are",
+        "tolerance": "of `solver`, relative",
+        "solver": "of the lengths",
+    },
+    "potential, lennard-jones": {
+        "type": "of the potential",
+        "epsilon": "depth of the well, the same for all species",
+        "sigma": "distance where u = 0, the same for all species",
+        "species": "instead of `epsilon` and `sigma`: a table of tables, see below",
+        "pairs": "parameters of two species that do not follow the mixing rule, see below",
+        "mixing": "rule for unlike species",
+        "cutoff": "needed in a periodic cell",
+        "truncation": "what becomes of the law at the cutoff",
+        "switch_start": 'where `"switched"` begins',
+        "bonded_scale": "factors for pairs one, two and three bonds apart",
+        "tail_correction": "add the energy and pressure of the pairs beyond the cutoff",
+    },
+    "potential.species.X": {"epsilon": "depth of the well", "sigma": "distance where u = 0"},
+    "potential.pairs": {"epsilon": "depth of the well", "sigma": "distance where u = 0", "species": "the two"},
+    "potential, harmonic-bond": {
+        "type": "of the potential",
+        "k": "u = k (r − length)²/2",
+        "length": "at rest",
+        "pairs": "of atoms; the bonds of the structure if not given",
+    },
+    "potential, harmonic-angle": {
+        "type": "of the potential",
+        "k": "u = k (θ − angle)²/2",
+        "angle": "at rest",
+        "triples": "of atoms, the middle one second; the angles of the structure file if not given",
+    },
+    "dynamics": {
+        "method": "of integration",
+        "timestep": "Δt",
+        "steps": "of the run",
+        "temperature": "of the first velocities, and of a thermostat; without it velocities stay as they are",
+        "relaxation_time": "of a thermostat, which needs it: 1/friction of Langevin dynamics",
+        "seed": "of velocities and noise",
+        "threads": "at most; all cores of the process if not given",
+        "precision": "of the forces between pairs",
+    },
+    "minimization": {
+        "force_tolerance": "the largest force that may remain",
+        "max_steps": "at most",
+        "max_step_length": "of an atom in one step",
+    },
+    "equilibration": {
+        "steps": "before the run, which then begins at step 0",
+        "temperature": "to which velocities are rescaled; that of `[dynamics]` if not given",
+        "rescale_every": "steps between two rescalings",
+    },
+    "output": {
+        "trajectory": "a file, or several, of the format that the suffix names; the name of the scene with `.h5md` if not given",
+        "every": "steps between two observations",
+        "forces": "store them in the trajectory",
+        "shadow_energy": "observe it",
+        "plot": "draw the run beside the trajectory, or in a file that ends in " + ", ".join(PLOT_SUFFIXES),
+    },
+}
+INTRODUCTION = """# Scene files
+
+`minimd run scene.toml` runs a scene: a file in [TOML](https://toml.io), here with every key that it may have. A key that holds a quantity ends in its
+unit, as `timestep_fs` does; with `units = "LJ"` numbers are reduced, and keys have no ending (`timestep`), but for angles. Unknown keys are refused,
+and the message names those that there are. This page is written by `docs/write_scenes.py` from the code that reads scenes.
+
+```toml
+title = "liquid argon"
+
+[structure]
+lattice = "fcc"
+element = "Ar"
+repeat = [4, 4, 4]
+density_g_cm3 = 1.374
+
+[[potential]]
+type = "lennard-jones"
+cutoff_A = 8.0
+truncation = "switched"
+
+[potential.species.Ar]
+epsilon_K = 119.8
+sigma_A = 3.405
+
+[dynamics]
+timestep_fs = 4.0
+steps = 20
+temperature_K = 94.4
+```
+"""
+HEADINGS = {
+    "": "At the top of the file",
+    "potential, lennard-jones": '[[potential]] with type = "lennard-jones"',
+    "potential, harmonic-bond": '[[potential]] with type = "harmonic-bond"',
+    "potential, harmonic-angle": '[[potential]] with type = "harmonic-angle"',
+    "potential.pairs": "[[potential.pairs]]",
+}
+NOTES = {
+    "structure": "Either `file`, or `lattice` with `repeat` and `density` or `lattice_constant`, and `element` unless units are reduced.",
+    "constraints": "Optional. What it does not name stays as the structure file has it.",
+    "potential, lennard-jones": "Double brackets: a scene can have several potentials. Either `epsilon` and `sigma`, or `species`.",
+    "potential.species.X": "A table for each species X, below its `[[potential]]`, or: `species = { X = { epsilon_eV = 0.01, sigma_A = 3.4 } }`",
+    "potential.pairs": "One table for each pair, below its `[[potential]]`.",
+    "minimization": "Optional: before everything else atoms move to a minimum of the energy nearby. `[minimization]` alone is enough.",
+    "equilibration": "Optional: steps before the run, with velocities rescaled.",
+    "output": "Optional.",
+}
+
+
+def sections() -> Iterator[tuple[str, type[Section]]]:
+    """Name and class of each table, in the order of the page."""
+    yield "", SceneSections
+    for name, info in SceneSections.model_fields.items():
+        for section in dict.fromkeys(classes_in(info.annotation)):
+            kind = typing.get_args(section.model_fields["type"].annotation)[0] if "type" in section.model_fields else None
+            yield f"{name}, {kind}" if kind else name, section
+            for inner, deeper in section.model_fields.items():
+                for one in dict.fromkeys(classes_in(deeper.annotation)):
+                    yield f"{name}.{inner}" + (".X" if "dict" in str(deeper.annotation) else ""), one
+
+
+def classes_in(kind: object) -> Iterator[type[Section]]:
+    """The sections in an annotation."""
+    if isinstance(kind, type) and not isinstance(kind, types.GenericAlias) and issubclass(kind, Section):
+        yield kind
+    for inner in typing.get_args(kind):
+        yield from classes_in(inner)
+
+
+def what(name: str, kind: object, limits: list[object]) -> str:
+    """The kind of a value, in words."""
+    if name in CHOICES:
+        return " or ".join(f'`"{one}"`' for one in CHOICES[name])
+    arguments, origin = typing.get_args(kind), typing.get_origin(kind)
+    if origin is typing.Annotated:
+        return what("", arguments[0], [*limits, *arguments[1:], *(one for mark in arguments[1:] for one in getattr(mark, "metadata", ()))])
+    if origin is typing.Literal:
+        return " or ".join(f'`"{one}"`' for one in arguments)
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(what("", one, limits) for one in arguments if one is not type(None))
+    if origin is list:
+        most = next((one.max_length for one in limits if isinstance(one, MaxLen)), None)
+        return f"list{f' of {most}' if most else ''}: {what('', arguments[0], [])}"
+    if origin is dict or (isinstance(kind, type) and issubclass(kind, Section)):
+        return "table"
+    least = next((f", at least {one.ge:g}" for one in limits if isinstance(one, Ge)), "")
+    above = next((", positive" for one in limits if isinstance(one, Gt)), "")
+    return {int: "whole number", float: "number", bool: "true or false", str: "text"}[kind] + (least or above)  # type: ignore[index]
+
+
+def default(info: typing.Any, section: type[Section]) -> str:
+    """The default of a key, in words."""
+    if info.is_required():
+        return "required"
+    if info.default is None or info.default is PydanticUndefined or isinstance(info.default, Section):
+        return ""
+    return f"`{json.dumps(info.default)}`" if info.default != "" else "none"
+
+
+def rows(name: str, section: type[Section]) -> Iterator[str]:
+    """The rows of the table of a section.  Raises KeyError for a key without a meaning."""
+    for field, info in section.model_fields.items():
+        if any(True for _ in classes_in(info.annotation)) and name == "":
+            continue
+        dimension = next((mark for mark in info.metadata if isinstance(mark, Dimension)), None)
+        keys, units, reduced = [field], "", ""
+        if dimension is not None:
+            keys = [field + ending for ending in KEY_UNITS["ASE"][dimension]]
+            units, reduced = " or ".join(UNITS[ending] for ending in KEY_UNITS["ASE"][dimension]), REDUCED[dimension]
+            if dimension == "angle":
+                reduced = f"`{field}_degree`, {reduced}"
+        kind = what(field, info.annotation, list(info.metadata))
+        if field not in MEANINGS[name]:
+            raise KeyError(f"docs/write_scenes.py has no meaning for the key {field!r} of [{name}]; give it one there")
+        cells = [" or ".join(f"`{key}`" for key in keys), MEANINGS[name][field], kind, units, reduced, default(info, section)]
+        yield f"| {' | '.join(cells)} |"
+
+
+def page() -> str:
+    """The whole page."""
+    parts = [INTRODUCTION]
+    for name, section in sections():
+        heading = HEADINGS.get(name, f"[{name}]")
+        note = [NOTES[name], ""] if name in NOTES else []
+        head = ["| key | what it is | value | unit | reduced | default |", "| --- | --- | --- | --- | --- | --- |"]
+        parts.append("\n".join([f"## {heading}", "", *note, *head, *rows(name, section), ""]))
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

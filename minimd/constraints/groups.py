@@ -41,14 +41,12 @@ class SolverPool:
         """
         are_plain = all(array.flags.carray and array.dtype == np.float64 for array in atoms)
         calls = self._calls[type(solver)] if are_plain else None
-        self._threads.run(run_chunks, self._answers, solver, self.n_components, atoms, arguments, calls=calls)
-        failed = self._answers[self._answers < 0]
-        return int(failed[0] if failed.size else self._answers.max())
+        return int(self._threads.run(run_chunks, self._answers, solver, self.n_components, atoms, arguments, calls=calls))
 
 
 @shared_kernel
 def run_chunks(me, task, answers, solver, n, atoms, arguments):
-    """answers[k] = what the solver returns for the k-th chunk of n components."""
+    """answers[k] = what the solver returns for the k-th chunk of n components. Returns the first that is negative, or else the largest."""
     n_chunks = answers.size
     phase = begin(me, task)
     chunk = take(me, phase, n_chunks)
@@ -56,6 +54,12 @@ def run_chunks(me, task, answers, solver, n, atoms, arguments):
         answers[chunk] = solve_some(solver, chunk * n // n_chunks, (chunk + 1) * n // n_chunks, Atoms(*atoms), arguments)
         chunk = finish_and_take(me, phase, n_chunks)
     barrier(me, phase)
+    worst = 0
+    for answer in answers:
+        if answer < 0:
+            return answer
+        worst = max(worst, answer)
+    return worst
 
 
 def solve_some(solver, first, last, atoms, arguments):

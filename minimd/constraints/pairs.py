@@ -9,6 +9,8 @@ s and r are r_j − r_i + offset before the drift and now. H. C. Andersen, J. Co
 from collections import namedtuple
 from math import sqrt
 
+import numpy as np
+
 from minimd.compiled.kernels import inlined, type_of
 from minimd.constraints.vectors import NOTHING, add_opposite, dot, moved, separation
 
@@ -18,7 +20,7 @@ def drift_pairs(start, end, atoms, bonds, duration):
     """Drift of bonds start to end − 1: a λ² + 2 b λ + c = 0 with a = w² s², b = w p · s, c = p² − d².  Atoms, Bonds, [time]."""
     positions, velocities, inverse_masses = atoms
     for k in range(start, end):
-        i, j = bonds.first[k], bonds.second[k]
+        i, j = np.uintp(bonds.first[k]), np.uintp(bonds.second[k])  # unsigned: no check for indices that count from the end
         s = separation(positions, i, j, bonds.offsets[k])
         p = moved(s, velocities, i, j, duration)
         w = inverse_masses[i] + inverse_masses[j]

@@ -260,7 +260,9 @@ def _exclude(domain, slot, other, layout, image, rows):
 def _ghost_of(domain, cluster, image, layout):
     """The ghost of a cluster in a domain; −1 if there is none."""
     ghosts, domains = layout.ghosts, layout.domains
-    first, last = domains.ghost[domains.run[domain]], domains.ghost[domains.run[domain + 1]]
+    first, last, home = domains.ghost[domains.run[domain]], domains.ghost[domains.run[domain + 1]], ghosts.home[cluster]
+    if image == HOME and first <= home < last:
+        return home
     for p in range(np.uintp(ghosts.start[cluster]), np.uintp(ghosts.start[cluster + 1])):
         ghost = ghosts.of[p]
         if first <= ghost < last and ghosts.key[ghost] == cluster * IMAGES + image:

@@ -14,7 +14,7 @@ DEFAULT_SKIN = 0.12  # of the cutoff, where nothing is known about the speed of 
 LEAST_SKIN = 0.02  # of the cutoff
 SKINS = np.geomspace(LEAST_SKIN, 1.0, 100)  # of the cutoff, to choose from
 STEP_COST = (16.0, 3.0)  # ns per atom: a constant, and per atom in a cube as wide as the list reaches
-BUILD_COST = (40.0, 5.0)  # ns per atom, likewise
+BUILD_COST = (56.0, 7.0)  # ns per atom, likewise
 CALLS_COST = 60_000.0  # ns of each build, however small the scene is
 
 

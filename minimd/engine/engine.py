@@ -125,7 +125,7 @@ class Engine:
             return
         interactions.grid = state.grid = grid
         kick = next(substep for substep in self.method.sequence() if isinstance(substep, Kick))
-        interactions.unit = state.unit = self.method.unit(kick) * self.method.timestep
+        interactions.unit = state.unit = self.method.units([kick])[kick] * self.method.timestep
 
     def advance(self, n_steps: int, with_energy: bool = True) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many. step and time stay as they are.

@@ -7,7 +7,7 @@ Each half is solved exactly, so every composition is symplectic and conserves to
 equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import ClassVar
 
 import numpy as np
@@ -105,7 +105,7 @@ class Splitting(Method):
         start, cycle, end = self._grouped(may_merge_drifts=around.constraints is None)
         first_kick = next((k for k, substep in enumerate(cycle) if isinstance(substep, Kick)), 0)
         durations = None if march is None or around.constraints is not None else self._durations(cycle[first_kick:] + cycle[:first_kick])
-        units = {substep: self.unit(substep) * self.timestep for substep in {*start, *cycle, *end}}
+        units = self.units({*start, *cycle, *end})
         step, goes_on = 0, around.take_up(state)
         while step <= n_steps:
             substeps = end if step == n_steps else start if step == 0 and not goes_on else cycle
@@ -114,7 +114,7 @@ class Splitting(Method):
             for k, substep in enumerate(substeps):
                 if march is not None and durations is not None and substeps is cycle and k == first_kick and not state.forces_are_current:
                     step += march(state, durations, n_steps - 1 - step)
-                duration, unit = substep.coefficient * self.timestep, units[substep]
+                duration, unit = substep.coefficient * self.timestep, units[substep] * self.timestep
                 if isinstance(substep, Kick):
                     if not state.has_forces_over(unit):
                         is_last = k == len(substeps) - 1 and step == (n_steps if end else n_steps - 1)
@@ -152,20 +152,24 @@ class Splitting(Method):
         return (*self.opening, first, *body), (both, *body), (last, *self.closing)
 
     @classmethod
-    def unit(cls, substep: Substep) -> float:
-        """The coefficient of which that of a substep is a whole multiple: what it changes is rounded over this unit, in fixed-point arithmetic.
+    def units(cls, substeps: Iterable[Substep]) -> dict[Substep, float]:
+        """For each substep the coefficient of which its own is a whole multiple: what it changes is rounded over this unit, on a grid.
 
         It is that of the substep with which a step begins or ends, if these are made of several of them: two merged half kicks then have the bits
         of two half kicks.
         """
         sequence = cls.sequence()
-        for end in (sequence[0], sequence[-1]):
-            if type(end) is type(substep) and substep.coefficient % end.coefficient == 0.0:
-                return end.coefficient
-        return substep.coefficient
+        ends = {type(end): end.coefficient for end in (sequence[-1], sequence[0])}
+
+        def unit(substep: Substep) -> float:
+            end = ends.get(type(substep), substep.coefficient)
+            return end if substep.coefficient % end == 0.0 else substep.coefficient
+
+        return {substep: unit(substep) for substep in substeps}
 
     def _durations(self, cycle: Substeps) -> Array | None:
         """Times of the kicks and drifts of a cycle, and their units, (P, 2, 2) [time]; None unless they alternate."""
         if [type(substep) for substep in cycle] != [Kick, Drift] * (len(cycle) // 2):
             return None
-        return self.timestep * np.array([(substep.coefficient, self.unit(substep)) for substep in cycle]).reshape(-1, 2, 2)
+        units = self.units(cycle)
+        return self.timestep * np.array([(substep.coefficient, units[substep]) for substep in cycle]).reshape(-1, 2, 2)

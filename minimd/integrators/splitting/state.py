@@ -39,11 +39,11 @@ class State:
     unit: float = 1.0
 
     def has_forces_over(self, unit: float) -> bool:
-        """Whether the forces of the next kick are computed.  unit : of time, of which the kick is a multiple; see Splitting.unit [time]."""
+        """Whether the forces of the next kick are computed.  unit : of time, of which the kick is a multiple; see Splitting.units [time]."""
         return self.forces_are_current
 
     def kick(self, duration: float, _unit: float) -> None:
-        """Velocities += duration · forces / m.  unit : of the duration, see Splitting.unit [time]."""
+        """Velocities += duration · forces / m.  unit : of the duration, see Splitting.units [time]."""
         kick(self.velocities, self.forces, self.inverse_masses, duration)
 
     def drift(self, duration: float, _unit: float) -> None:

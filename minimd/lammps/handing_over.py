@@ -285,7 +285,8 @@ class Job:
             why = f"its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time step"
             words = f"LAMMPS' potential energy and minimd's differ by {different:.1e} of Σ|e_i| in a frame, allowed is {allowed:g}; {why}"
         if words and self.keeps_frames:
-            words += f"; {len(brought.record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
+            kept = f"{len(brought.record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
+            words = f"{kept}; {words}" if self.stop_requested else f"{words}; {kept}"  # by which signal follows
         if words:
             raise KeyboardInterrupt(words) if self.stop_requested else HandOverError(words)
 

@@ -44,7 +44,7 @@ def temperature_set_to(value):
 
 # what is done wrong: (the call, the exception, words that must be in its sentence)
 WRONG_CALLS = {
-    "two atoms on one spot": (lambda: simulate([[0, 0, 0], [3, 3, 3], [3, 3, 3]], cell=10), md.NonFiniteError, ["atoms 1 and 2, 0 apart"]),
+    "two atoms on one spot": (lambda: simulate([[0, 0, 0], [3, 3, 3], [3, 3, 3]], cell=10), md.NonFiniteError, ["atoms 1 and 2, 0 σ apart"]),
     "two atoms on one spot, evaluated": (
         lambda: md.evaluate(md.System([[0, 0, 0], [3, 3, 3], [3, 3, 3]]), LJ),
         md.NonFiniteError,
@@ -53,12 +53,12 @@ WRONG_CALLS = {
     "two atoms on one spot of the next cell": (
         lambda: simulate([[0, 0, 0], [3, 3, 3], [10, 0, 0]], cell=10),
         md.NonFiniteError,
-        ["atoms 0 and 2, 0 apart"],
+        ["atoms 0 and 2, 0 σ apart"],
     ),
     "two atoms nearly on one spot": (
         lambda: simulate([[0, 0, 0], [3, 3, 3], [3, 3, 3.001]], cell=10),
         md.NonFiniteError,
-        ["force on atom", "atoms 1 and 2, 0.001 apart"],
+        ["force on atom", "atoms 1 and 2, 0.001 σ apart"],
     ),
     "NaN position": (lambda: md.System([[0, 0, 0], [1, NAN, 0]]), ValueError, ["positions must be finite", "positions[1]", "nan"]),
     "infinite position": (lambda: md.System([[0, np.inf, 0]]), ValueError, ["positions must be finite", "positions[0]", "inf"]),

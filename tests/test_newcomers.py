@@ -149,3 +149,33 @@ def test_density_of_mass_is_in_grams():
     """Argon at 1.374 g/cm³ has 0.0207 atoms/Å³."""
     system = md.System([[0.0, 0, 0]], masses=39.948, cell=[1.0, 1.0, 39.948 / (1.374 * 0.6022140858549161)], units=md.units.ASE)
     assert "1.374 g/cm³" in str(system)
+
+
+def test_a_misspelt_attribute_of_a_simulation_is_refused():
+    sim = md.Simulation(liquid(3), LJ, md.VelocityVerlet(0.002))
+    with pytest.raises(AttributeError, match="has no attribute 'stp' that could be set; did you mean 'step'"):
+        sim.stp = 3
+    with pytest.raises(AttributeError, match="has no attribute 'timstep'"):
+        sim.timstep = 3
+    sim.step, sim.method = 7, md.VelocityVerlet(0.001)
+    assert sim.step == 7
+
+    class Mine(md.Simulation):
+        pass
+
+    mine = Mine(liquid(3), LJ, md.VelocityVerlet(0.002))
+    mine.note = "kept"
+    assert mine.note == "kept"
+
+
+def test_diffusion_of_langevin_dynamics_is_called_that(tmp_path):
+    from minimd.analysis.check import liquid as lines_of
+
+    hot = md.System(liquid(3).positions, cell=liquid(3).cell)
+    for method, told in ((md.LangevinBAOAB(0.01, 9.0, 0.1, seed=1), True), (md.VelocityVerlet(0.005), False)):
+        sim = md.Simulation(hot, LJ, method)
+        sim.set_temperature(9.0, seed=1)
+        sim.run(600, every=10, trajectory=tmp_path / "a.h5md", overwrite=True)
+        found = [line for line in lines_of(tmp_path / "a.h5md") if line.startswith("diffusion")]
+        assert len(found) == 1
+        assert ("of Langevin dynamics" in found[0]) is told

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
 from minimd.files.h5md_reader import damage, damage_told
+from minimd.integrators import LangevinBAOAB
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.display import Displayed
@@ -183,7 +184,8 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
             diffusion = diffusion_coefficient(made)
             moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
             if moved > 0.5 * peak * units.to_angstrom:
-                lines.append(f"diffusion      {diffusion}")
+                slowed = ", of Langevin dynamics, whose friction slows it" if contents.method == LangevinBAOAB.name else ""
+                lines.append(f"diffusion      {diffusion}{slowed}")
     return lines
 
 

@@ -1,11 +1,29 @@
 """Attributes of a simulation that are those of its engine, or measured on it."""
 
+from difflib import get_close_matches
 from operator import attrgetter
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from minimd.engine.observation import measure
 
 T = TypeVar("T")
+
+
+class Closed:
+    """Base of a class whose objects refuse attributes that it does not have: a misspelt one would be set, and nothing happen.
+
+    own : names of attributes that are set and stand in no class.  Subclasses of users may set what they like.
+    """
+
+    own: ClassVar[tuple[str, ...]] = ()
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        kind = type(self)
+        if "own" in vars(kind) and not (name.startswith("_") or name in kind.own or hasattr(kind, name)):
+            near = get_close_matches(name, [*kind.own, *(one for one in dir(kind) if not one.startswith("_"))], n=1)
+            hint = f"did you mean {near[0]!r}?" if near else "the time step is that of its method"
+            raise AttributeError(f"a {kind.__name__} has no attribute {name!r} that could be set; {hint}")
+        super().__setattr__(name, value)
 
 
 class EngineAttribute(Generic[T]):

@@ -25,7 +25,7 @@ from minimd.forces.forces import Potential
 from minimd.forces.options import Options, Precision
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
-from minimd.simulation.engine_attribute import EngineAttribute, Measured
+from minimd.simulation.engine_attribute import Closed, EngineAttribute, Measured
 from minimd.simulation.resuming import resumed
 from minimd.structure.checks import checked_count, checked_flag, checked_number, shown
 from minimd.structure.console import progress_of, stop_on_signals
@@ -40,7 +40,7 @@ SECONDS_BETWEEN_CHECKPOINTS = 5.0  # whatever every is: no more is lost when the
 Observer = Callable[["Simulation"], None]
 
 
-class Simulation(Displayed):
+class Simulation(Closed, Displayed):
     """Molecular dynamics of one system.
 
     Parameters
@@ -63,6 +63,7 @@ class Simulation(Displayed):
     TypeError, ValueError : for arguments of another kind, and as Forces does.
     """
 
+    own = ("engine", "guard", "record", "reversibility")
     potentials_of_scene: ClassVar[Callable[[str, Sequence[str], Path], list[Potential]]]  # scenes are a floor above; minimd/__init__ sets it
     system = EngineAttribute[System]("The state; its arrays can be changed, not replaced by those of another system.")
     method = EngineAttribute[Splitting]("The integrator with its time step; another one takes over with the next step. See Engine.method.")

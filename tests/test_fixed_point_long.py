@@ -5,6 +5,7 @@ import pytest
 from fixed_point_scenes import GRID, LAW, bits, mixture, simulated, total_momentum
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from references import load
 
 import minimd as md
 from minimd.bench.scenes import melt
@@ -104,6 +105,17 @@ def test_hot_fast_and_far_atoms_are_right_or_stopped(speed, distance, far, times
     assert not message or any(word in message for word in ("beyond the range", "past every neighbor", "would move it", "not finite", "shift them")), (
         message
     )
+
+
+@pytest.mark.parametrize("name", ["nist_lj/config1.json", "nist_lj/config4.json"])
+def test_nists_configurations(name):
+    data = load(name)
+    for row in data["rows"]:
+        truncation = {"truncated_plus_LRC": "truncated", "linear_force_shift": "force-shifted"}[row["scheme"]]
+        law = md.LennardJones(1.0, 1.0, row["rc"], truncation)
+        simulation = md.Simulation(md.System(data["x"], cell=data["box"]), law, md.VelocityVerlet(0.001), precision="fixed-point")
+        assert simulation.potential_energy == pytest.approx(row["Upair_recomputed"], rel=1e-11)
+        assert np.trace(simulation.engine.interactions.virial) == pytest.approx(row["Wpair_recomputed"], rel=1e-11)
 
 
 def test_grid_of_the_scenes_is_what_the_page_says():

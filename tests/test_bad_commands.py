@@ -33,7 +33,7 @@ WRONG_COMMANDS = {
     "structure file that is none": (SCENE_OF_A_FILE.replace("atoms.xyz", "good.toml"), ["run"], 2, ["structure: file 'good.toml' cannot be read"]),
     "missing structure file": (SCENE_OF_A_FILE.replace("atoms.xyz", "b.xyz"), ["run"], 2, ["structure: file 'b.xyz' does not exist"]),
     "pbc without cell": (SCENE_OF_A_FILE.replace("cell = [9, 9, 9]", ""), ["run"], 2, ["structure: pbc[0] is True but cell[0] is zero"]),
-    "structure of overlapping atoms": (SCENE_OF_A_FILE.replace("atoms.xyz", "same.xyz"), ["run"], 3, ["atoms 0 and 1, 0 apart"]),
+    "structure of overlapping atoms": (SCENE_OF_A_FILE.replace("atoms.xyz", "same.xyz"), ["run"], 3, ["atoms 0 and 1, 0 σ apart"]),
     "unknown element": (
         SCENE.replace('units = "LJ"', "")
         .replace('"fcc"', '"fcc"\nelement = "Ag2"')

@@ -172,10 +172,10 @@ def test_diffusion_of_langevin_dynamics_is_called_that(tmp_path):
     from minimd.analysis.check import liquid as lines_of
 
     hot = md.System(liquid(3).positions, cell=liquid(3).cell)
-    for method, told in ((md.LangevinBAOAB(0.01, 9.0, 0.1, seed=1), True), (md.VelocityVerlet(0.005), False)):
+    for method, told in ((md.LangevinBAOAB(0.004, 3.0, 0.1, seed=1), True), (md.VelocityVerlet(0.004), False)):
         sim = md.Simulation(hot, LJ, method)
-        sim.set_temperature(9.0, seed=1)
-        sim.run(600, every=10, trajectory=tmp_path / "a.h5md", overwrite=True)
+        sim.set_temperature(3.0, seed=1)
+        sim.run(1000, every=10, trajectory=tmp_path / "a.h5md", overwrite=True)
         found = [line for line in lines_of(tmp_path / "a.h5md") if line.startswith("diffusion")]
         assert len(found) == 1
         assert ("of Langevin dynamics" in found[0]) is told

@@ -83,7 +83,7 @@ CHANGES = {
     "NaN": (lambda sim: sim.positions.__setitem__(3, NAN), md.NonFiniteError, "positions of 1 atoms are not finite"),
     "infinite velocities": (lambda sim: sim.velocities.fill(INF), md.NonFiniteError, "not finite"),
     "a small cell": (lambda sim: setattr(sim.system, "cell", md.Cell.of(2.0)), md.NonFiniteError, "atoms .* apart"),
-    "two atoms on one spot": (lambda sim: sim.positions.__setitem__(0, sim.positions[1]), md.NonFiniteError, "atoms 0 and 1, 0 apart"),
+    "two atoms on one spot": (lambda sim: sim.positions.__setitem__(0, sim.positions[1]), md.NonFiniteError, "atoms 0 and 1, 0 σ apart"),
     "hot atoms": (lambda sim: np.multiply(sim.velocities, 1e5, out=sim.velocities), md.NonFiniteError, "moves .* in one step"),
     "a long step": (lambda sim: setattr(sim, "method", md.VelocityVerlet(0.5)), md.NonFiniteError, "timestep 0.5 τ too large"),
     "another system": (lambda sim: setattr(sim, "system", solid(2)), AttributeError, "system"),

@@ -72,7 +72,8 @@ def draw_row(panel, found, atoms):
     corner = (found.domains.column[1] - 0.5) * THICKNESS, HEIGHT - 1.6
     slot = min(slots, key=lambda s: np.hypot(*(atoms[found.ghosts.home[s // n_lanes], :, s % n_lanes] - corner)))
     at = atoms[found.ghosts.home[slot // n_lanes], :, slot % n_lanes]
-    for entry in found.rows.entries[found.rows.start[slot] : found.rows.stop[slot]]:
+    rows = found.arrays.rows
+    for entry in rows.entries[rows.start[slot] : rows.stop[slot]]:
         ghost, lanes = entry & GHOST_BITS, entry >> LANES_FROM
         counts = [k for k in range(n_lanes) if lanes >> k & 1]
         x, z = atoms[ghost][:, counts]

@@ -68,7 +68,17 @@ MEANINGS = {
         "tail_correction": "add the energy and pressure of the pairs beyond the cutoff",
     },
     "potential.species.X": {"epsilon": "depth of the well", "sigma": "distance where u = 0"},
-    "potential.pairs": {"epsilon": "depth of the well", "sigma": "distance where u = 0", "species": "the two"},
+    "potential.pairs": {"epsilon": "depth of the well", "sigma": "distance where u = 0", "species": "the two", "file": "their table"},
+    "tables": {"r": "distances", "u": "energies, as many"},
+    "potential, tabulated": {
+        "type": "of the potential",
+        "file": "table of all atoms: two columns, r and u in the units of the scene, relative to the scene; or a name in `[tables]`",
+        "pairs": "instead of `file`: a table for each pair of species, see below",
+        "cutoff": "the last r of the table if not given",
+        "truncation": "what becomes of the law at the cutoff",
+        "switch_start": 'where `"switched"` begins',
+        "bonded_scale": "factors for pairs one, two and three bonds apart",
+    },
     "potential, harmonic-bond": {
         "type": "of the potential",
         "k": "u = k (r − length)²/2",
@@ -106,6 +116,7 @@ MEANINGS = {
         "every": "steps between two observations",
         "forces": "store them in the trajectory",
         "shadow_energy": "observe it",
+        "stress": "observe the tensor",
         "plot": "draw the run beside the trajectory, or in a file that ends in " + ", ".join(PLOT_SUFFIXES),
     },
 }
@@ -144,6 +155,7 @@ HEADINGS = {
     "potential, lennard-jones": '[[potential]] with type = "lennard-jones"',
     "potential, harmonic-bond": '[[potential]] with type = "harmonic-bond"',
     "potential, harmonic-angle": '[[potential]] with type = "harmonic-angle"',
+    "potential, tabulated": '[[potential]] with type = "tabulated"',
     "potential.pairs": "[[potential.pairs]]",
 }
 NOTES = {
@@ -152,6 +164,8 @@ NOTES = {
     "potential, lennard-jones": "Double brackets: a scene can have several potentials. Either `epsilon` and `sigma`, or `species`.",
     "potential.species.X": "A table for each species X, below its `[[potential]]`, or: `species = { X = { epsilon_eV = 0.01, sigma_A = 3.4 } }`",
     "potential.pairs": "One table for each pair, below its `[[potential]]`.",
+    "potential, tabulated": "Either `file` or `pairs`.",
+    "tables": "A table `[tables.X]` is what a file named X would hold: a scene that is stored in the file of its run has its tables there.",
     "minimization": "Optional: before everything else atoms move to a minimum of the energy nearby. `[minimization]` alone is enough.",
     "equilibration": "Optional: steps before the run, with velocities rescaled.",
     "output": "Optional.",

@@ -117,7 +117,7 @@ def test_another_timestep_takes_effect():
 
 def test_steps_are_made_in_blocks_with_one_force_evaluation_each(monkeypatch):
     calls, compute = [], md.Forces.compute
-    monkeypatch.setattr(md.Forces, "compute", lambda forces, detail: calls.append(detail) or compute(forces, detail))
+    monkeypatch.setattr(md.Forces, "compute", lambda forces, detail, *unit: calls.append(detail) or compute(forces, detail, *unit))
     monkeypatch.setattr(md.Forces, "march", lambda *_arguments: 0)  # all steps made one by one, so that each is counted
     atoms = with_calculator(argon(), Calculator(lennard_jones(), skin=1.0))
     dynamics = VelocityVerlet(atoms, TIMESTEP)

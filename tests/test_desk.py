@@ -190,7 +190,7 @@ def test_help_fits_one_screen_before_the_text_begins(name):
 def test_names_of_choices_are_those_that_exist():
     assert set(get_args(TruncationName)) == set(TRUNCATIONS)
     assert set(get_args(MixingName)) == set(MIXING)
-    assert set(get_args(Precision)) == {"double", "mixed"}
+    assert set(get_args(Precision)) == {"double", "mixed", "fixed-point"}
 
 
 SCRIPT = """

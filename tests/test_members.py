@@ -346,7 +346,10 @@ def test_what_is_wrong_is_said_in_a_sentence(options, kind, told, tmp_path):
 
 def script(tmp_path, text):
     (tmp_path / "script.py").write_text(text)
-    return subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    paths = os.pathsep.join(map(str, (Path(__file__).parent, Path(__file__).parent.parent)))
+    return subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True, check=False
+    )
 
 
 def test_a_script_without_a_main_is_told_so(tmp_path):

@@ -114,7 +114,7 @@ def test_what_nobody_asks_for_is_not_recorded_or_paid():
 def test_energy_is_evaluated_only_where_somebody_looks(monkeypatch, every):
     asked = []
     compute = md.Forces.compute
-    monkeypatch.setattr(md.Forces, "compute", lambda self, detail=0: (asked.append(detail), compute(self, detail))[1])
+    monkeypatch.setattr(md.Forces, "compute", lambda self, detail=0, *unit: (asked.append(detail), compute(self, detail, *unit))[1])
     md.Simulation(*chains(), md.VelocityVerlet(0.002)).run(2 * every, every=every)
     assert len(asked) == 2 * every + 1
     assert sum(detail > 0 for detail in asked) == 3
@@ -200,7 +200,7 @@ def test_blow_up_says_at_which_step_which_atoms_and_keeps_the_last_good_state():
 
 def test_a_start_that_would_explode_is_refused():
     system = md.System([[0, 0, 0], [0.01, 0, 0], [3, 3, 3]], cell=10.0)
-    with pytest.raises(md.NonFiniteError, match=r"atoms 0 and 1, 0\.01 apart"):
+    with pytest.raises(md.NonFiniteError, match=r"atoms 0 and 1, 0\.01 σ apart"):
         md.Simulation(system, LJ, md.VelocityVerlet(0.005)).run(10)
 
 

@@ -118,7 +118,7 @@ def test_a_run_that_comes_closer_than_the_table_ends_and_says_so():
     r = np.linspace(1.0, CUTOFF, 30)
     pair = md.System([[0.0, 0.0, 0.0], [1.02, 0.0, 0.0]], velocities=[[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
     sim = md.Simulation(pair, md.Tabulated(r, 1e-6 * r), md.VelocityVerlet(0.02))
-    with pytest.raises(md.NonFiniteError, match=r"the law of Tabulated gives no finite number for atoms 0 and 1, 0\.98 apart"):
+    with pytest.raises(md.NonFiniteError, match=r"the law of Tabulated gives no finite number for atoms 0 and 1, 0\.98 σ apart"):
         sim.run(3, progress=False, crash_report=False)
 
 

@@ -109,7 +109,7 @@ def code():
 
     @numba.njit(error_model="numpy")
     def loop(arrays, law, parameters, sums):
-        add_cluster_forces(0, arrays, law, parameters, sums)
+        add_cluster_forces(0, arrays, law, parameters, sums, (), 0)
 
     made, system = {}, liquid(5)
     for kind, precision in dict.fromkeys(row[2:4] for row in PROCESSORS.values()):

@@ -4,9 +4,11 @@ import pickle
 
 import numpy as np
 import pytest
+from ase.build import bulk
 from fixed_point_scenes import ANGLE, BOND, GRID, LAW, bits, mixture, simulated, total_momentum
 
 import minimd as md
+from minimd.analysis.check import check_file
 from minimd.forces.pair_laws import PairLaws
 from minimd.integrators.methods import SPLITTINGS
 from minimd.structure.grid import Grid
@@ -127,6 +129,9 @@ def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
     made = md.archive(file, small, 50, LAW)
     assert made.n_frames == (11, 3)  # steps 3, 50 and 100
     assert made.n_bytes[1] < made.n_bytes[0]
+    check = check_file(file)
+    assert "exact momentum change of Σ p, in whole steps of the grid: 0, tolerance 0: ok" in str(check)
+    assert "momentum       exactly constant" in str(check)
     assert bits(md.Simulation.resume(small, LAW, step=47)) == bits(other)
     assert bits(md.Simulation.resume(small, LAW)) == bits(run)
     with pytest.raises(ValueError, match="has the steps 3 to 100; step = 101"):
@@ -254,3 +259,17 @@ def test_what_cannot_be_rounded_is_refused():
         simulated(mixture(), precision="double")
     with pytest.raises(ValueError, match=r"must be a power of two"):
         md.Grid(1e-12, 2.0**-44, 2.0**-36)
+
+
+def test_dynamics_of_ase_make_the_same_steps():
+    from ase import units
+
+    import minimd.ase
+
+    atoms = bulk("Ar", "fcc", 5.4, cubic=True).repeat(3)
+    atoms.set_momenta(np.random.default_rng(4).normal(size=(108, 3)))
+    atoms.calc = minimd.ase.Calculator(md.LennardJones(0.0104, 3.4, cutoff=7.0), precision="fixed-point", threads=1)
+    sim = md.Simulation(atoms, atoms.calc.potentials, md.VelocityVerlet(2.0 * md.units.fs), precision="fixed-point")
+    sim.make_steps(20)
+    minimd.ase.VelocityVerlet(atoms, 2.0 * units.fs).run(20)
+    assert np.array_equal(atoms.positions, sim.positions)

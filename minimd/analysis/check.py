@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
-from minimd.files.h5md_reader import damage, damage_told
+from minimd.files.h5md_reader import damage, damage_told, velocities_of
 from minimd.integrators import LangevinBAOAB
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
 from minimd.structure.constraints import DistanceConstraints
@@ -94,7 +94,7 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     report = conservation_report(record, linear=is_free, angular=is_free and not system.cell.is_periodic)
     frames = f"{contents.n_frames} frames, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, {system.units.name} units"
     heading = f"file           {Path(made.trajectory.filename)}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"
-    return FileCheck(heading, [*comparisons(moved), sums], report, liquid(made))
+    return FileCheck(heading, [*comparisons(moved), *exact_momenta(made), sums], report, liquid(made))
 
 
 class Recomputed(NamedTuple):
@@ -159,6 +159,17 @@ def comparisons(moved: Recomputed) -> list[Comparison]:
         *([lengths] if "constraint_violation" in stored else []),
         Comparison("steps", not_later, EXACT, "frames that are not later than the one before"),
     ]
+
+
+def exact_momenta(made: RunUniverse) -> list[Comparison]:
+    """Of a run in fixed-point arithmetic: Σ p of each frame as a whole number of steps of the grid, beside that of the first frame."""
+    contents, grid = made.contents, made.contents.restart.grid
+    if grid is None or not contents.conserves_momentum:
+        return []
+    inverse_masses = 1.0 / made.system.masses
+    totals = [grid.momenta(one, inverse_masses).astype(np.int64).sum(axis=0) for one in velocities_of(made.trajectory.filename, contents.n_frames)]
+    changed = float(np.abs(np.array(totals) - totals[0]).max())
+    return [Comparison("exact momentum", changed, EXACT, "change of Σ p, in whole steps of the grid")]
 
 
 def _largest(differences: NDArray[np.float64], scales: NDArray[np.float64]) -> float:

@@ -125,6 +125,13 @@ def frame_arrays(path: str | Path, frame: int) -> tuple[NDArray[np.float64], NDA
         return positions, velocities
 
 
+def velocities_of(path: str | Path, n_frames: int) -> Iterator[NDArray[np.float64]]:
+    """Velocities of one frame after the other, (N, 3) float64.  Raises as opened."""
+    with opened(path) as h5, damage_told(path):
+        for frame in range(n_frames):
+            yield h5[f"{TRAJECTORY}/velocity/value"][frame]
+
+
 def damage(path: str | Path) -> str:
     """Which frames of a minimd file, or which of its restarts, are not those that were written, in words; empty if all are.
 

@@ -15,5 +15,5 @@ def simulation_rows(engine: Engine) -> Rows:
     rows += [("method", repr(engine.method)), *(("constraint", repr(one)) for one in engine.constraints)]
     rows += [("observed too", ", ".join(engine.extra_observables))] if engine.extra_observables else []
     rows += [("options", ", ".join([described(options.precision), *words]))]
-    rows += [("grid", repr(engine.interactions.grid))] if engine.interactions.grid else []
+    rows += [("grid", f"{grid!r}: positions, lattice vectors and momenta are rounded to it")] if (grid := engine.interactions.grid) else []
     return [*rows, ("at", f"step {engine.step}, {units.shown(engine.time)}")]

@@ -155,7 +155,7 @@ def test_baths_keep_to_the_grid(bath):
     assert np.abs(momenta - np.rint(momenta)).max() < 0.01
 
 
-def test_rigid_bonds_keep_momentum_to_the_last_bit():
+def test_rigid_bonds_keep_momentum_to_the_last_bit(tmp_path):
     """Impulses of constraints are rounded so that they are opposite; reversibility is not claimed."""
     system = mixture()
     rigid = md.DistanceConstraints(system.bonds)
@@ -163,8 +163,10 @@ def test_rigid_bonds_keep_momentum_to_the_last_bit():
     simulation = simulated(system, constraints=rigid, potentials=[LAW])
     simulation.make_steps(0)
     total = total_momentum(simulation)
-    record = simulation.run(200, every=50)
+    record = simulation.run(200, every=50, trajectory=tmp_path / "rigid.h5md")
     assert total_momentum(simulation) == total
+    with pytest.raises(ValueError, match="has rigid bonds: its steps cannot be made again"):
+        md.Simulation.resume(tmp_path / "rigid.h5md", [LAW], step=60)
     assert record.constraint_violation.max() < 1e-9
     with pytest.raises(ValueError, match="steps with constraints cannot be retraced"):
         simulation.run_back(10)

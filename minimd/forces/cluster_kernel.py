@@ -99,7 +99,7 @@ def which_kick(motion, n_made):
 
 @by_type
 def are_in_range(arrays, steps):
-    """Whether all forces and momenta are in the range of fixed-point arithmetic."""
+    """Whether all forces are in the range of fixed-point arithmetic."""
     if not is_fixed(steps):
         return lambda arrays, steps: True
 

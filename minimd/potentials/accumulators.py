@@ -4,9 +4,9 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
-from minimd.compiled.fixed_point import GridSums, on_grid, whole_product
+from minimd.compiled.fixed_point import MOST, GridSums, on_grid, whole_product
 
-LIMIT2 = 2.0**100  # square of the largest impulse, in steps of momentum: below it, whole_product is right
+LIMIT2 = MOST**2  # square of the largest impulse, in steps of momentum: below it, whole_product is right
 
 
 def no_force(sums):

@@ -51,10 +51,14 @@ def _make_again(simulation: Any, file: str | Path, contents: H5MDContents, step:
 
 
 def check_is_fixed(file: str | Path, contents: H5MDContents) -> None:
-    """Raise ValueError for a run in float64."""
+    """Raise ValueError for a run in float64, or with rigid bonds: its steps go on from velocities before they were projected."""
     if contents.restart.grid is None:
         why = f"the run in {str(file)!r} was made with precision={contents.precision!r}"
         raise ValueError(f"only runs with precision='fixed-point' can be made again to the last bit from any of their frames; {why}")
+    if contents.restart.images is not None:
+        raise ValueError(
+            f"the run in {str(file)!r} has rigid bonds: its steps cannot be made again to the last bit from a frame, only from its restart"
+        )
 
 
 def go_to(simulation: Any, file: str | Path, contents: H5MDContents, frame: int) -> None:

@@ -19,6 +19,8 @@ import numba
 import numpy as np
 from numba.core.registry import CPUDispatcher
 
+from minimd.compiled.kernels import PartOfKernel
+
 NUMBERS = (bool, int, float, complex, str, bytes, type(None))
 NUMBER_KINDS = "biufc"  # of NumPy: truth values, integers, floats, complex numbers
 TRUSTED = {"builtins", "math", "cmath", "numpy", "numba", "minimd"}  # modules known by their versions, minimd by its sources
@@ -93,7 +95,7 @@ class Snapshot:
         if id(function) in self._copies:
             self._note("again", list(self._copies).index(id(function)))
             return self._copies[id(function)]
-        if type(function) is not CPUDispatcher or function.locals or _has_fixed_signatures(function):
+        if type(function) not in (CPUDispatcher, PartOfKernel) or function.locals or _has_fixed_signatures(function):
             self._is_clear = False
             return function, function
         self._note("options")
@@ -102,7 +104,7 @@ class Snapshot:
             self._data(tuple(sorted(option)) if isinstance(option, set) else option)
         plain: Any = function.py_func
         first, second = self._shells(plain)
-        compiled = CPUDispatcher(first, None, dict(function.targetoptions))
+        compiled = type(function)(first, None, dict(function.targetoptions))
         self._copies[id(function)] = compiled, second
         self._fill(plain, first, second)
         return compiled, second

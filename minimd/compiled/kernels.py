@@ -20,6 +20,7 @@ from time import perf_counter
 from typing import Any
 
 import numba
+from numba import types
 from numba.core import event
 from numba.extending import overload
 
@@ -145,15 +146,26 @@ class DirectCalls:
 
     def __init__(self) -> None:
         self._codes: dict[Callable, Callable] = {}
+        self._types: dict[Callable, tuple[types.Type, ...]] = {}
+        self._addresses: dict[Callable, int] = {}
 
     def code(self, kernel: Callable, *arguments: object) -> Callable:
         """The machine code of a kernel for arguments of these types; compiles it at the first call."""
         code = self._codes.get(kernel)
         if code is None:
-            types = tuple(numba.typeof(one) for one in arguments)
-            kernel.compile(types)  # type: ignore[attr-defined]
-            code = self._codes[kernel] = kernel.get_overload(types)  # type: ignore[attr-defined]
+            self._types[kernel] = kinds = tuple(numba.typeof(one) for one in arguments)
+            kernel.compile(kinds)  # type: ignore[attr-defined]
+            code = self._codes[kernel] = kernel.get_overload(kinds)  # type: ignore[attr-defined]
         return code
+
+    def address(self, kernel: Callable, *arguments: object) -> int:
+        """Where that machine code is, for call_at."""
+        address = self._addresses.get(kernel)
+        if address is None:
+            self.code(kernel, *arguments)
+            compiled = kernel.overloads[self._types[kernel]]  # type: ignore[attr-defined]
+            address = self._addresses[kernel] = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+        return address
 
     def __call__(self, kernel: Callable, *arguments: object) -> Any:
         """kernel(*arguments)."""

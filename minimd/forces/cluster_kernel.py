@@ -19,13 +19,12 @@ class Rest(namedtuple("Rest", "steps")):
     """No motion: the forces are evaluated once.  steps : Steps of fixed-point arithmetic, or ()."""
 
 
-class Motion(namedtuple("Motion", "steps durations units first n limit2 velocities inverse_masses own_positions own_velocities own_inverse_masses")):
-    """n kicks and drifts, each kick after an evaluation of the forces; only an evaluation if n is 0.
+class Motion(namedtuple("Motion", "steps durations units course velocities inverse_masses own_positions own_velocities own_inverse_masses")):
+    """Kicks and drifts, each kick after an evaluation of the forces; only an evaluation if none is to be made.
 
     steps : Steps of fixed-point arithmetic, or ().
-
     durations : (P, 2) of P kicks and drifts, in turn from the first [time].  units : (P, 2), times of which they are whole multiples.
-    limit2 : square of the distance that an atom may be from where it was when the list was built [length²].
+    course : (2,) int, how many were made before, and how many there are to be in all.
     velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].
     own_positions, own_velocities, own_inverse_masses : flat, a block for each cluster: the atoms in the order of the clusters. They are read
         at the start and written back at the end. So no two threads write to the same cache line, and vectors of atoms move at a time.
@@ -33,11 +32,14 @@ class Motion(namedtuple("Motion", "steps durations units first n limit2 velociti
     """
 
 
+MADE, TO_MAKE = 0, 1  # places in a course
+
+
 @shared_kernel
 def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motion):
-    """forces (N, 3) += those of all laws; or, with a Motion that has n > 0, atoms move. Each domain is a chunk.
+    """forces (N, 3) += those of all laws; or, with a Motion that is not at its end, atoms move. Each domain is a chunk.
 
-    Returns how many kicks and drifts were made: fewer than n if the list is outdated then, or positions are not finite.
+    Returns how many kicks and drifts were made: fewer than are left if the list is outdated then, or positions are not finite.
 
     positions : (N, 3) [length].  arrays : ClusterArrays.  laws : tuple of pairs, a law type and its parameters, SameForAll or ByLane.
     sums : Sums or ForceSums.  motion : Motion or Rest.
@@ -85,8 +87,8 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
 
 @by_type
 def moves(motion):
-    """The number of kicks and drifts of a Motion; 0 of Rest."""
-    return (lambda motion: 0) if motion.instance_class is Rest else lambda motion: motion.n
+    """The number of kicks and drifts that are left of a Motion; 0 of Rest."""
+    return (lambda motion: 0) if motion.instance_class is Rest else lambda motion: motion.course[TO_MAKE] - motion.course[MADE]
 
 
 @by_type
@@ -94,7 +96,7 @@ def which_kick(motion, n_made):
     """The number of the next kick in the cycle; 0 of Rest."""
     if motion.instance_class is Rest:
         return lambda motion, n_made: 0
-    return lambda motion, n_made: (motion.first + n_made) % motion.durations.shape[0]
+    return lambda motion, n_made: (motion.course[MADE] + n_made) % motion.durations.shape[0]
 
 
 @by_type
@@ -132,7 +134,7 @@ def _begin(domain, arrays, positions, motion):
         return lambda domain, arrays, positions, motion: _place_all(domain, arrays, positions)
 
     def begin_motion(domain, arrays, positions, motion):
-        if motion.n == 0:
+        if moves(motion) == 0:
             _place_all(domain, arrays, positions)
             return
         clusters, n_lanes = arrays.clusters, count(arrays.clusters.lanes)
@@ -212,7 +214,7 @@ def _move(domain, arrays, excess, motion, n_made):
 
     def move(domain, arrays, excess, motion, n_made):
         clusters, lanes, n_lanes, is_valid = arrays.clusters, arrays.clusters.lanes, count(arrays.clusters.lanes), True
-        flows = of_cycle(motion, which_kick(motion, n_made))
+        flows, limit2 = of_cycle(motion, which_kick(motion, n_made)), arrays.rows.limits2[arrays.rows.layers[0] - 1]
         for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
             start = k * DIMENSIONS * n_lanes
             inverse_mass = load(motion.own_inverse_masses, k * n_lanes, lanes)
@@ -227,7 +229,7 @@ def _move(domain, arrays, excess, motion, n_made):
                 moved2 = moved2 + moved * moved
                 size2 = size2 + velocity * velocity
             filled = (1 << clusters.filled[k]) - 1
-            is_valid &= ~bits_from_mask(moved2 <= motion.limit2) & filled == 0
+            is_valid &= ~bits_from_mask(moved2 <= limit2) & filled == 0
             if lanes_beyond(size2, _most_momentum2(motion.steps)) & filled:
                 arrays.memory.net[domain, 1], is_valid = 1.0, False
             place(k, arrays, loaded(motion.own_positions, start, lanes))

@@ -178,12 +178,14 @@ def without_cache(dispatcher):
     return numba.njit(error_model="numpy", nogil=True)(dispatcher.py_func)
 
 
-class CompileClock(event.Listener):
-    """Counts the seconds spent compiling, so that they are not taken for those of steps; tells of long compilations if asked to."""
+class CompileClock(event.Listener, threading.local):
+    """Counts the seconds that each thread spends compiling, which are none of its steps; tells of long compilations if asked to."""
+
+    was_told = False
 
     def __init__(self) -> None:
         self.seconds = 0.0
-        self.is_to_tell = self.was_told = False
+        self.is_to_tell = False
         self._depth, self._started = 0, 0.0
         self._timer: threading.Timer | None = None
 
@@ -193,7 +195,7 @@ class CompileClock(event.Listener):
         if self._depth == 1:
             self._started = perf_counter()
         if self._depth == 1 and self.is_to_tell:
-            self._timer = threading.Timer(WAIT_BEFORE_TELLING, self._tell)
+            self._timer = threading.Timer(WAIT_BEFORE_TELLING, _tell_of_compilation)
             self._timer.daemon = True
             self._timer.start()
 
@@ -205,8 +207,10 @@ class CompileClock(event.Listener):
             if self._timer is not None:
                 self._timer.cancel()
 
-    def _tell(self) -> None:
-        self.is_to_tell, self.was_told = False, True
+
+def _tell_of_compilation() -> None:
+    if not CompileClock.was_told:
+        CompileClock.was_told = True
         print("minimd: compiling kernels (once) ...", file=sys.stderr, flush=True)
 
 
@@ -218,7 +222,7 @@ event.register("numba:compile", FailedCompilations())
 @contextmanager
 def announce_compilation() -> Iterator[None]:
     """Within this context tell, on standard error and once in a process, when a compilation takes more than a second."""
-    compile_clock.is_to_tell = not compile_clock.was_told
+    compile_clock.is_to_tell = not CompileClock.was_told
     try:
         yield
     finally:

@@ -10,7 +10,7 @@ from minimd.compiled.simd import bits_from_mask, lane, load, store, total
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, stop, take, was_stopped
 from minimd.forces.cluster_loop import add_cluster_forces, lanes_beyond
-from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, momentum_in_steps, velocity_of
+from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, mixed, momentum_in_steps, velocity_of
 from minimd.neighbors.cluster_list import clear, collected, gather, is_mixed, place
 from minimd.neighbors.clusters import DIMENSIONS, gathered, loaded
 
@@ -19,12 +19,21 @@ class Rest(namedtuple("Rest", "steps")):
     """No motion: the forces are evaluated once.  steps : Steps of fixed-point arithmetic, or ()."""
 
 
-class Motion(namedtuple("Motion", "steps durations units course velocities inverse_masses own_positions own_velocities own_inverse_masses")):
+class Bath(namedtuple("Bath", "kept spread duration noise masses before after energy")):
+    """Contact of each atom with a bath, and a second drift, after each kick and drift: see Contact in integrators.splitting.state.
+
+    noise : (n, N, 3), of kick and drift k in row k; n is 0 if there is no bath.  masses : (N,).
+    before, after : (N,) output, kinetic energies of the atoms, of the last contact [energy].
+    energy : (1,), to which is added what each contact gives to the atoms [energy].
+    """
+
+
+class Motion(namedtuple("Motion", "steps durations units course bath velocities inverse_masses own_positions own_velocities own_inverse_masses")):
     """Kicks and drifts, each kick after an evaluation of the forces; only an evaluation if none is to be made.
 
     steps : Steps of fixed-point arithmetic, or ().
     durations : (P, 2) of P kicks and drifts, in turn from the first [time].  units : (P, 2), times of which they are whole multiples.
-    course : (2,) int, how many were made before, and how many there are to be in all.
+    course : (2,) int, how many were made before, and how many there are to be in all.  bath : Bath.
     velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].
     own_positions, own_velocities, own_inverse_masses : flat, a block for each cluster: the atoms in the order of the clusters. They are read
         at the start and written back at the end. So no two threads write to the same cache line, and vectors of atoms move at a time.
@@ -73,6 +82,12 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
                 stop(worker, phase)
             chunk = finish_and_take(worker, phase, n)
         moved, phase = phase, barrier(worker, phase)
+        if has_bath(motion):
+            chunk = take(worker, phase, 1)
+            while chunk >= 0:
+                count_energy(motion)
+                chunk = finish_and_take(worker, phase, 1)
+            phase = barrier(worker, phase)
         n_made += 1
         if n_made >= n_moves or was_stopped(worker, moved):
             break
@@ -89,6 +104,28 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
 def moves(motion):
     """The number of kicks and drifts that are left of a Motion; 0 of Rest."""
     return (lambda motion: 0) if motion.instance_class is Rest else lambda motion: motion.course[TO_MAKE] - motion.course[MADE]
+
+
+@by_type
+def has_bath(motion):
+    """Whether atoms of a Motion are in contact with a bath; not of Rest."""
+    return (lambda motion: False) if motion.instance_class is Rest else lambda motion: motion.bath.noise.shape[0] > 0
+
+
+@by_type
+def count_energy(motion):
+    """bath.energy += Σ after − Σ before, in the order of the user, as kinetic_energy has it."""
+    if motion.instance_class is Rest:
+        return lambda motion: None
+
+    def count_energy_of(motion):
+        bath, before, after = motion.bath, 0.0, 0.0
+        for i in range(bath.before.size):
+            before += bath.before[i]
+            after += bath.after[i]
+        bath.energy[0] += after - before
+
+    return count_energy_of
 
 
 @by_type
@@ -218,13 +255,19 @@ def _move(domain, arrays, excess, motion, n_made):
         for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
             start = k * DIMENSIONS * n_lanes
             inverse_mass = load(motion.own_inverse_masses, k * n_lanes, lanes)
-            moved2 = size2 = 0.0 * inverse_mass
             for c, force in enumerate(collected(k, arrays)):
                 at = start + c * n_lanes
                 velocity, position = load(motion.own_velocities, at, lanes), load(motion.own_positions, at, lanes)
                 velocity, position = _moved(velocity, position, force - excess[c], inverse_mass, flows, motion.steps)
                 store(motion.own_velocities, at, velocity)
                 store(motion.own_positions, at, position)
+            if has_bath(motion):
+                for k_lane in range(clusters.filled[k]):
+                    _touch(clusters.atom[k * n_lanes + k_lane], start + k_lane, n_lanes, motion, motion.course[MADE] + n_made)
+            moved2 = size2 = 0.0 * inverse_mass
+            for c in range(DIMENSIONS):
+                at = start + c * n_lanes
+                velocity, position = load(motion.own_velocities, at, lanes), load(motion.own_positions, at, lanes)
                 moved = position - load(clusters.positions, at, lanes)
                 moved2 = moved2 + moved * moved
                 size2 = size2 + velocity * velocity
@@ -236,6 +279,20 @@ def _move(domain, arrays, excess, motion, n_made):
         return is_valid
 
     return move
+
+
+@scalar
+def _touch(i, place, n_lanes, motion, row):
+    """Contact of atom i with the bath, and its second drift.  place : of its x in its own arrays.  row : of the noise."""
+    bath, at, v = motion.bath, motion.own_positions, motion.own_velocities
+    x, y, z = place, place + n_lanes, place + 2 * n_lanes
+    bath.before[i] = 0.5 * bath.masses[i] * (v[x] ** 2 + v[y] ** 2 + v[z] ** 2)
+    scale = bath.spread * np.sqrt(motion.inverse_masses[i])
+    for c in range(DIMENSIONS):
+        slot = place + c * n_lanes
+        v[slot] = mixed(v[slot], bath.noise[row, i, c], bath.kept, scale)
+        at[slot] = drifted(at[slot], v[slot], bath.duration)
+    bath.after[i] = 0.5 * bath.masses[i] * (v[x] ** 2 + v[y] ** 2 + v[z] ** 2)
 
 
 @scalar

@@ -10,12 +10,12 @@ from minimd.compiled.fixed_point import MOST, GridSums
 from minimd.compiled.kernels import DirectCalls, without_cache
 from minimd.compiled.simd.lanes import DOUBLE, MIXED
 from minimd.compiled.threads import thread_pool
-from minimd.forces.cluster_kernel import MADE, TO_MAKE, Motion, Rest, evaluate_clusters
+from minimd.forces.cluster_kernel import MADE, TO_MAKE, Bath, Motion, Rest, evaluate_clusters
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, prepare_loop
 from minimd.forces.cluster_march import TASKS_PER_MOVE, march_clusters
 from minimd.forces.options import FIXED_POINT, Options, described
 from minimd.forces.pair_laws import PairLaws, skin_for, widest_skin
-from minimd.integrators.splitting.state import GridState, State, steps_of
+from minimd.integrators.splitting.state import Contact, Cycle, GridState, State, steps_of
 from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_build import build_clusters
@@ -29,10 +29,12 @@ from minimd.structure.errors import RangeError
 from minimd.structure.grid import TOO_LARGE
 from minimd.structure.system import System
 
-NOTHING = np.zeros((0, 3))
+NOTHING, NONE = np.zeros((0, 3)), np.zeros(0)
 NO_COURSE = np.zeros(2, dtype=np.int64)
-AT_REST = Motion((), np.zeros((1, 2)), np.ones((1, 2)), NO_COURSE, NOTHING, *(np.zeros(0) for _ in range(4)))  # one compiled kernel for both
+NO_BATH = Bath(1.0, 0.0, 0.0, np.zeros((0, 0, 3)), NONE, NONE, NONE, NONE)
+AT_REST = Motion((), np.zeros((1, 2)), np.ones((1, 2)), NO_COURSE, NO_BATH, NOTHING, NONE, NONE, NONE, NONE)  # one compiled kernel for both
 MOST_MOVED = 4_000_000  # atoms in a call, half a second
+MOST_NOISE = 1_000_000  # atoms whose noise is kept at a time
 
 
 class ClusterTerm(OwnTerm):
@@ -94,33 +96,40 @@ class ClusterTerm(OwnTerm):
         arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion)
         self._pool.compile(self._evaluate, *arguments, calls=self._calls[FORCES])
         if self.list.can_be_renewed:
-            self._pool.compile(self._march, 0, arguments, 0, (system.positions, self.list.building), calls=self._calls[FORCES])
+            self._pool.compile(self._march, *self._with_builds(arguments), calls=self._calls[FORCES])
 
-    def march(self, system: System, state: State, durations: NDArray, n: int) -> int:
+    def march(self, system: System, state: State, cycle: Cycle, n: int) -> int:
         """See Term. Threads stay in one kernel; only so many atoms move in a call that Ctrl-C is answered soon."""
-        n_cycles = min(n, max(1, MOST_MOVED // (state.velocities.shape[0] * len(durations))))
+        n_atoms, (durations, contact) = len(state.velocities), cycle
+        n_cycles = min(n, max(1, (MOST_MOVED if contact is None else MOST_NOISE) // (n_atoms * len(durations))))
+        if n_cycles <= 0 or (contact is not None and isinstance(state, GridState)):
+            return 0
         state.forces_are_current, course = False, np.array([0, n_cycles * len(durations)])
+        bath = NO_BATH if contact is None else in_contact(contact, state, n_cycles)
+        calls = self._calls[FORCES]
         lasting, units = np.ascontiguousarray(durations[:, :, 0]), np.ascontiguousarray(durations[:, :, 1])
         forces, steps = (state.impulses, self._steps(steps_of(state.grid, units[:, 0]))) if isinstance(state, GridState) else (state.forces, ())
         while course[MADE] < course[TO_MAKE]:
             self._update(system)
-            motion = Motion(steps, lasting, units, course, state.velocities, state.inverse_masses, *self._own_arrays())
-            self._move((system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion))
+            motion = Motion(steps, lasting, units, course, bath, state.velocities, state.inverse_masses, *self._own_arrays())
+            evaluation = system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion
+            if self.list.can_be_renewed:
+                n_tasks = TASKS_PER_MOVE * int(course[TO_MAKE] - course[MADE])
+                self.list.renewed(self._pool.run(self._march, *self._with_builds(evaluation), calls=calls, n_tasks=n_tasks))
+                self._prepared_for = self.list.n_builds, int(self.list.rows.layers[0])
+            else:
+                course[MADE] += self._pool.run(self._evaluate, *evaluation, calls=calls)
             if isinstance(state, GridState):
                 self._check(state)
+        if contact is not None:
+            contact.bath.energy = float(bath.energy[0])
         return n_cycles
 
-    def _move(self, evaluation: tuple[Any, ...]) -> None:
-        """Kicks and drifts as far as the list goes; where a kernel can renew it, all of them."""
-        positions, course, calls = evaluation[0], evaluation[-1].course, self._calls[FORCES]
-        if not self.list.can_be_renewed:
-            course[MADE] += self._pool.run(self._evaluate, *evaluation, calls=calls)
-            return
-        building = positions, self.list.building
-        evaluate, build = self._pool.address(self._evaluate, *evaluation, calls=calls), self._pool.address(build_clusters, *building, calls=calls)
-        n_tasks = TASKS_PER_MOVE * int(course[TO_MAKE] - course[MADE])
-        self.list.renewed(self._pool.run(self._march, evaluate, evaluation, build, building, calls=calls, n_tasks=n_tasks))
-        self._prepared_for = self.list.n_builds, int(self.list.rows.layers[0])
+    def _with_builds(self, evaluation: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Arguments of march_clusters."""
+        calls, building = self._calls[FORCES], (evaluation[0], self.list.building)
+        evaluate = self._pool.address(self._evaluate, *evaluation, calls=calls)
+        return evaluate, evaluation, self._pool.address(build_clusters, *building, calls=calls), building
 
     def _update(self, system: System) -> None:
         """A valid list, and what is prepared for it."""
@@ -183,3 +192,11 @@ class ClusterTerm(OwnTerm):
         values = self._memory.array(f"parameters of law {k}", number, table.shape[-1] * len(table) * slots)
         species = self._memory.array(f"species of law {k}", np.int64, slots)
         return ByLane(tuple(values.reshape(table.shape[-1], -1)), species, slots, table, species_index)
+
+
+def in_contact(contact: Contact, state: State, n: int) -> Bath:
+    """A bath for n steps, as the kernel takes it."""
+    n_atoms = len(state.velocities)
+    before, after, energy = np.zeros(n_atoms), np.zeros(n_atoms), np.array([contact.bath.energy])
+    noise = contact.noise(n, n_atoms)
+    return Bath(contact.kept, contact.spread, contact.duration, noise, state.masses, before, after, energy)

@@ -13,14 +13,15 @@ from minimd.forces.cluster_loop import add_cluster_forces, lanes_beyond
 from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, mixed, momentum_in_steps, velocity_of
 from minimd.neighbors.cluster_list import clear, collected, gather, is_mixed, place
 from minimd.neighbors.clusters import DIMENSIONS, gathered, loaded
+from minimd.structure.observables import kinetic_energy_of
 
 
 class Rest(namedtuple("Rest", "steps")):
     """No motion: the forces are evaluated once.  steps : Steps of fixed-point arithmetic, or ()."""
 
 
-class Bath(namedtuple("Bath", "kept spread duration noise masses before after energy")):
-    """Contact of each atom with a bath, and a second drift, after each kick and drift: see Contact in integrators.splitting.state.
+class Contacts(namedtuple("Contacts", "kept spread duration noise masses before after energy")):
+    """Contacts with a bath, each followed by a drift, after each kick and drift: see Contact in integrators.splitting.state.
 
     noise : (n, N, 3), of kick and drift k in row k; n is 0 if there is no bath.  masses : (N,).
     before, after : (N,) output, kinetic energies of the atoms, of the last contact [energy].
@@ -28,12 +29,12 @@ class Bath(namedtuple("Bath", "kept spread duration noise masses before after en
     """
 
 
-class Motion(namedtuple("Motion", "steps durations units course bath velocities inverse_masses own_positions own_velocities own_inverse_masses")):
+class Motion(namedtuple("Motion", "steps durations units course contacts velocities inverse_masses own_positions own_velocities own_inverse_masses")):
     """Kicks and drifts, each kick after an evaluation of the forces; only an evaluation if none is to be made.
 
     steps : Steps of fixed-point arithmetic, or ().
     durations : (P, 2) of P kicks and drifts, in turn from the first [time].  units : (P, 2), times of which they are whole multiples.
-    course : (2,) int, how many were made before, and how many there are to be in all.  bath : Bath.
+    course : (2,) int, how many were made before, and how many there are to be in all.  contacts : Contacts.
     velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].
     own_positions, own_velocities, own_inverse_masses : flat, a block for each cluster: the atoms in the order of the clusters. They are read
         at the start and written back at the end. So no two threads write to the same cache line, and vectors of atoms move at a time.
@@ -109,21 +110,21 @@ def moves(motion):
 @by_type
 def has_bath(motion):
     """Whether atoms of a Motion are in contact with a bath; not of Rest."""
-    return (lambda motion: False) if motion.instance_class is Rest else lambda motion: motion.bath.noise.shape[0] > 0
+    return (lambda motion: False) if motion.instance_class is Rest else lambda motion: motion.contacts.noise.shape[0] > 0
 
 
 @by_type
 def count_energy(motion):
-    """bath.energy += Σ after − Σ before, in the order of the user, as kinetic_energy has it."""
+    """energy += Σ after − Σ before, in the order of the user, as kinetic_energy has it."""
     if motion.instance_class is Rest:
         return lambda motion: None
 
     def count_energy_of(motion):
-        bath, before, after = motion.bath, 0.0, 0.0
-        for i in range(bath.before.size):
-            before += bath.before[i]
-            after += bath.after[i]
-        bath.energy[0] += after - before
+        contacts, before, after = motion.contacts, 0.0, 0.0
+        for i in range(contacts.before.size):
+            before += contacts.before[i]
+            after += contacts.after[i]
+        contacts.energy[0] += after - before
 
     return count_energy_of
 
@@ -284,15 +285,15 @@ def _move(domain, arrays, excess, motion, n_made):
 @scalar
 def _touch(i, place, n_lanes, motion, row):
     """Contact of atom i with the bath, and its second drift.  place : of its x in its own arrays.  row : of the noise."""
-    bath, at, v = motion.bath, motion.own_positions, motion.own_velocities
-    x, y, z = place, place + n_lanes, place + 2 * n_lanes
-    bath.before[i] = 0.5 * bath.masses[i] * (v[x] ** 2 + v[y] ** 2 + v[z] ** 2)
-    scale = bath.spread * np.sqrt(motion.inverse_masses[i])
+    contacts, at, v = motion.contacts, motion.own_positions, motion.own_velocities
+    mass, y, z = contacts.masses[i], place + n_lanes, place + 2 * n_lanes
+    scale = contacts.spread * np.sqrt(motion.inverse_masses[i])
+    contacts.before[i] = kinetic_energy_of(mass, v[place], v[y], v[z])
     for c in range(DIMENSIONS):
         slot = place + c * n_lanes
-        v[slot] = mixed(v[slot], bath.noise[row, i, c], bath.kept, scale)
-        at[slot] = drifted(at[slot], v[slot], bath.duration)
-    bath.after[i] = 0.5 * bath.masses[i] * (v[x] ** 2 + v[y] ** 2 + v[z] ** 2)
+        v[slot] = mixed(v[slot], contacts.noise[row, i, c], contacts.kept, scale)
+        at[slot] = drifted(at[slot], v[slot], contacts.duration)
+    contacts.after[i] = kinetic_energy_of(mass, v[place], v[y], v[z])
 
 
 @scalar

@@ -10,7 +10,7 @@ from minimd.compiled.fixed_point import MOST, GridSums
 from minimd.compiled.kernels import DirectCalls, without_cache
 from minimd.compiled.simd.lanes import DOUBLE, MIXED
 from minimd.compiled.threads import thread_pool
-from minimd.forces.cluster_kernel import MADE, TO_MAKE, Bath, Motion, Rest, evaluate_clusters
+from minimd.forces.cluster_kernel import MADE, TO_MAKE, Contacts, Motion, Rest, evaluate_clusters
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, prepare_loop
 from minimd.forces.cluster_march import TASKS_PER_MOVE, march_clusters
 from minimd.forces.options import FIXED_POINT, Options, described
@@ -31,8 +31,8 @@ from minimd.structure.system import System
 
 NOTHING, NONE = np.zeros((0, 3)), np.zeros(0)
 NO_COURSE = np.zeros(2, dtype=np.int64)
-NO_BATH = Bath(1.0, 0.0, 0.0, np.zeros((0, 0, 3)), NONE, NONE, NONE, NONE)
-AT_REST = Motion((), np.zeros((1, 2)), np.ones((1, 2)), NO_COURSE, NO_BATH, NOTHING, NONE, NONE, NONE, NONE)  # one compiled kernel for both
+NO_CONTACTS = Contacts(1.0, 0.0, 0.0, np.zeros((0, 0, 3)), NONE, NONE, NONE, NONE)
+AT_REST = Motion((), np.zeros((1, 2)), np.ones((1, 2)), NO_COURSE, NO_CONTACTS, NOTHING, NONE, NONE, NONE, NONE)  # one compiled kernel for both
 MOST_MOVED = 4_000_000  # atoms in a call, half a second
 MOST_NOISE = 1_000_000  # atoms whose noise is kept at a time
 
@@ -105,13 +105,13 @@ class ClusterTerm(OwnTerm):
         if n_cycles <= 0 or (contact is not None and isinstance(state, GridState)):
             return 0
         state.forces_are_current, course = False, np.array([0, n_cycles * len(durations)])
-        bath = NO_BATH if contact is None else in_contact(contact, state, n_cycles)
+        contacts = NO_CONTACTS if contact is None else in_contact(contact, state, n_cycles)
         calls = self._calls[FORCES]
         lasting, units = np.ascontiguousarray(durations[:, :, 0]), np.ascontiguousarray(durations[:, :, 1])
         forces, steps = (state.impulses, self._steps(steps_of(state.grid, units[:, 0]))) if isinstance(state, GridState) else (state.forces, ())
         while course[MADE] < course[TO_MAKE]:
             self._update(system)
-            motion = Motion(steps, lasting, units, course, bath, state.velocities, state.inverse_masses, *self._own_arrays())
+            motion = Motion(steps, lasting, units, course, contacts, state.velocities, state.inverse_masses, *self._own_arrays())
             evaluation = system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion
             if self.list.can_be_renewed:
                 n_tasks = TASKS_PER_MOVE * int(course[TO_MAKE] - course[MADE])
@@ -122,7 +122,7 @@ class ClusterTerm(OwnTerm):
             if isinstance(state, GridState):
                 self._check(state)
         if contact is not None:
-            contact.bath.energy = float(bath.energy[0])
+            contact.bath.energy = float(contacts.energy[0])
         return n_cycles
 
     def _with_builds(self, evaluation: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -194,9 +194,9 @@ class ClusterTerm(OwnTerm):
         return ByLane(tuple(values.reshape(table.shape[-1], -1)), species, slots, table, species_index)
 
 
-def in_contact(contact: Contact, state: State, n: int) -> Bath:
-    """A bath for n steps, as the kernel takes it."""
+def in_contact(contact: Contact, state: State, n: int) -> Contacts:
+    """Contacts of n steps, as the kernel takes them."""
     n_atoms = len(state.velocities)
     before, after, energy = np.zeros(n_atoms), np.zeros(n_atoms), np.array([contact.bath.energy])
     noise = contact.noise(n, n_atoms)
-    return Bath(contact.kept, contact.spread, contact.duration, noise, state.masses, before, after, energy)
+    return Contacts(contact.kept, contact.spread, contact.duration, noise, state.masses, before, after, energy)

@@ -73,7 +73,7 @@ def draw_row(panel, found, atoms):
     slot = min(slots, key=lambda s: np.hypot(*(atoms[found.ghosts.home[s // n_lanes], :, s % n_lanes] - corner)))
     at = atoms[found.ghosts.home[slot // n_lanes], :, slot % n_lanes]
     rows = found.arrays.rows
-    for entry in rows.entries[rows.start[slot] : rows.stop[slot]]:
+    for entry in rows.entries[rows.start[slot] : rows.stops[rows.layers[0] - 1, slot]]:
         ghost, lanes = entry & GHOST_BITS, entry >> LANES_FROM
         counts = [k for k in range(n_lanes) if lanes >> k & 1]
         x, z = atoms[ghost][:, counts]

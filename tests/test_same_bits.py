@@ -123,4 +123,4 @@ def test_plain_scenes_march_and_others_do_not(monkeypatch):
         md.Simulation(system, potentials, method, constraints).run(10)
         if calls:
             marching.add(name)
-    assert marching == {"plain", "atoms fixed"}
+    assert marching == {"plain", "atoms fixed", "bath"}

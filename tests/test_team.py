@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 from cluster_scenes import atoms_per_domain
 
-from minimd.compiled.kernels import DirectCalls, shared_kernel
-from minimd.compiled.simd.lanes import Lanes8
+from minimd.compiled.kernels import shared_kernel
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, Worker, barrier, begin, finish_and_take, stop, take, thread_pool, was_stopped
-from minimd.neighbors.buffers import Buffers
-from minimd.neighbors.clusters import make_columns, sort_into_clusters
-from minimd.neighbors.domains import cut_into_domains
+from minimd.neighbors.cluster_list import ClusterList
+from minimd.neighbors.clusters import make_columns
 from minimd.structure.cell import Cell
 
 N_PHASES = 4
@@ -193,7 +191,7 @@ def test_two_threads_of_python_take_turns_with_one_team():
 def test_no_more_threads_work_than_the_team_has():
     for n_threads in (1, 3):
         assert len(thread_pool(n_threads)._helpers) == n_threads - 1
-        assert thread_pool(n_threads) is thread_pool(n_threads)
+        assert (thread_pool(n_threads) is thread_pool(n_threads)) == (n_threads > 1)  # helpers are shared; one thread waits for nobody
     assert all(helper.daemon for helper in thread_pool(3)._helpers)
 
 
@@ -201,13 +199,13 @@ def test_no_more_threads_work_than_the_team_has():
 def test_chunks_are_never_more_than_a_team_can_share_out(n):
     """A thread of atoms, each of them its own column."""
     positions, cell = np.arange(n)[:, None] * np.array([1.1, 0.0, 0.0]), Cell.of(None)
-    columns = make_columns(cell, positions, 2.0, Lanes8())
-    clusters = sort_into_clusters(positions, columns, Lanes8(), Buffers(), thread_pool(2), DirectCalls())
     with atoms_per_domain(1):
-        chunks = cut_into_domains(clusters, columns, n, DirectCalls())
+        found = ClusterList(n, 1.8, 0.2, np.zeros((0, 2), dtype=np.int64), "double", thread_pool(2))
+        found.update(positions, cell)
+    columns, chunks = make_columns(cell, positions, 2.0, found.lanes), found.domains
     assert len(chunks.column) - 1 == min(MOST_CHUNKS, columns.counts[0] // columns.reach[0])
     assert np.all(np.diff(chunks.column) >= columns.reach[0])
-    assert (chunks.column[0], chunks.column[-1], chunks.cluster[-1]) == (0, columns.counts[0], len(clusters.filled))
+    assert (chunks.column[0], chunks.column[-1], chunks.cluster[-1]) == (0, columns.counts[0], found.n_clusters)
 
 
 FORKED = """

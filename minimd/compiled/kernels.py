@@ -20,6 +20,7 @@ from time import perf_counter
 from typing import Any
 
 import numba
+from numba import types
 from numba.core import event
 from numba.core.registry import CPUDispatcher
 from numba.extending import overload
@@ -162,15 +163,26 @@ class DirectCalls:
 
     def __init__(self) -> None:
         self._codes: dict[Callable, Callable] = {}
+        self._types: dict[Callable, tuple[types.Type, ...]] = {}
+        self._addresses: dict[Callable, int] = {}
 
     def code(self, kernel: Callable, *arguments: object) -> Callable:
         """The machine code of a kernel for arguments of these types; compiles it at the first call."""
         code = self._codes.get(kernel)
         if code is None:
-            types = tuple(numba.typeof(one) for one in arguments)
-            kernel.compile(types)  # type: ignore[attr-defined]
-            code = self._codes[kernel] = kernel.get_overload(types)  # type: ignore[attr-defined]
+            self._types[kernel] = kinds = tuple(numba.typeof(one) for one in arguments)
+            kernel.compile(kinds)  # type: ignore[attr-defined]
+            code = self._codes[kernel] = kernel.get_overload(kinds)  # type: ignore[attr-defined]
         return code
+
+    def address(self, kernel: Callable, *arguments: object) -> int:
+        """Where that machine code is, for call_at."""
+        address = self._addresses.get(kernel)
+        if address is None:
+            self.code(kernel, *arguments)
+            compiled = kernel.overloads[self._types[kernel]]  # type: ignore[attr-defined]
+            address = self._addresses[kernel] = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+        return address
 
     def __call__(self, kernel: Callable, *arguments: object) -> Any:
         """kernel(*arguments)."""
@@ -183,12 +195,14 @@ def without_cache(dispatcher):
     return numba.njit(error_model="numpy", nogil=True)(dispatcher.py_func)
 
 
-class CompileClock(event.Listener):
-    """Counts the seconds spent compiling, so that they are not taken for those of steps; tells of long compilations if asked to."""
+class CompileClock(event.Listener, threading.local):
+    """Counts the seconds that each thread spends compiling, which are none of its steps; tells of long compilations if asked to."""
+
+    was_told = False
 
     def __init__(self) -> None:
         self.seconds = 0.0
-        self.is_to_tell = self.was_told = False
+        self.is_to_tell = False
         self._depth, self._started = 0, 0.0
         self._timer: threading.Timer | None = None
 
@@ -198,7 +212,7 @@ class CompileClock(event.Listener):
         if self._depth == 1:
             self._started = perf_counter()
         if self._depth == 1 and self.is_to_tell:
-            self._timer = threading.Timer(WAIT_BEFORE_TELLING, self._tell)
+            self._timer = threading.Timer(WAIT_BEFORE_TELLING, _tell_of_compilation)
             self._timer.daemon = True
             self._timer.start()
 
@@ -210,8 +224,10 @@ class CompileClock(event.Listener):
             if self._timer is not None:
                 self._timer.cancel()
 
-    def _tell(self) -> None:
-        self.is_to_tell, self.was_told = False, True
+
+def _tell_of_compilation() -> None:
+    if not CompileClock.was_told:
+        CompileClock.was_told = True
         print("minimd: compiling kernels (once) ...", file=sys.stderr, flush=True)
 
 
@@ -223,7 +239,7 @@ event.register("numba:compile", FailedCompilations())
 @contextmanager
 def announce_compilation() -> Iterator[None]:
     """Within this context tell, on standard error and once in a process, when a compilation takes more than a second."""
-    compile_clock.is_to_tell = not compile_clock.was_told
+    compile_clock.is_to_tell = not CompileClock.was_told
     try:
         yield
     finally:

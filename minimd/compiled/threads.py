@@ -62,27 +62,32 @@ class ThreadPool:
             wake.acquire()
             helper.start()
 
-    def run(self, kernel: Callable, *arguments: object, calls: DirectCalls | None = None) -> Any:
+    def run(self, kernel: Callable, *arguments: object, calls: DirectCalls | None = None, n_tasks: int = 1) -> Any:
         """kernel(worker, task, *arguments) on this thread, and on the others as soon as they are awake; returns what it returns on this one.
 
         calls : of a caller who always gives this kernel arguments of the same types.
+        n_tasks : of a kernel that calls others, one after the other, with the numbers from task on; only in a pool of one thread.
         The kernel must call begin and share as described above, and release Python's lock (shared_kernel).
         """
         if calls is not None:
             kernel = calls.code(kernel, self._worker, 0, *arguments)
         with self._busy:
-            self._n_tasks += 1
-            self._task = (self._n_tasks, kernel, arguments)
+            first, self._n_tasks = self._n_tasks + 1, self._n_tasks + n_tasks
+            self._task = (first, kernel, arguments)
             if self._helpers and HAS_AFFINITY:
                 self._keep_off_callers_core()
             for wake in self._wake:
                 if wake.locked():
                     wake.release()
             try:
-                return kernel(self._worker, self._n_tasks, *arguments)
+                return kernel(self._worker, first, *arguments)
             finally:
                 self._task = ()
                 self._counters[OPEN] = (self._n_tasks + 1) * PHASES - 1  # nobody waits for this task, even if it has failed
+
+    def address(self, kernel: Callable, *arguments: object, calls: DirectCalls) -> int:
+        """The address of a kernel for these arguments, for call_at."""
+        return calls.address(kernel, self._worker, 0, *arguments)
 
     def compile(self, kernel: Callable, *arguments: object, calls: DirectCalls) -> None:
         """Compile a kernel as run would do."""
@@ -109,14 +114,18 @@ class ThreadPool:
                 _linger(self._counters, task)
 
 
-@functools.cache
 def thread_pool(n_threads: int) -> ThreadPool:
-    """The pool with this number of threads; all simulations of a process share it."""
+    """A pool with this number of threads. All simulations of a process share their helpers, and wait for each other; one thread needs nobody."""
+    return ThreadPool(1) if n_threads == 1 else _shared_pool(n_threads)
+
+
+@functools.cache
+def _shared_pool(n_threads: int) -> ThreadPool:
     return ThreadPool(n_threads)
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=thread_pool.cache_clear)  # a child process has none of its parent's threads
+    os.register_at_fork(after_in_child=_shared_pool.cache_clear)  # a child process has none of its parent's threads
 
 
 @scalar

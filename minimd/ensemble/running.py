@@ -6,11 +6,12 @@ import pickle
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 from queue import SimpleQueue
+from time import sleep
 from typing import Any
 from uuid import uuid4
 
@@ -22,11 +23,12 @@ from minimd.ensemble.work import FAILED, Plan, Row, work
 from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag, shown
-from minimd.structure.console import Terminated, outside_minimd, progress_of, raising_on_signals
+from minimd.structure.console import Terminated, outside_minimd, progress_of, raising_on_signals, stop_runs_of_threads
 from minimd.structure.errors import Interrupted, sentence
 
 MOST_WAITING = 4096  # members that an executor of somebody else's has at a time
 TOLD = 3  # failures that a warning names
+BETWEEN_REQUESTS = 0.02  # seconds, to members in threads that are to stop: one may just be between two runs
 
 
 class EnsembleError(RuntimeError):
@@ -129,6 +131,9 @@ def _rows(executor: Executor, plan: Plan, jobs: Iterator[tuple[Member, bool]], m
     finally:
         for future in members:
             future.cancel()
+        while isinstance(executor, ThreadPoolExecutor) and not all(future.done() for future in members):
+            stop_runs_of_threads()
+            sleep(BETWEEN_REQUESTS)
 
 
 def _row_of(future: Future, member: Member) -> Row:

@@ -10,22 +10,31 @@ from minimd.compiled.simd import bits_from_mask, lane, load, store, total
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, stop, take, was_stopped
 from minimd.forces.cluster_loop import add_cluster_forces, lanes_beyond
-from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, momentum_in_steps, velocity_of
+from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, mixed, momentum_in_steps, velocity_of
 from minimd.neighbors.cluster_list import clear, collected, gather, is_mixed, place
 from minimd.neighbors.clusters import DIMENSIONS, gathered, loaded
+from minimd.structure.observables import kinetic_energy_of
 
 
 class Rest(namedtuple("Rest", "steps")):
     """No motion: the forces are evaluated once.  steps : Steps of fixed-point arithmetic, or ()."""
 
 
-class Motion(namedtuple("Motion", "steps durations units first n limit2 velocities inverse_masses own_positions own_velocities own_inverse_masses")):
-    """n kicks and drifts, each kick after an evaluation of the forces; only an evaluation if n is 0.
+class Contacts(namedtuple("Contacts", "kept spread duration noise masses before after energy")):
+    """Contacts with a bath, each followed by a drift, after each kick and drift: see Contact in integrators.splitting.state.
+
+    noise : (n, N, 3), of kick and drift k in row k; n is 0 if there is no bath.  masses : (N,).
+    before, after : (N,) output, kinetic energies of the atoms, of the last contact [energy].
+    energy : (1,), to which is added what each contact gives to the atoms [energy].
+    """
+
+
+class Motion(namedtuple("Motion", "steps durations units course contacts velocities inverse_masses own_positions own_velocities own_inverse_masses")):
+    """Kicks and drifts, each kick after an evaluation of the forces; only an evaluation if none is to be made.
 
     steps : Steps of fixed-point arithmetic, or ().
-
     durations : (P, 2) of P kicks and drifts, in turn from the first [time].  units : (P, 2), times of which they are whole multiples.
-    limit2 : square of the distance that an atom may be from where it was when the list was built [length²].
+    course : (2,) int, how many were made before, and how many there are to be in all.  contacts : Contacts.
     velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].
     own_positions, own_velocities, own_inverse_masses : flat, a block for each cluster: the atoms in the order of the clusters. They are read
         at the start and written back at the end. So no two threads write to the same cache line, and vectors of atoms move at a time.
@@ -33,11 +42,14 @@ class Motion(namedtuple("Motion", "steps durations units first n limit2 velociti
     """
 
 
+MADE, TO_MAKE = 0, 1  # places in a course
+
+
 @shared_kernel
 def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motion):
-    """forces (N, 3) += those of all laws; or, with a Motion that has n > 0, atoms move. Each domain is a chunk.
+    """forces (N, 3) += those of all laws; or, with a Motion that is not at its end, atoms move. Each domain is a chunk.
 
-    Returns how many kicks and drifts were made: fewer than n if the list is outdated then, or positions are not finite.
+    Returns how many kicks and drifts were made: fewer than are left if the list is outdated then, or positions are not finite.
 
     positions : (N, 3) [length].  arrays : ClusterArrays.  laws : tuple of pairs, a law type and its parameters, SameForAll or ByLane.
     sums : Sums or ForceSums.  motion : Motion or Rest.
@@ -71,6 +83,12 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
                 stop(worker, phase)
             chunk = finish_and_take(worker, phase, n)
         moved, phase = phase, barrier(worker, phase)
+        if has_bath(motion):
+            chunk = take(worker, phase, 1)
+            while chunk >= 0:
+                count_energy(motion)
+                chunk = finish_and_take(worker, phase, 1)
+            phase = barrier(worker, phase)
         n_made += 1
         if n_made >= n_moves or was_stopped(worker, moved):
             break
@@ -85,8 +103,30 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
 
 @by_type
 def moves(motion):
-    """The number of kicks and drifts of a Motion; 0 of Rest."""
-    return (lambda motion: 0) if motion.instance_class is Rest else lambda motion: motion.n
+    """The number of kicks and drifts that are left of a Motion; 0 of Rest."""
+    return (lambda motion: 0) if motion.instance_class is Rest else lambda motion: motion.course[TO_MAKE] - motion.course[MADE]
+
+
+@by_type
+def has_bath(motion):
+    """Whether atoms of a Motion are in contact with a bath; not of Rest."""
+    return (lambda motion: False) if motion.instance_class is Rest else lambda motion: motion.contacts.noise.shape[0] > 0
+
+
+@by_type
+def count_energy(motion):
+    """energy += Σ after − Σ before, in the order of the user, as kinetic_energy has it."""
+    if motion.instance_class is Rest:
+        return lambda motion: None
+
+    def count_energy_of(motion):
+        contacts, before, after = motion.contacts, 0.0, 0.0
+        for i in range(contacts.before.size):
+            before += contacts.before[i]
+            after += contacts.after[i]
+        contacts.energy[0] += after - before
+
+    return count_energy_of
 
 
 @by_type
@@ -94,7 +134,7 @@ def which_kick(motion, n_made):
     """The number of the next kick in the cycle; 0 of Rest."""
     if motion.instance_class is Rest:
         return lambda motion, n_made: 0
-    return lambda motion, n_made: (motion.first + n_made) % motion.durations.shape[0]
+    return lambda motion, n_made: (motion.course[MADE] + n_made) % motion.durations.shape[0]
 
 
 @by_type
@@ -132,7 +172,7 @@ def _begin(domain, arrays, positions, motion):
         return lambda domain, arrays, positions, motion: _place_all(domain, arrays, positions)
 
     def begin_motion(domain, arrays, positions, motion):
-        if motion.n == 0:
+        if moves(motion) == 0:
             _place_all(domain, arrays, positions)
             return
         clusters, n_lanes = arrays.clusters, count(arrays.clusters.lanes)
@@ -212,28 +252,48 @@ def _move(domain, arrays, excess, motion, n_made):
 
     def move(domain, arrays, excess, motion, n_made):
         clusters, lanes, n_lanes, is_valid = arrays.clusters, arrays.clusters.lanes, count(arrays.clusters.lanes), True
-        flows = of_cycle(motion, which_kick(motion, n_made))
+        flows, limit2 = of_cycle(motion, which_kick(motion, n_made)), arrays.rows.limits2[arrays.rows.layers[0] - 1]
         for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
             start = k * DIMENSIONS * n_lanes
             inverse_mass = load(motion.own_inverse_masses, k * n_lanes, lanes)
-            moved2 = size2 = 0.0 * inverse_mass
             for c, force in enumerate(collected(k, arrays)):
                 at = start + c * n_lanes
                 velocity, position = load(motion.own_velocities, at, lanes), load(motion.own_positions, at, lanes)
                 velocity, position = _moved(velocity, position, force - excess[c], inverse_mass, flows, motion.steps)
                 store(motion.own_velocities, at, velocity)
                 store(motion.own_positions, at, position)
+            if has_bath(motion):
+                for k_lane in range(clusters.filled[k]):
+                    _touch(clusters.atom[k * n_lanes + k_lane], start + k_lane, n_lanes, motion, motion.course[MADE] + n_made)
+            moved2 = size2 = 0.0 * inverse_mass
+            for c in range(DIMENSIONS):
+                at = start + c * n_lanes
+                velocity, position = load(motion.own_velocities, at, lanes), load(motion.own_positions, at, lanes)
                 moved = position - load(clusters.positions, at, lanes)
                 moved2 = moved2 + moved * moved
                 size2 = size2 + velocity * velocity
             filled = (1 << clusters.filled[k]) - 1
-            is_valid &= ~bits_from_mask(moved2 <= motion.limit2) & filled == 0
+            is_valid &= ~bits_from_mask(moved2 <= limit2) & filled == 0
             if lanes_beyond(size2, _most_momentum2(motion.steps)) & filled:
                 arrays.memory.net[domain, 1], is_valid = 1.0, False
             place(k, arrays, loaded(motion.own_positions, start, lanes))
         return is_valid
 
     return move
+
+
+@scalar
+def _touch(i, place, n_lanes, motion, row):
+    """Contact of atom i with the bath, and its second drift.  place : of its x in its own arrays.  row : of the noise."""
+    contacts, at, v = motion.contacts, motion.own_positions, motion.own_velocities
+    mass, y, z = contacts.masses[i], place + n_lanes, place + 2 * n_lanes
+    scale = contacts.spread * np.sqrt(motion.inverse_masses[i])
+    contacts.before[i] = kinetic_energy_of(mass, v[place], v[y], v[z])
+    for c in range(DIMENSIONS):
+        slot = place + c * n_lanes
+        v[slot] = mixed(v[slot], contacts.noise[row, i, c], contacts.kept, scale)
+        at[slot] = drifted(at[slot], v[slot], contacts.duration)
+    contacts.after[i] = kinetic_energy_of(mass, v[place], v[y], v[z])
 
 
 @scalar

@@ -26,11 +26,12 @@ from minimd.potentials.user_laws import is_recognized, is_user_law
 LANE_SUMS = 7  # accumulators of a lane with PER_ATOM: energy, and six of the virial
 
 
-class ByLane(namedtuple("ByLane", "columns species slots")):
+class ByLane(namedtuple("ByLane", "columns species slots table of_atoms")):
     """Parameters by species, laid out for lanes.
 
     columns : tuple of (S · slots,) arrays; element a · slots + s is the parameter of the atom in slot s with species a.
-    species : (slots,) int.  slots : number of slots, ghosts included.
+    species : (slots,) int.  slots : number of slots, ghosts included, for which there is room.
+    table : (S, S, 1 + P) parameters of pairs of species.  of_atoms : (N,) int, species of the atoms.
     """
 
 
@@ -99,7 +100,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
     nothing, like = broadcast(0.0, load(sums.forces, 0, lanes)), load(coordinates, 0, lanes)
     zero = convert(nothing, 0.0)
     own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, which, like)
-    limit2 = limit_of(steps)
+    limit2, stops = limit_of(steps), rows.stops[rows.layers[0] - 1]
     for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
         home, lane = homes[slot // n_lanes], slot % n_lanes
         place = home * DIMENSIONS * n_lanes + lane
@@ -108,7 +109,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
         ahead = separations(arrays.memory, after, at, lanes)
         fx = fy = fz = nothing
         energy = xx = yy = zz = yz = xz = xy = size2 = zero
-        for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])):
+        for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
             if looks_ahead(nothing):
                 now, (dx, dy, dz, r2), after = after, ahead, rows.entries[entry + np.uintp(1)]
                 ahead = separations(arrays.memory, after, at, lanes)
@@ -135,7 +136,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
                     for c, w in enumerate((u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
                         at_c = (np.intp(ghost) * LANE_SUMS + c) * n_lanes
                         store(sums.lane_sums, at_c, load(sums.lane_sums, at_c, lanes) + 0.5 * in_steps(w, steps))
-        n_entries = rows.stop[slot] - rows.start[slot]
+        n_entries = stops[slot] - rows.start[slot]
         sums.forces[place] -= without_bias(total(fx), n_entries, lanes)
         sums.forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
         sums.forces[place + 2 * n_lanes] -= without_bias(total(fz), n_entries, lanes)
@@ -199,12 +200,69 @@ def without_bias(total, n, lanes):
 
 
 @kernel
-def start_sums(rows, n_laws, first_sum):
+def prepare_loop(arrays, laws):
+    """To be called after a list build, and after each change of the layers in use: what the loop needs beside the list."""
+    fill_lanes(arrays, laws)
+    start_sums(arrays, len(laws), arrays.memory.first_sum, arrays.memory.forces)
+
+
+@by_type
+def fill_lanes(arrays, laws):
+    """Columns and species of each law with a table, see ByLane, in the slots of all ghosts; unrolled by the compiler."""
+    if len(laws) == 0:
+        return lambda arrays, laws: None
+
+    def fill(arrays, laws):
+        _fill_lanes(laws[0][1], arrays)
+        fill_lanes(arrays, laws[1:])
+
+    return fill
+
+
+@by_type
+def _fill_lanes(source, arrays):
+    if source.instance_class is SameForAll:
+        return lambda source, arrays: None
+
+    def fill(source, arrays):
+        atom, owner, n_lanes = arrays.clusters.atom, arrays.ghosts.owner, count(arrays.clusters.lanes)
+        for slot in range(arrays.ghost_start[arrays.ghost_start.size - 1] * n_lanes):
+            b = source.of_atoms[atom[owner[slot // n_lanes] * n_lanes + slot % n_lanes]]
+            source.species[slot] = b
+            for a in range(source.table.shape[0]):
+                _fill_columns(source.columns, source.table, a, b, 0, a * source.slots + slot)
+
+    return fill
+
+
+@by_type
+def _fill_columns(columns, table, a, b, p, place):
+    """Element `place` of each column from p on = table[a, b, p]; unrolled by the compiler."""
+    if len(columns) == 0:
+        return lambda columns, table, a, b, p, place: None
+
+    def fill(columns, table, a, b, p, place):
+        columns[0][place] = table[a, b, p]
+        _fill_columns(columns[1:], table, a, b, p + 1, place)
+
+    return fill
+
+
+@by_type
+def start_sums(arrays, n_laws, first_sum, forces):
     """first_sum (M,) int64 = what sums of forces on each ghost begin with: minus the biases that the rows of n_laws will add."""
-    first_sum[:] = 0
-    for slot in range(rows.start.size):
-        for entry in range(rows.start[slot], rows.stop[slot]):
-            first_sum[rows.entries[entry] & GHOST_BITS] -= n_laws * BIAS
+    if isinstance(forces.dtype, types.Float):
+        return lambda arrays, n_laws, first_sum, forces: None
+
+    def start(arrays, n_laws, first_sum, forces):
+        rows, n_lanes = arrays.rows, count(arrays.clusters.lanes)
+        stops = rows.stops[rows.layers[0] - 1]
+        first_sum[:] = 0
+        for slot in range(arrays.domain_start[arrays.domain_start.size - 1] * n_lanes):
+            for entry in range(rows.start[slot], stops[slot]):
+                first_sum[rows.entries[entry] & GHOST_BITS] -= n_laws * BIAS
+
+    return start
 
 
 @by_type

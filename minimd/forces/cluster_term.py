@@ -7,16 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.fixed_point import MOST, GridSums
-from minimd.compiled.kernels import DirectCalls, kernel, without_cache
+from minimd.compiled.kernels import DirectCalls, without_cache
 from minimd.compiled.simd.lanes import DOUBLE, MIXED
 from minimd.compiled.threads import thread_pool
-from minimd.forces.cluster_kernel import Motion, Rest, evaluate_clusters
-from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, start_sums
+from minimd.forces.cluster_kernel import MADE, TO_MAKE, Contacts, Motion, Rest, evaluate_clusters
+from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, prepare_loop
+from minimd.forces.cluster_march import TASKS_PER_MOVE, march_clusters
 from minimd.forces.options import FIXED_POINT, Options, described
 from minimd.forces.pair_laws import PairLaws, skin_for, widest_skin
-from minimd.integrators.splitting.state import GridState, State, steps_of
+from minimd.integrators.splitting.state import Contact, Cycle, GridState, State, steps_of
 from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
+from minimd.neighbors.cluster_build import build_clusters
 from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.cluster_search import LAYERS
 from minimd.neighbors.clusters import DIMENSIONS
@@ -27,9 +29,12 @@ from minimd.structure.errors import RangeError
 from minimd.structure.grid import TOO_LARGE
 from minimd.structure.system import System
 
-NOTHING = np.zeros((0, 3))
-AT_REST = Motion((), np.zeros((1, 2)), np.ones((1, 2)), 0, 0, 0.0, NOTHING, *(np.zeros(0) for _ in range(4)))  # one compiled kernel for both
+NOTHING, NONE = np.zeros((0, 3)), np.zeros(0)
+NO_COURSE = np.zeros(2, dtype=np.int64)
+NO_CONTACTS = Contacts(1.0, 0.0, 0.0, np.zeros((0, 0, 3)), NONE, NONE, NONE, NONE)
+AT_REST = Motion((), np.zeros((1, 2)), np.ones((1, 2)), NO_COURSE, NO_CONTACTS, NOTHING, NONE, NONE, NONE, NONE)  # one compiled kernel for both
 MOST_MOVED = 4_000_000  # atoms in a call, half a second
+MOST_NOISE = 1_000_000  # atoms whose noise is kept at a time
 
 
 class ClusterTerm(OwnTerm):
@@ -49,9 +54,9 @@ class ClusterTerm(OwnTerm):
         are_recognized = all(is_recognized(one.law) for one in laws.members)
         self._evaluate = evaluate_clusters if are_recognized else without_cache(evaluate_clusters)
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
-        self._prepared_for, self._started_for = 0, cast(Any, None)  # which build of the list, and which arrays
+        self._march = march_clusters if are_recognized else without_cache(march_clusters)
+        self._arranged_for, self._prepared_for = cast(Any, None), (0, 0)  # which arrays of the list; which build, and how many layers
         self._memory = Buffers()
-        self._own: tuple[NDArray, ...] = ()
 
     def add_to(self, system: System, detail: int, sums: Any) -> None:
         """See Term."""
@@ -90,39 +95,60 @@ class ClusterTerm(OwnTerm):
         motion = AT_REST._replace(steps=self._steps(steps))
         arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion)
         self._pool.compile(self._evaluate, *arguments, calls=self._calls[FORCES])
+        if self.list.can_be_renewed:
+            self._pool.compile(self._march, *self._with_builds(arguments), calls=self._calls[FORCES])
 
-    def march(self, system: System, state: State, durations: NDArray, n: int) -> int:
-        """See Term. Between two list builds all threads stay in one kernel; only so many atoms move in a call that Ctrl-C is answered soon."""
-        n_cycles = min(n, max(1, MOST_MOVED // (state.velocities.shape[0] * len(durations))))
-        n_pairs, made, state.forces_are_current = n_cycles * len(durations), 0, False
+    def march(self, system: System, state: State, cycle: Cycle, n: int) -> int:
+        """See Term. Threads stay in one kernel; only so many atoms move in a call that Ctrl-C is answered soon."""
+        n_atoms, (durations, contact) = len(state.velocities), cycle
+        n_cycles = min(n, max(1, (MOST_MOVED if contact is None else MOST_NOISE) // (n_atoms * len(durations))))
+        if n_cycles <= 0 or (contact is not None and isinstance(state, GridState)):
+            return 0
+        state.forces_are_current, course = False, np.array([0, n_cycles * len(durations)])
+        contacts = NO_CONTACTS if contact is None else in_contact(contact, state, n_cycles)
+        calls = self._calls[FORCES]
         lasting, units = np.ascontiguousarray(durations[:, :, 0]), np.ascontiguousarray(durations[:, :, 1])
         forces, steps = (state.impulses, self._steps(steps_of(state.grid, units[:, 0]))) if isinstance(state, GridState) else (state.forces, ())
-        while made < n_pairs:
+        while course[MADE] < course[TO_MAKE]:
             self._update(system)
-            self._own = self._own or self._own_arrays()
-            motion = Motion(steps, lasting, units, made, n_pairs - made, self.list.limit2, state.velocities, state.inverse_masses, *self._own)
-            arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion)
-            made += self._pool.run(self._evaluate, *arguments, calls=self._calls[FORCES])
+            motion = Motion(steps, lasting, units, course, contacts, state.velocities, state.inverse_masses, *self._own_arrays())
+            evaluation = system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion
+            if self.list.can_be_renewed:
+                n_tasks = TASKS_PER_MOVE * int(course[TO_MAKE] - course[MADE])
+                self.list.renewed(self._pool.run(self._march, *self._with_builds(evaluation), calls=calls, n_tasks=n_tasks))
+                self._prepared_for = self.list.n_builds, int(self.list.rows.layers[0])
+            else:
+                course[MADE] += self._pool.run(self._evaluate, *evaluation, calls=calls)
             if isinstance(state, GridState):
                 self._check(state)
+        if contact is not None:
+            contact.bath.energy = float(contacts.energy[0])
         return n_cycles
+
+    def _with_builds(self, evaluation: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Arguments of march_clusters."""
+        calls, building = self._calls[FORCES], (evaluation[0], self.list.building)
+        evaluate = self._pool.address(self._evaluate, *evaluation, calls=calls)
+        return evaluate, evaluation, self._pool.address(build_clusters, *building, calls=calls), building
 
     def _update(self, system: System) -> None:
         """A valid list, and what is prepared for it."""
         self.list.update(system.positions, system.cell)
-        if self._prepared_for != self.list.n_builds:
-            self._prepare(system)
-        if self._precision == FIXED_POINT and self._started_for is not self.list.arrays:  # a new list, or another layer of it
-            self._started_for = self.list.arrays
-            start_sums(self.list.arrays.rows, len(self._laws), self.list.memory.first_sum)
+        if self._arranged_for is not self.list.arrays:
+            self._arrange(system)
+        in_use = self.list.n_builds, int(self.list.rows.layers[0])
+        if self._prepared_for != in_use:
+            self._prepared_for = in_use
+            if self._needs_preparation:
+                self._calls[FORCES](prepare_loop, self.list.arrays, self._laws)
 
-    def _prepare(self, system: System) -> None:
-        """After a list build: parameters in the order of its clusters, and the array of its forces."""
+    def _arrange(self, system: System) -> None:
+        """Arrays that go with those of the list."""
         of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(self._pair_laws.members)]
         self._laws = tuple((one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True))
+        self._needs_preparation = self._precision == FIXED_POINT or any(isinstance(one, ByLane) for one in of_lanes)
         self._force_sums = ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
-        self._own = ()  # made where atoms march
-        self._prepared_for = self.list.n_builds
+        self._arranged_for, self._prepared_for = self.list.arrays, (0, 0)
 
     def _own_arrays(self) -> tuple[NDArray, ...]:
         """Memory for the atoms in the order of the clusters, see Motion."""
@@ -131,18 +157,18 @@ class ClusterTerm(OwnTerm):
 
     def _sums(self, detail: int) -> Sums:
         """Accumulators with zeros: one for each cluster if only totals are wanted, else one for each slot, and for each lane of a ghost."""
-        clusters = self.list.clusters
-        n = len(clusters.filled) if detail == TOTALS else len(clusters.atom)
-        lane_sums = np.zeros(len(self.list.ghosts.owner) * self.list.lanes.size * LANE_SUMS if detail == PER_ATOM else 0)
+        n = self.list.n_clusters * (1 if detail == TOTALS else self.list.lanes.size)
+        lane_sums = np.zeros(self.list.n_ghosts * self.list.lanes.size * LANE_SUMS if detail == PER_ATOM else 0)
         return Sums(self.list.memory.forces, np.zeros(n), np.zeros((n, 6)), lane_sums, detail)
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
         """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""
-        clusters, n_lanes = self.list.clusters, self.list.lanes.size
-        real = (np.arange(n_lanes) < clusters.filled[:, None]).ravel()
-        energies[clusters.atom[real]] += sums.energies[real]
-        virials[clusters.atom[real]] += sums.virials[real]
-        atoms, of_lanes = clusters.atom.reshape(-1, n_lanes)[self.list.ghosts.owner], sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes)
+        clusters, n_lanes, n = self.list.clusters, self.list.lanes.size, self.list.n_clusters
+        atom, real = clusters.atom[: n * n_lanes], (np.arange(n_lanes) < clusters.filled[:n, None]).ravel()
+        energies[atom[real]] += sums.energies[real]
+        virials[atom[real]] += sums.virials[real]
+        owner, of_lanes = self.list.ghosts.owner[: self.list.n_ghosts], sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes)
+        atoms = atom.reshape(-1, n_lanes)[owner]
         np.add.at(energies, atoms, of_lanes[:, 0])
         np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
 
@@ -164,18 +190,13 @@ class ClusterTerm(OwnTerm):
             return SameForAll(tuple(table[0, 0].tolist()))
         slots, number = len(self.list.ghosts.owner) * self.list.lanes.size, np.float32 if self._is_mixed else np.float64
         values = self._memory.array(f"parameters of law {k}", number, table.shape[-1] * len(table) * slots)
-        columns = values.reshape(table.shape[-1], -1)
         species = self._memory.array(f"species of law {k}", np.int64, slots)
-        fill_lanes(table, species_index, self.list.clusters.atom.reshape(-1, self.list.lanes.size), self.list.ghosts.owner, columns, species)
-        return ByLane(tuple(columns), species, slots)
+        return ByLane(tuple(values.reshape(table.shape[-1], -1)), species, slots, table, species_index)
 
 
-@kernel
-def fill_lanes(table, species_index, atom, owner, columns, species):
-    """species (slots,) and columns (1 + P, S · slots), as ByLane describes them, of all lanes of all ghosts."""
-    slots, n_lanes = species.size, atom.shape[1]
-    for slot in range(slots):
-        species[slot] = species_index[atom[owner[slot // n_lanes], slot % n_lanes]]
-        for a in range(table.shape[0]):
-            for p in range(table.shape[2]):
-                columns[p, a * slots + slot] = table[a, species[slot], p]
+def in_contact(contact: Contact, state: State, n: int) -> Contacts:
+    """Contacts of n steps, as the kernel takes them."""
+    n_atoms = len(state.velocities)
+    before, after, energy = np.zeros(n_atoms), np.zeros(n_atoms), np.array([contact.bath.energy])
+    noise = contact.noise(n, n_atoms)
+    return Contacts(contact.kept, contact.spread, contact.duration, noise, state.masses, before, after, energy)

@@ -18,7 +18,7 @@ from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import FIXED_POINT, Options
 from minimd.forces.pair_laws import PairLaws, deepest
 from minimd.forces.pair_list_term import PairListTerm
-from minimd.integrators.splitting.state import State, steps_of
+from minimd.integrators.splitting.state import Cycle, State, steps_of
 from minimd.neighbors.queries import closest_pair
 from minimd.neighbors.verlet_list import Built, VerletList
 from minimd.potentials.laws import Scaled
@@ -199,13 +199,13 @@ class Forces:
                 for term in self.terms:
                     term.prepare(self.system, self.forces if self.grid is None else self.impulses, steps)
 
-    def march(self, state: State, durations: NDArray[np.float64], n: int) -> int:
+    def march(self, state: State, cycle: Cycle, n: int) -> int:
         """See March in integrators.splitting; for scenes with one term that can.  Raises as compute."""
         if len(self.terms) != 1 or not self.terms[0].marches or not self.system.cell.same_as(self._planned_for):
             return 0
         with KNOWN if FORCES in self._compiled else self._compiling(FORCES):
-            made = self.terms[0].march(self.system, state, durations, n)
-        self.n_evaluations += made * len(durations)
+            made = self.terms[0].march(self.system, state, cycle, n)
+        self.n_evaluations += made * len(cycle.durations)
         return made
 
     @contextmanager

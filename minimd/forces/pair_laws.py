@@ -14,7 +14,7 @@ from minimd.potentials.term import PairLaw
 from minimd.structure.bond_graph import pairs_by_bonds_apart
 from minimd.structure.system import System, number_density
 
-CLUSTERS_FROM = 64  # atoms: below, the pair list is as fast
+CLUSTERS_FROM = 32  # atoms: below, the pair list is as fast
 ROUNDED_DOWN = 1.0 - 1e-9
 SINGLE = (1e-34, 1e30)  # float32 ends at 1e-38 and 3e38; the products in a law need room beside their results
 TRIED_AT = (0.3, 0.5, 0.7, 0.9)  # of the cutoff

@@ -23,11 +23,14 @@ class Buffers:
     def __init__(self) -> None:
         self._all: dict[str, NDArray[Any]] = {}
 
-    def array(self, name: str, dtype: type, n: int, *more: int, in_page: int = 0) -> NDArray[Any]:
-        """An array of shape (n, *more); the next one of the same name takes its place.  in_page : where in a page it begins, a multiple of 64."""
+    def array(self, name: str, dtype: type, n: int, *more: int, in_page: int = 0, spare: float = SPARE) -> NDArray[Any]:
+        """An array of shape (n, *more); the next one of the same name takes its place.
+
+        in_page : where in a page it begins, a multiple of 64.  spare : memory in units of what was asked for, if there is none yet.
+        """
         kept = self._all.get(name)
         if kept is None or n > len(kept):
-            rows, item = int(SPARE * n) + 1, np.dtype(dtype).itemsize
+            rows, item = int(spare * n) + 1, np.dtype(dtype).itemsize
             size = rows * prod(more)
             raw: NDArray[Any] = np.empty(size + PAGE // item, dtype)
             first = ((in_page - raw.ctypes.data) % PAGE) // item

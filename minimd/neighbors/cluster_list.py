@@ -6,14 +6,15 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import DirectCalls, by_type, kernel, scalar, shared_kernel
+from minimd.compiled.kernels import DirectCalls, by_type, kernel, scalar
 from minimd.compiled.simd import broadcast, convert, lane, load, store, with_lane
 from minimd.compiled.simd.lanes import DOUBLE, MIXED, count, lanes_for
-from minimd.compiled.threads import ThreadPool, barrier, begin, finish_and_take, take
+from minimd.compiled.threads import ThreadPool
 from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers
-from minimd.neighbors.cluster_search import AHEAD, GHOST_BITS, LAYERS, Layers, Rows, exclude_pairs, find_rows, make_work
-from minimd.neighbors.clusters import DIMENSIONS, any_moved_from_clusters, gathered, loaded, make_columns, sort_into_clusters
-from minimd.neighbors.domains import SIDES, Layout, cut_into_domains, fill_ghosts, make_ghosts, sort_ghosts
+from minimd.neighbors.cluster_build import Building, build_clusters
+from minimd.neighbors.cluster_search import AHEAD, GHOST_BITS, LAYERS, Rows, exclude_pairs
+from minimd.neighbors.clusters import DIMENSIONS, any_moved_from_clusters, gathered, loaded, make_bins, make_clusters, make_columns
+from minimd.neighbors.domains import SIDES, Layout, make_domains, make_ghosts
 from minimd.neighbors.verlet_list import VerletList, partners
 from minimd.structure.cell import Cell
 
@@ -48,9 +49,9 @@ class ClusterList(VerletList):
 
     cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.
     precision : see Options.  pool : the threads that build it.
-    lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.
-    arrays : what the loop needs of them, the layers that are in use.  n_domains : number of chunks of a task.
-    limit2 : square of the distance that an atom may move before another layer is needed, or a new list [length²].
+    lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.  n_domains : number of chunks of a task.
+    arrays : what the loop needs of them. They have room for more, and are the same arrays until it is used up.
+    building : what build_clusters needs.
     """
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool) -> None:
@@ -60,68 +61,82 @@ class ClusterList(VerletList):
         self._columns_of: Cell | None = None
         self._calls = DirectCalls()
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
-        self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
+        self._room_for_ghosts, self._entry_start, self._entries = 0, np.zeros(1, dtype=np.int64), np.empty(AHEAD, dtype=np.uint32)
         self._memory = Buffers()
         sets = far(self.lanes.size)
         self._far = self._memory.array("far", np.float32 if self._is_mixed else np.float64, len(sets))
         self._far[:] = sets
 
     def _has_moved(self, positions: NDArray[np.float64]) -> bool:
-        while self._calls(any_moved_from_clusters, positions, self.clusters, self.limit2):
-            if self._n_layers == LAYERS:
+        layers = self.rows.layers
+        while self._calls(any_moved_from_clusters, positions, self.clusters, self.rows.limits2[layers[0] - 1]):
+            if layers[0] == LAYERS:
                 return True
-            self._use_layers(self._n_layers + 1)
+            layers[0] += 1
         return False
 
-    def _use_layers(self, n: int) -> None:
-        """Rows are the first n layers."""
-        self._n_layers, self.limit2 = n, (0.5 * self.skin * n / LAYERS) ** 2
-        self.arrays = self._whole._replace(rows=self._rows_of(n))
-
-    def _rows_of(self, n: int) -> Rows:
-        return Rows(self.rows.start, self.rows.stops[n - 1], self.rows.entries)
-
     def _built_at(self) -> NDArray[np.float64]:
-        clusters, n_lanes = self.clusters, self.lanes.size
-        positions, real = np.empty((self._n_atoms, DIMENSIONS)), np.arange(n_lanes) < clusters.filled[:, None]
-        positions[clusters.atom[real.ravel()]] = clusters.positions.reshape(-1, DIMENSIONS, n_lanes).transpose(0, 2, 1)[real]
+        clusters, n_lanes, n = self.clusters, self.lanes.size, self.n_clusters
+        positions, real = np.empty((self._n_atoms, DIMENSIONS)), np.arange(n_lanes) < clusters.filled[:n, None]
+        at = clusters.positions.reshape(-1, DIMENSIONS, n_lanes)[:n].transpose(0, 2, 1)
+        positions[clusters.atom[: n * n_lanes][real.ravel()]] = at[real]
         return positions
+
+    @property
+    def n_clusters(self) -> int:
+        """Number of clusters."""
+        return int(self.clusters.column_start[-1])
+
+    @property
+    def n_ghosts(self) -> int:
+        """Number of their ghosts."""
+        return int(self.domains.ghost[-1])
+
+    @property
+    def can_be_renewed(self) -> bool:
+        """Whether a kernel can do what update does: on one thread, with columns that stay, and nothing that a build does after build_clusters."""
+        stays = self._columns_of is not None and bool(self._columns_of.pbc.all())
+        return stays and self._pool.n_threads == 1 and self._excluded is None and not self._is_mixed
+
+    def renewed(self, n: int) -> None:
+        """So many lists were built by a kernel. rows.layers is zero if it has left none that can be used."""
+        self.n_builds += n
+        if self.rows.layers[0] == 0:
+            self._cell = None
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
             self._columns, self._columns_of = make_columns(cell, positions, self.cutoff + self.skin, self.lanes), cell
-        self.clusters = sort_into_clusters(positions, self._columns, self.lanes, self._memory, self._pool, self._calls)
-        self.domains = cut_into_domains(self.clusters, self._columns, len(positions), self._calls)
-        self.n_domains, n_clusters, n_ghosts = len(self.domains.run) - 1, len(self.clusters.filled), int(self.domains.ghost[-1])
-        if n_ghosts > GHOST_BITS:
-            raise ValueError(f"cluster lists hold up to {GHOST_BITS} ghost clusters, this scene needs {n_ghosts}: simulate fewer atoms")
-        self.ghosts = make_ghosts(n_clusters, n_ghosts, self._memory)
-        exact = self._memory.array("coordinates", np.float64, n_ghosts * self.lanes.size * DIMENSIONS)
-        layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, exact)
-        self.rows = self._find_rows(layout)
-        self._calls(sort_ghosts, self.ghosts)
-        self.memory = self._make_memory(exact)
+            self._make_clusters()
+        while not self._pool.run(build_clusters, positions, self.building, calls=self._calls):
+            self._make_room()
+        if self._is_mixed:
+            self._lay_grid()
         if self._excluded is not None:
             slot_of, image = self._memory.array("slot of", np.int64, len(positions)), (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-            self._pool.run(exclude_pairs, layout, image, self._excluded, slot_of, self._rows_of(LAYERS), calls=self._calls)
-        first_ghosts = self.domains.ghost[self.domains.run]
-        self._whole = ClusterArrays(self.clusters, self.domains.cluster, first_ghosts, self.ghosts, self._rows_of(LAYERS), self.memory)
-        self._use_layers(1)
+            self._pool.run(exclude_pairs, self.building.layout, image, self._excluded, slot_of, self.rows, calls=self._calls)
+        self.rows.layers[0] = 1
 
-    def _find_rows(self, layout: Layout) -> Layers:
-        """Find the rows. If the memory is too small, it is enlarged and the search repeated."""
-        start = self._memory.array("row start", np.int32, len(self.clusters.atom))
-        stops = self._memory.array("row stops", np.int32, LAYERS * len(start)).reshape(LAYERS, -1)
-        reaches2 = (self.cutoff + self.skin * np.arange(1, LAYERS + 1) / LAYERS) ** 2
+    def _make_clusters(self) -> None:
+        """Memory for other columns."""
+        self.clusters = make_clusters(self._n_atoms, self._columns, self.lanes, self._memory)
+        self.domains = make_domains(self._columns, self._n_atoms)
+        self.n_domains = len(self.domains.run) - 1
+        self._needed = np.zeros(self.n_domains, dtype=np.int64)
+        self._arrange()
+
+    def _make_room(self) -> None:
+        """More memory, after a build that has found how much it needs."""
+        n_ghosts, is_enough = self.n_ghosts, self.n_ghosts <= self._room_for_ghosts
+        if n_ghosts > GHOST_BITS:
+            raise ValueError(f"cluster lists hold up to {GHOST_BITS} ghost clusters, this scene needs {n_ghosts}: simulate fewer atoms")
+        if not is_enough:
+            self._room_for_ghosts = int(SPARE * n_ghosts) + 1
         if len(self._entry_start) != self.n_domains + 1:
             self._make_entries(np.diff(self.domains.cluster) * self.lanes.size * ENTRIES_GUESSED)
-        needed = np.zeros(self.n_domains, dtype=np.int64)
-        while True:
-            rows = Layers(start, stops, self._entries, reaches2)
-            self._pool.run(_build_domains, layout, rows, self._entry_start, needed, calls=self._calls)
-            if np.all(needed <= np.diff(self._entry_start)):
-                return rows
-            self._make_entries(np.maximum(np.diff(self._entry_start), (SPARE * needed).astype(np.int64)))
+        elif is_enough:
+            self._make_entries(np.maximum(np.diff(self._entry_start), (SPARE * self._needed).astype(np.int64)))
+        self._arrange()
 
     def _make_entries(self, room: NDArray[np.int64]) -> None:
         """Memory for so many entries of each domain."""
@@ -130,20 +145,35 @@ class ClusterList(VerletList):
             raise ValueError(f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: reduce cutoff or skin, or simulate fewer atoms")
         self._entry_start, self._entries = start, np.empty(start[-1] + AHEAD, dtype=np.uint32)
 
-    def _make_memory(self, exact: NDArray[np.float64]) -> Memory:
-        ghosts, number = self.ghosts, np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64
-        (forces,) = self._memory.carve("scratch", (number, (len(exact),)), in_page=HALF_A_PAGE)  # sorting is over
-        first_sum = self._memory.array("first sum", np.int64, len(ghosts.owner) if self._is_fixed else 0)
-        if not self._is_mixed:
-            return Memory(exact, ghosts.shift, np.zeros(3), 1.0, forces, first_sum, self._far, np.zeros((self.n_domains if self._is_fixed else 0, 3)))
-        shift, origin = self._memory.array("grid shift", np.int32, len(ghosts.owner), 3), np.empty(3)
-        unit = self._calls(lay_grid, ghosts, self.cutoff + self.skin, self.skin, origin, shift)
+    def _arrange(self) -> None:
+        """All arrays, with the room that there is now."""
+        bins = make_bins(self._n_atoms, self._columns, self._memory)
+        self.ghosts = make_ghosts(len(self.clusters.filled), self._room_for_ghosts, self._memory)
+        exact = self._memory.array("coordinates", np.float64, self._room_for_ghosts * self.lanes.size * DIMENSIONS, spare=1.0)
+        layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, exact)
+        start = self._memory.array("row start", np.int32, len(self.clusters.atom))
+        stops = self._memory.array("row stops", np.int32, LAYERS * len(start)).reshape(LAYERS, -1)
+        widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS
+        self.rows = Rows(start, stops, self._entries, (self.cutoff + widths) ** 2, (0.5 * widths) ** 2, np.zeros(1, dtype=np.int64))
+        self.building = Building(bins, layout, self.rows, self._entry_start, self._needed)
+        number = np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64
+        (forces,) = self._memory.carve("scratch", (number, (len(exact),)), in_page=HALF_A_PAGE)  # sorting is over where forces are summed
+        first_sum = self._memory.array("first sum", np.int64, self._room_for_ghosts if self._is_fixed else 0)
+        net, coordinates, shift = np.zeros((self.n_domains if self._is_mixed or self._is_fixed else 0, 3)), exact, self.ghosts.shift
+        if self._is_mixed:
+            coordinates = self._memory.array("grid", np.int32, len(exact), spare=1.0)
+            shift = self._memory.array("grid shift", np.int32, self._room_for_ghosts, 3)
+        self.memory = Memory(coordinates, shift, np.zeros(3), 1.0, forces, first_sum, self._far, net)
+        self.arrays = ClusterArrays(self.clusters, self.domains.cluster, self.domains.first, self.ghosts, self.rows, self.memory)
+
+    def _lay_grid(self) -> None:
+        """The grid of mixed precision."""
+        unit = self._calls(lay_grid, self.n_ghosts, self.ghosts, self.cutoff + self.skin, self.skin, self.memory.origin, self.memory.shift)
         if unit > COARSEST * self.cutoff:
             width, limit = unit * GRID, COARSEST * self.cutoff
             raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take precision='double'")
-        return Memory(
-            self._memory.array("grid", np.int32, len(exact)), shift, origin, unit, forces, first_sum, self._far, np.zeros((self.n_domains, 3))
-        )
+        self.memory = self.memory._replace(unit=unit)
+        self.arrays = self.arrays._replace(memory=self.memory)
 
 
 def far(n_lanes: int) -> NDArray[np.float64]:
@@ -152,39 +182,17 @@ def far(n_lanes: int) -> NDArray[np.float64]:
     return np.where(sets, 0.0, np.inf).ravel()
 
 
-@shared_kernel
-def _build_domains(worker, task, layout, rows, entries, needed):
-    """Ghosts and rows of all domains.
-
-    entries : (K + 1,) int, first entry of each domain.
-    needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
-    """
-    phase = begin(worker, task)
-    space = make_work(layout)
-    chunk = take(worker, phase, needed.size)
-    while chunk >= 0:
-        _build_domain(chunk, layout, rows, entries, needed, space)
-        chunk = finish_and_take(worker, phase, needed.size)
-    barrier(worker, phase)
-
-
-@scalar
-def _build_domain(domain, layout, rows, entries, needed, work):
-    fill_ghosts(domain, layout)
-    needed[domain] = find_rows(domain, layout, rows, (entries[domain], entries[domain + 1]), work)
-
-
 @kernel
-def lay_grid(ghosts, reach, skin, origin, shift):
-    """The grid of mixed precision: its origin (3,) and the shift of each ghost (M, 3) in units are written, the unit is returned."""
+def lay_grid(n, ghosts, reach, skin, origin, shift):
+    """The grid of mixed precision: its origin (3,) and the shift of each of n ghosts (M, 3) in units are written, the unit is returned."""
     unit, stride = 0.0, ghosts.boxes.size // SIDES
     for c in range(3):
         low, high = np.inf, -np.inf
-        for m in range(shift.shape[0]):
+        for m in range(n):
             low, high = min(low, ghosts.boxes[c * stride + m]), max(high, ghosts.boxes[(c + 3) * stride + m])
         origin[c] = 0.5 * (low + high) * reach
         unit = max(unit, ((high - low) * reach + 2.0 * skin) / GRID)
-    for m in range(shift.shape[0]):
+    for m in range(n):
         for c in range(3):
             shift[m, c] = np.int32(np.rint(ghosts.shift[m, c] / unit))
     return unit

@@ -36,18 +36,15 @@ SET_BITS = np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()  # 
 ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the rounding of float32
 
 
-class Rows(namedtuple("Rows", "start stop entries")):
-    """Clusters within reach of each atom: those of the atom in slot s are entries[start[s] : stop[s]].
+class Rows(namedtuple("Rows", "start stops entries reaches2 limits2 layers")):
+    """Clusters near each atom, in layers: entries[start[s] : stops[l, s]] are those that have an atom within reach l of the atom in slot s.
 
-    start, stop : (slots,) int.  entries : (E,) uint32, the number of a ghost, and above its 24 bits one for each lane that counts.
-    After the last one there is memory for AHEAD more, because some read ahead. The loop reads one of them, which must name a ghost.
-    """
-
-
-class Layers(namedtuple("Layers", "start stops entries reaches2")):
-    """Rows in layers: entries[start[s] : stops[l, s]] are the clusters that have an atom within reach l of the atom in slot s.
-
-    stops : (LAYERS, slots) int.  reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].  The rest as Rows.
+    start : (slots,) int.  stops : (LAYERS, slots) int.
+    entries : (E,) uint32, the number of a ghost, and above its 24 bits one for each lane that counts.
+    reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].
+    limits2 : (LAYERS,) squared distances that an atom may move before another layer is needed, or a new list [length²].
+    layers : (1,) int, how many layers are in use.
+    After the last entry there is memory for AHEAD more, because some read ahead. The loop reads one of them, which must name a ghost.
     """
 
 
@@ -273,7 +270,7 @@ def _ghost_of(domain, cluster, image, layout):
 @scalar
 def _find_entry(rows, slot, ghost):
     """Where a ghost stands in the row of a slot; −1 if it does not. Many entries are compared at a time, for most rows end soon."""
-    start, stop = np.uintp(rows.start[slot]), np.uintp(rows.stop[slot])
+    start, stop = np.uintp(rows.start[slot]), np.uintp(rows.stops[LAYERS - 1, slot])
     while start < stop:
         first, second = load(rows.entries, start, BOXES) & GHOST_BITS, load(rows.entries, start + np.uintp(BOXES), BOXES) & GHOST_BITS
         bits = bits_from_mask(first == ghost) | bits_from_mask(second == ghost) << BOXES

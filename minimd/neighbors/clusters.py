@@ -16,10 +16,9 @@ from collections import namedtuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import DirectCalls, kernel, scalar, shared_kernel
+from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import bits_from_mask, load, with_lane
 from minimd.compiled.simd.lanes import Lanes, count
-from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take
 from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
 from minimd.neighbors.buffers import HALF_A_PAGE, Buffers
 from minimd.structure.cell import Cell
@@ -38,12 +37,12 @@ class Columns(namedtuple("Columns", "counts distance reach along origin extent p
 
 
 class Clusters(namedtuple("Clusters", "lanes atom filled positions offsets column_start bottom top boxes")):
-    """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n.
+    """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n. Arrays of C elements have room for more.
 
     lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
     positions, offsets : flat, a block of 3 n numbers for each cluster: of its atoms when it was made, and lattice vectors that bring them into
         the cell [length].
-    column_start : (columns + 1,) int, first cluster of each column.
+    column_start : (columns + 1,) int, first cluster of each column; the last number is C.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
     """
@@ -68,29 +67,29 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float, lanes
     return Columns(counts, reach, needed.astype(np.int64), along_z, origin, extent, cell.pbc, cell.lattice, cell.inverse)
 
 
-def sort_into_clusters(
-    positions: NDArray[np.float64], columns: Columns, lanes: Lanes, memory: Buffers, pool: ThreadPool, calls: DirectCalls
-) -> Clusters:
-    """The clusters of all columns, the second lattice direction running faster than the first."""
-    n, n_columns, n_bins = len(positions), int(columns.counts[0] * columns.counts[1]), int(columns.counts.prod())
-    each, of_bins = (np.int32, (n,)), (np.int32, (n_bins + 1,))
-    binned = Binned(*memory.carve("scratch", each, each, of_bins, of_bins, (np.float64, (n, 3)), (np.float64, (n,)), in_page=HALF_A_PAGE))
-    column_start = memory.array("column_start", np.int64, n_columns + 1)
-    calls(sort_into_columns, positions, columns, binned, lanes.size, column_start)
-    n_clusters = int(column_start[-1])
+def make_clusters(n_atoms: int, columns: Columns, lanes: Lanes, memory: Buffers) -> Clusters:
+    """Arrays with room for the clusters of so many atoms, however they stand: each column may have one cluster that is not full."""
+    n_columns = int(columns.counts[0] * columns.counts[1])
+    n_clusters = (n_atoms + n_columns * (lanes.size - 1)) // lanes.size
     n_slots, array = n_clusters * lanes.size, memory.array
+    column_start = array("column_start", np.int64, n_columns + 1)
     atom, filled, boxes = array("atom", np.int32, n_slots), array("filled", np.int64, n_clusters), array("boxes", np.float64, n_clusters, 6)
     bottom, top = (array(name, np.float64, n_clusters) for name in ("bottom", "top"))
     at, offsets = (array(name, np.float64, n_slots * DIMENSIONS) for name in ("positions", "offsets"))
-    clusters = Clusters(lanes, atom, filled, at, offsets, column_start, bottom, top, boxes)
-    pool.run(_fill_clusters, positions, columns, binned, clusters, min(int(columns.counts[0]), MOST_CHUNKS), calls=calls)
-    return clusters
+    return Clusters(lanes, atom, filled, at, offsets, column_start, bottom, top, boxes)
 
 
-@kernel
-def sort_into_columns(positions, columns, binned, n_lanes, column_start):
-    """Atoms into the bins of all columns; the first cluster of each column."""
-    counts = columns.counts
+def make_bins(n_atoms: int, columns: Columns, memory: Buffers) -> Binned:
+    """Arrays to sort so many atoms with."""
+    each, of_bins = (np.int32, (n_atoms,)), (np.int32, (int(columns.counts.prod()) + 1,))
+    more = (np.float64, (n_atoms, 3)), (np.float64, (n_atoms,))
+    return Binned(*memory.carve("scratch", each, each, of_bins, of_bins, *more, in_page=HALF_A_PAGE))
+
+
+@scalar
+def sort_into_columns(positions, columns, binned, clusters):
+    """Atoms into the bins of all columns; the first cluster of each column, the second lattice direction running faster than the first."""
+    counts, column_start, n_lanes = columns.counts, clusters.column_start, count(clusters.lanes)
     counting_sort(positions, columns.inverse, columns.pbc, columns, binned)
     column_start[0] = 0
     for column in range(counts[0] * counts[1]):
@@ -98,19 +97,9 @@ def sort_into_columns(positions, columns, binned, n_lanes, column_start):
         column_start[column + 1] = column_start[column] + (n + n_lanes - 1) // n_lanes
 
 
-@shared_kernel
-def _fill_clusters(worker, task, positions, columns, binned, clusters, n):
-    """The clusters of all columns; a chunk is some rows of columns along the second lattice vector."""
-    phase = begin(worker, task)
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        _fill_columns(chunk, n, positions, columns, binned, clusters)
-        chunk = finish_and_take(worker, phase, n)
-    barrier(worker, phase)
-
-
 @scalar
-def _fill_columns(chunk, n, positions, columns, binned, clusters):
+def fill_clusters(chunk, n, positions, columns, binned, clusters):
+    """The clusters of a chunk of n: some rows of columns along the second lattice vector."""
     counts = columns.counts
     for column in range(chunk * counts[0] // n * counts[1], (chunk + 1) * counts[0] // n * counts[1]):
         _fill_column(column, positions, columns, binned, clusters)
@@ -145,11 +134,17 @@ def _fill_column(column, positions, columns, binned, clusters):
         cluster += 1
 
 
+@scalar
+def n_clusters(clusters):
+    """C of Clusters."""
+    return clusters.column_start[clusters.column_start.size - 1]
+
+
 @kernel
 def any_moved_from_clusters(positions, clusters, limit2):
     """True if an atom is farther than √limit2 from where it was when the clusters were made, or if its position is NaN."""
     lanes = clusters.lanes
-    for k in range(clusters.filled.size):
+    for k in range(n_clusters(clusters)):
         x, y, z = gathered(k, clusters, positions)
         was_x, was_y, was_z = loaded(clusters.positions, np.uintp(k) * np.uintp(DIMENSIONS * count(lanes)), lanes)
         dx, dy, dz = x - was_x, y - was_y, z - was_z

@@ -16,16 +16,17 @@ A ghost is a cluster moved by a lattice vector, with forces of its own; the one 
 are copied to all ghosts of a cluster, and the forces on them are summed in the order of the ghosts: the same bits, whichever thread did the work.
 """
 
+import functools
 from collections import namedtuple
 
 import numpy as np
 
-from minimd.compiled.kernels import DirectCalls, kernel, scalar
+from minimd.compiled.kernels import scalar
 from minimd.compiled.simd import load, store
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import MOST_CHUNKS
 from minimd.neighbors.buffers import Buffers
-from minimd.neighbors.clusters import DIMENSIONS, Clusters, Columns
+from minimd.neighbors.clusters import DIMENSIONS, Columns
 
 SIDES = 6  # of a box: smallest x, y, z, and largest
 BOXES = 8  # compared at a time
@@ -34,15 +35,15 @@ IMAGES, HOME = 27, 13  # number of images, and the code of image (0, 0, 0)
 ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work costs more than a second thread gains
 
 
-class Domains(namedtuple("Domains", "column cluster run ghost")):
-    """column : (K + 1,) int, first column of each domain along the first lattice vector.  cluster : (K + 1,) int, its first cluster.
+class Domains(namedtuple("Domains", "column cluster first run ghost")):
+    """column : (K + 1,) int, first column of each domain along the first lattice vector.  cluster, first : (K + 1,) int, its first cluster and ghost.
 
-    run : (K + 1,) int, the first run of each domain.  ghost : (runs + 1,) int, the first ghost of each run.
+    run : (K + 1,) int, the first run of each domain.  ghost : (runs + 1,) int, the first ghost of each run; the last number is M.
     """
 
 
 class GhostClusters(namedtuple("GhostClusters", "owner key shift bottom top boxes lanes home is_used of start")):
-    """M ghosts of C clusters.
+    """M ghosts of C clusters. Arrays have room for more.
 
     owner : (M,) int, the cluster.  key : (M,) int, 27 · cluster + code of the image (a, b, c), which is 9 (a + 1) + 3 (b + 1) + c + 1.
     shift : (M, 3) lattice vector of that image [length].
@@ -59,30 +60,29 @@ class Layout(namedtuple("Layout", "columns clusters domains ghosts coordinates")
     """The clusters of a scene and where their ghosts stand.  coordinates : flat, a block for each ghost [length]."""
 
 
-def cut_into_domains(clusters: Clusters, columns: Columns, n_atoms: int, calls: DirectCalls) -> Domains:
+def make_domains(columns: Columns, n_atoms: int) -> Domains:
     """As many domains as have enough atoms each and are at least as wide as their rows look ahead; the same for any number of threads."""
     across = int(columns.counts[0]) // max(1, int(columns.reach[0]))
     n_domains = max(1, min(n_atoms // ATOMS_PER_DOMAIN, across, MOST_CHUNKS))
     n_runs = int((columns.counts[0] + n_domains * columns.reach[0]) * (columns.counts[1] + 2 * columns.reach[1]))
-    column, cluster, run = (np.empty(n_domains + 1, dtype=np.int64) for _ in range(3))
-    domains = Domains(column, cluster, run, np.zeros(n_runs + 1, dtype=np.int64))
-    calls(_cut, clusters, columns, domains)
-    return domains
+    column, cluster, first, run = (np.zeros(n_domains + 1, dtype=np.int64) for _ in range(4))
+    return Domains(column, cluster, first, run, np.zeros(n_runs + 1, dtype=np.int64))
 
 
 def make_ghosts(n_clusters: int, n_ghosts: int, memory: Buffers) -> GhostClusters:
-    """Arrays of these sizes, to be filled by fill_ghosts and sort_ghosts."""
-    array = memory.array
-    owner, key, of = (array(name, np.int32, n_ghosts) for name in ("owner", "key", "of"))
-    bottom, top = (array(name, np.float64, n_ghosts) for name in ("ghost bottom", "ghost top"))
-    shift, boxes = array("shift", np.float64, n_ghosts, 3), array("ghost boxes", np.float32, SIDES * (n_ghosts + BOXES))
-    lanes, is_used = array("lanes", np.uint8, n_ghosts), array("is_used", np.bool_, n_ghosts)
-    home, start = array("home", np.int32, n_clusters), array("start", np.int32, n_clusters + 1)
+    """Arrays with room for so many, to be filled by fill_ghosts and sort_ghosts."""
+    room = functools.partial(memory.array, spare=1.0)
+    owner, key, of = (room(name, np.int32, n_ghosts) for name in ("owner", "key", "of"))
+    bottom, top = (room(name, np.float64, n_ghosts) for name in ("ghost bottom", "ghost top"))
+    shift, boxes = room("shift", np.float64, n_ghosts, 3), room("ghost boxes", np.float32, SIDES * (n_ghosts + BOXES))
+    lanes, is_used = room("lanes", np.uint8, n_ghosts), room("is_used", np.bool_, n_ghosts)
+    home, start = room("home", np.int32, n_clusters), room("start", np.int32, n_clusters + 1)
     return GhostClusters(owner, key, shift, bottom, top, boxes, lanes, home, is_used, of, start)
 
 
-@kernel
-def _cut(clusters, columns, domains):
+@scalar
+def cut_into_domains(clusters, columns, domains):
+    """Fill Domains: which columns and clusters each has, and how many ghosts it sees."""
     counts, reach, column_start = columns.counts, columns.reach, clusters.column_start
     n_domains, n_clusters = domains.column.size - 1, column_start[counts[0] * counts[1]]
     x = 0
@@ -93,7 +93,7 @@ def _cut(clusters, columns, domains):
         domains.cluster[d] = column_start[domains.column[d] * counts[1]]
     run = 0
     for d in range(n_domains):
-        domains.run[d] = run
+        domains.run[d], domains.first[d] = run, domains.ghost[run]
         for run_x in range(domains.column[d], domains.column[d + 1] + reach[0]):
             for run_y in range(-reach[1], counts[1] + reach[1]):
                 n = 0
@@ -103,7 +103,7 @@ def _cut(clusters, columns, domains):
                         n += last - first
                 domains.ghost[run + 1] = domains.ghost[run] + n
                 run += 1
-    domains.run[n_domains] = run
+    domains.run[n_domains], domains.first[n_domains] = run, domains.ghost[run]
 
 
 @scalar
@@ -158,16 +158,16 @@ def fill_ghosts(domain, layout):
                     ghost += 1
 
 
-@kernel
-def sort_ghosts(ghosts):
-    """Fill ghosts.of and ghosts.start: the used ghosts of each cluster, in the order of their numbers."""
-    ghosts.start[:] = 0
-    for m in range(ghosts.owner.size):
-        ghosts.start[ghosts.owner[m] + 1] += ghosts.is_used[m]
-    for k in range(ghosts.start.size - 1):
-        ghosts.start[k + 1] += ghosts.start[k]
-    place = ghosts.start[:-1].copy()
-    for m in range(ghosts.owner.size):
+@scalar
+def sort_ghosts(n, ghosts):
+    """Fill ghosts.of and ghosts.start: the used ones of n ghosts, cluster by cluster, in the order of their numbers."""
+    for k in range(ghosts.start.size):
+        ghosts.start[k] = 0
+    for m in range(n):
+        ghosts.start[ghosts.owner[m]] += ghosts.is_used[m]
+    for k in range(1, ghosts.start.size):
+        ghosts.start[k] += ghosts.start[k - 1]
+    for m in range(n - 1, -1, -1):  # what starts as the end of each cluster ends as its start
         if ghosts.is_used[m]:
-            ghosts.of[place[ghosts.owner[m]]] = m
-            place[ghosts.owner[m]] += 1
+            ghosts.start[ghosts.owner[m]] -= 1
+            ghosts.of[ghosts.start[ghosts.owner[m]]] = m

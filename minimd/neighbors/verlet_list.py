@@ -15,7 +15,7 @@ LEAST_SKIN = 0.02  # of the cutoff
 SKINS = np.geomspace(LEAST_SKIN, 1.0, 100)  # of the cutoff, to choose from
 STEP_COST = (16.0, 3.0)  # ns per atom: a constant, and per atom in a cube as wide as the list reaches
 BUILD_COST = (56.0, 7.0)  # ns per atom, likewise
-CALLS_COST = 60_000.0  # ns of each build, however small the scene is
+CALLS_COST = 10_000.0  # ns of each build, however small the scene is
 
 
 def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int, layers: int = 1) -> float:

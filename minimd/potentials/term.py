@@ -93,7 +93,7 @@ class Term:
     def prepare(self, system: System, forces: NDArray, steps: Any = ()) -> None:
         """After add: compile what steps need and looks do not, kernels of add with FORCES and of march. Nothing is added, no list built."""
 
-    def march(self, system: System, state: Any, durations: NDArray, n: int) -> int:
+    def march(self, system: System, state: Any, cycle: Any, n: int) -> int:
         """What a March does, see integrators.splitting, for a term that is the only one of its scene."""
         return 0
 

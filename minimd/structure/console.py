@@ -58,8 +58,10 @@ class Stoppable(Protocol):
 def stop_on_signals(run: Stoppable) -> Iterator[None]:
     """While active, Ctrl-C, SIGTERM and SIGHUP set run.stop_requested; at the end, SIGTERM and SIGHUP raise Terminated, and Ctrl-C KeyboardInterrupt.
 
-    Handlers that the host has set, and signals that it ignores, are left alone; so is everything outside the main thread. A second Ctrl-C does
-    not wait for the end of the step. A run inside another one, in an observer, stops first, and its exception ends the other one.
+    Handlers that the host has set, and signals that it ignores, are left alone. Outside the main thread, where there are no handlers, a run waits
+    for stop_runs_of_threads.
+
+    A second Ctrl-C does not wait for the end of the step. A run inside another one, in an observer, stops first; its exception ends the other one.
     """
     requests = StopRequests(run)
     try:
@@ -74,6 +76,12 @@ def stop_on_signals(run: Stoppable) -> Iterator[None]:
     if requests.received:
         words = "stopped after the last step"
         raise KeyboardInterrupt(words) if requests.received[0] == signal.SIGINT else Terminated(requests.received[0], words)
+
+
+def stop_runs_of_threads() -> None:
+    """Set stop_requested of all runs outside the main thread: each ends after a whole step with KeyboardInterrupt."""
+    for run in list(RUNS_OF_THREADS.values()):
+        run.stop_requested = True
 
 
 @contextmanager
@@ -94,6 +102,9 @@ def raising_on_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+RUNS_OF_THREADS: dict[int, Stoppable] = {}  # by id
+
+
 class StopRequests:
     """The handler of signals during a run, set in place of handlers that nobody has set, and of that of a run around it.
 
@@ -112,9 +123,11 @@ class StopRequests:
             self._give_back(number)
 
     def begin(self) -> None:
-        """Set the handler; outside the main thread, where none can be set, do nothing."""
+        """Set the handler; outside the main thread, where none can be set, let stop_runs_of_threads know of the run."""
         self._run.stop_requested = False
-        if threading.current_thread() is threading.main_thread():
+        if threading.current_thread() is not threading.main_thread():
+            RUNS_OF_THREADS[id(self._run)] = self._run
+        else:
             for number in SIGNALS:
                 handler = signal.getsignal(number)
                 if isinstance(handler, StopRequests) or handler in DEFAULT_HANDLERS:
@@ -124,6 +137,7 @@ class StopRequests:
     def end(self) -> None:
         """Set the handlers from before, that of Ctrl-C last: it may raise."""
         self._run.stop_requested = False
+        RUNS_OF_THREADS.pop(id(self._run), None)
         for number in reversed(self._before):
             self._give_back(number)
 

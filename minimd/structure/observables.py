@@ -10,9 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.fixed_point import on_grid
-from minimd.compiled.kernels import kernel
+from minimd.compiled.kernels import kernel, scalar
 
 Array = NDArray[np.float64]
+
+
+@scalar
+def kinetic_energy_of(mass, vx, vy, vz):
+    """½ m v² of one atom [energy]."""
+    return 0.5 * mass * (vx**2 + vy**2 + vz**2)
 
 
 @kernel
@@ -20,7 +26,7 @@ def kinetic_energy(velocities, masses, step=0.0):
     """K = Σ ½ m v² [energy].  step : of which each atom's share is rounded to a multiple, so that their order does not matter; 0 for none."""
     total = 0.0
     for i in range(velocities.shape[0]):
-        total += on_grid(0.5 * masses[i] * (velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2), step)
+        total += on_grid(kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2]), step)
     return total
 
 

@@ -19,6 +19,12 @@ def drifted(position, velocity, duration):
     return position + duration * velocity
 
 
+@scalar
+def mixed(velocity, noise, kept, scale):
+    """kept · v + scale · ξ, the Ornstein-Uhlenbeck process, with scale = √(k_B T (1 − kept²)/m)."""
+    return kept * velocity + scale * noise
+
+
 @kernel
 def kick(velocities, forces, inverse_masses, duration):
     """velocities += duration · forces / m.  (N, 3) [length/time], (N, 3) [energy/length], (N,) [1/mass], [time]."""

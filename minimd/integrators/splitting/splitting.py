@@ -12,18 +12,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from minimd.integrators.method import Array, ClassProperty, Method, Problem, Step
+from minimd.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.integrators.splitting.order_conditions import nystrom_order
-from minimd.integrators.splitting.state import State, Surroundings
+from minimd.integrators.splitting.state import Cycle, State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, Thermalize, is_palindrome, mechanical, merged
 
 __all__ = ["Splitting"]
 
 ComputeForces = Callable[[State, bool], None]  # fills state.forces; with True, evaluates the energy too
 
-# (state, durations, n): up to n times the kicks and drifts that last durations (P, 2, 2) [time], see Splitting._durations, forces evaluated before
-# each kick; returns how many times, 0 if it can't. The forces are then outdated.
-March = Callable[[State, Array, int], int]
+# (state, cycle, n): up to n times a cycle; returns how many times, 0 if it can't. The forces are then outdated.
+March = Callable[[State, Cycle, int], int]
 
 
 def stages(method: "type[Splitting]") -> int:
@@ -95,7 +94,7 @@ class Splitting(Method):
         """Make n_steps steps, at least one, fewer if surroundings.stop_requested becomes true; return how many.
 
         with_energy : evaluate the energy with the forces of the last step.  surroundings : constraints and bath, if there are any.
-        march : makes many plain steps at once, where it can; see March.
+        march : makes many steps at once, where it can; see March.
 
         Raises
         ------
@@ -104,7 +103,7 @@ class Splitting(Method):
         around = Surroundings() if surroundings is None else surroundings
         start, cycle, end = self._grouped(may_merge_drifts=around.constraints is None)
         first_kick = next((k for k, substep in enumerate(cycle) if isinstance(substep, Kick)), 0)
-        durations = None if march is None or around.constraints is not None else self._durations(cycle[first_kick:] + cycle[:first_kick])
+        repeated = None if march is None or around.constraints is not None else self.repeated(cycle[first_kick:] + cycle[:first_kick], around)
         units = self.units({*start, *cycle, *end})
         step, goes_on = 0, around.take_up(state)
         while step <= n_steps:
@@ -112,8 +111,10 @@ class Splitting(Method):
             if step == n_steps:
                 around.leave_open(state, end, cycle)
             for k, substep in enumerate(substeps):
-                if march is not None and durations is not None and substeps is cycle and k == first_kick and not state.forces_are_current:
-                    step += march(state, durations, n_steps - 1 - step)
+                if march is not None and repeated is not None and substeps is cycle and k == first_kick and not state.forces_are_current:
+                    made = march(state, repeated, n_steps - 1 - step)
+                    step += made
+                    around.count(made)
                 duration, unit = substep.coefficient * self.timestep, units[substep] * self.timestep
                 if isinstance(substep, Kick):
                     if not state.has_forces_over(unit):
@@ -127,8 +128,8 @@ class Splitting(Method):
                 else:
                     around.drift(state, duration, unit)
                     state.forces_are_current = False
-            if around.bath is not None and step < n_steps:
-                around.bath.step, around.bath.contact = around.bath.step + 1, 0
+            if step < n_steps:
+                around.count(1)
             step += 1
             if around.stop_requested:
                 n_steps = min(n_steps, step)
@@ -167,9 +168,9 @@ class Splitting(Method):
 
         return {substep: unit(substep) for substep in substeps}
 
-    def _durations(self, cycle: Substeps) -> Array | None:
-        """Times of the kicks and drifts of a cycle, and their units, (P, 2, 2) [time]; None unless they alternate."""
+    def repeated(self, cycle: Substeps, around: Surroundings) -> Cycle | None:
+        """A cycle that begins with a kick, for a March; None unless kicks and drifts alternate."""
         if [type(substep) for substep in cycle] != [Kick, Drift] * (len(cycle) // 2):
             return None
         units = self.units(cycle)
-        return self.timestep * np.array([(substep.coefficient, units[substep]) for substep in cycle]).reshape(-1, 2, 2)
+        return Cycle(self.timestep * np.array([(substep.coefficient, units[substep]) for substep in cycle]).reshape(-1, 2, 2))

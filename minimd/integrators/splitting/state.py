@@ -1,6 +1,6 @@
 """What a splitting moves, and what acts on it beside the forces."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,7 +18,7 @@ from minimd.integrators.splitting.substeps import Drift, Substeps, mechanical
 from minimd.structure.grid import Grid
 from minimd.structure.observables import kinetic_energy, momentum
 
-__all__ = ["Bath", "OpenEnd", "State", "Surroundings"]
+__all__ = ["Bath", "Contact", "Cycle", "OpenEnd", "State", "Surroundings"]
 
 
 @dataclass
@@ -151,6 +151,31 @@ class Bath:
     energy: float = 0.0
 
 
+class Contact(NamedTuple):
+    """The Ornstein-Uhlenbeck process of a bath, v ← kept · v + spread √(1/m) ξ, and then a drift.
+
+    kept : dimensionless.  spread : [√energy].  duration : of the drift [time].  bath : Bath, which counts the energy.
+    noise : function of n and N, for ξ of n steps from bath.step on, (n, N, 3).
+    """
+
+    kept: float
+    spread: float
+    duration: float
+    bath: Bath
+    noise: Callable[[int, int], Array]
+
+
+class Cycle(NamedTuple):
+    """What is repeated in a run of steps: kicks and drifts in turn, each kick after an evaluation of the forces.
+
+    durations : (P, 2, 2) of P kicks and drifts, and the times of which they are whole multiples [time]; see Splitting.units.
+    contact : that follows each drift, or None.
+    """
+
+    durations: Array
+    contact: Contact | None = None
+
+
 class OpenEnd(NamedTuple):
     """A state before the end of a block of steps: before the last half kick or drift, and before velocities were projected.
 
@@ -196,6 +221,11 @@ class Surroundings:
             state.positions[:], state.forces_are_current = positions, False
         self.open_end = None
         return True
+
+    def count(self, n_steps: int) -> None:
+        """So many steps were made: the next contact with the bath is the first of its step."""
+        if self.bath is not None:
+            self.bath.step, self.bath.contact = self.bath.step + n_steps, 0
 
     def drift(self, state: State, duration: float, unit: float) -> None:
         """Positions += duration · velocities, lengths kept.  unit : see State.drift."""

@@ -12,10 +12,12 @@ from typing import Self
 import numpy as np
 
 from minimd.compiled.kernels import kernel
-from minimd.integrators.method import Problem, Step
+from minimd.compiled.normal_numbers import normal_numbers
+from minimd.integrators.method import Array, Problem, Step
+from minimd.integrators.splitting.flows import mixed
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.state import Bath, State, Surroundings
-from minimd.integrators.splitting.substeps import Drift, Kick, Thermalize
+from minimd.integrators.splitting.state import Bath, Contact, Cycle, State, Surroundings
+from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize
 from minimd.structure.checks import checked_count, checked_number
 
 __all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
@@ -101,15 +103,37 @@ class LangevinBAOAB(Thermostat):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration."""
-        bath, kept = bath_of(around), exp(-self.friction * duration)
-        spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
+        bath = bath_of(around)
+        kept, spread = self._process(duration, bath)
         around.project(state)
         before = state.kinetic_energy()
-        noise = self.noise(bath).standard_normal(state.velocities.shape)
+        noise = self._noise(1, len(state.velocities), bath)[0]
+        bath.contact += 1
         mix(state.velocities, noise, state.inverse_masses, kept, spread)
         around.project(state)
         state.settle()
         bath.energy += state.kinetic_energy() - before
+
+    def repeated(self, cycle: Substeps, around: Surroundings) -> Cycle | None:
+        """See Splitting: a kick and a drift, the contact, and the other drift."""
+        is_own = type(self).thermalize is LangevinBAOAB.thermalize  # a class derived from this one may have another process
+        if around.bath is None or not is_own or [type(substep) for substep in cycle] != [Kick, Drift, Thermalize, Drift]:
+            return None
+        first, bath = super().repeated(cycle[:2], around), around.bath
+        kept, spread = self._process(cycle[2].coefficient * self.timestep, bath)
+        contact = Contact(kept, spread, cycle[3].coefficient * self.timestep, bath, lambda n, n_atoms: self._noise(n, n_atoms, bath))
+        return None if first is None else first._replace(contact=contact)
+
+    def _process(self, duration: float, bath: Bath) -> tuple[float, float]:
+        """e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy]."""
+        return exp(-self.friction * duration), sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
+
+    def _noise(self, n_steps: int, n_atoms: int, bath: Bath) -> Array:
+        """ξ of so many steps, (n, N, 3): that of Thermostat.noise, drawn in compiled code."""
+        key = np.array([self.seed % 2**64, self.seed >> 64], dtype=np.uint64)
+        numbers = np.empty((n_steps, n_atoms * 3))
+        normal_numbers(key, bath.step, bath.contact, numbers)
+        return numbers.reshape(n_steps, n_atoms, 3)
 
 
 class StochasticVelocityRescaling(Thermostat):
@@ -177,7 +201,7 @@ def mix(velocities, noise, inverse_masses, kept, spread):
     for i in range(velocities.shape[0]):
         scale = spread * sqrt(inverse_masses[i])
         for x in range(3):
-            velocities[i, x] = kept * velocities[i, x] + scale * noise[i, x]
+            velocities[i, x] = mixed(velocities[i, x], noise[i, x], kept, scale)
 
 
 @kernel

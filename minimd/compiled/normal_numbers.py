@@ -1,0 +1,108 @@
+"""Normal random numbers in compiled code: those of numpy, to the last bit.
+
+numpy.random.Generator(Philox(key, counter)).standard_normal(n) takes numpy longer to set up than to draw, where n is a hundred; here there is
+nothing to set up, and no need of Python's lock.
+
+Philox4x64-10, four words for each value of a counter: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, Random numbers: as easy as 1, 2, 3,
+SC11 (2011). The ziggurat, 256 layers of equal area under the curve: G. Marsaglia, W. W. Tsang, J. Stat. Softw. 5, 8 (2000).
+"""
+
+from collections import namedtuple
+from math import exp, log1p
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+from numba.np.random import _constants as numpys
+
+from minimd.compiled.kernels import kernel, scalar, shared_kernel
+
+FIRST, SECOND = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)  # multipliers of Philox4x64
+GOLDEN, ROOT = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)  # what its key grows by: fractions of (√5 − 1)/2 and of √3 − 1
+ROUNDS = 10
+LAYERS, MANTISSA = np.uint64(255), np.uint64((1 << 52) - 1)
+INSIDE, WIDTHS, HEIGHTS = numpys.ki_double, numpys.wi_double, numpys.fi_double  # of the layers
+TAIL = numpys.ziggurat_nor_r  # where the lowest layer ends and the tail of the curve begins
+UNIT = 2.0**-53
+
+
+class Stream(namedtuple("Stream", "key counter words place")):
+    """Random words.  key : (2,), counter : (4,), words : (4,) uint64, those of the counter.  place : (1,) int, how many of them were used."""
+
+
+@shared_kernel
+def normal_numbers(key, step, contact, numbers):
+    """numbers (n, M) = normal random numbers, row k those of Philox(key, counter=[0, 0, contact, step + k]).  key : (2,) uint64."""
+    stream = Stream(key, np.zeros(4, dtype=np.uint64), np.zeros(4, dtype=np.uint64), np.zeros(1, dtype=np.int64))
+    for k in range(numbers.shape[0]):
+        stream.counter[0], stream.counter[2], stream.counter[3], stream.place[0] = 0, contact, np.uint64(step + k), 4
+        for m in range(numbers.shape[1]):
+            numbers[k, m] = _normal(stream)
+
+
+@scalar
+def _normal(stream):
+    while True:
+        word = _next(stream)
+        layer, mantissa = word & LAYERS, word >> np.uint64(9) & MANTISSA
+        x = mantissa * WIDTHS[layer]
+        if word >> np.uint64(8) & np.uint64(1):
+            x = -x
+        if mantissa < INSIDE[layer]:  # 99 of 100
+            return x
+        x, is_under_curve = _at_edge(x, layer, mantissa, stream)
+        if is_under_curve:
+            return x
+
+
+@kernel
+def _at_edge(x, layer, mantissa, stream):
+    """A number that is not surely under the curve, and whether it is; or one of the tail."""
+    if layer > np.uint64(0):
+        height = (HEIGHTS[layer - np.uint64(1)] - HEIGHTS[layer]) * _uniform(stream) + HEIGHTS[layer]
+        return x, height < exp(-0.5 * x * x)
+    while True:
+        beyond, level = -log1p(-_uniform(stream)) * numpys.ziggurat_nor_inv_r, -log1p(-_uniform(stream))
+        if level + level > beyond * beyond:
+            return (-(TAIL + beyond) if mantissa >> np.uint64(8) & np.uint64(1) else TAIL + beyond), True
+
+
+@scalar
+def _uniform(stream):
+    """From 0 to 1, without 1."""
+    return (_next(stream) >> np.uint64(11)) * UNIT
+
+
+@scalar
+def _next(stream):
+    """The next word."""
+    if stream.place[0] == 4:
+        stream.counter[0] += np.uint64(1)
+        stream.words[0], stream.words[1], stream.words[2], stream.words[3] = _philox(stream.counter, stream.key)
+        stream.place[0] = 0
+    stream.place[0] += 1
+    return stream.words[stream.place[0] - 1]
+
+
+@scalar
+def _philox(counter, key):
+    """The four words of a counter."""
+    a, b, c, d = counter[0], counter[1], counter[2], counter[3]
+    k, m = key[0], key[1]
+    for _ in range(ROUNDS):
+        a, b, c, d = _high_word(SECOND, c) ^ b ^ k, SECOND * c, _high_word(FIRST, a) ^ d ^ m, FIRST * a
+        k, m = k + GOLDEN, m + ROOT
+    return a, b, c, d
+
+
+@intrinsic
+def _high_word(_context, a, b):
+    """The upper 64 of the 128 bits of a product of two words."""
+
+    def generate(_context, builder, _signature, values):
+        wide = ir.IntType(128)
+        product = builder.mul(*(builder.zext(value, wide) for value in values))
+        return builder.trunc(builder.lshr(product, wide(64)), ir.IntType(64))
+
+    return types.uint64(types.uint64, types.uint64), generate

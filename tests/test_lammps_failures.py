@@ -264,6 +264,14 @@ def test_a_run_that_is_killed_or_interrupted_keeps_its_frames(number, tmp_path):
     assert not (folder / script.FRAMES).exists()
 
 
+def test_the_words_of_mpiexec_about_a_process_that_was_killed_are_one_sentence(tmp_path):
+    banner = "=== BAD TERMINATION\n= EXIT CODE: 9\nYOUR APPLICATION TERMINATED WITH THE EXIT STRING: Killed (signal 9)\nPlease see the FAQ page\n"
+    (tmp_path / "mpiexec").write_text(f"#!/bin/sh\ncat <<END\n{banner}END\nexit 9\n")
+    (tmp_path / "mpiexec").chmod(0o755)
+    with pytest.raises(md.lammps.HandOverError, match=r"^LAMMPS ended before its first step: one of its processes ended: Killed \(signal 9\)$"):
+        program.run([str(tmp_path / "mpiexec")], tmp_path, script.LOG, in_cell(fluid()).engine.surroundings)
+
+
 HANDED_OVER = """
 import sys
 import minimd as md

@@ -1,11 +1,14 @@
 """Members while they run: those made by a function `run` go on where they were stopped, and a note says how far each is."""
 
+import errno
+import json
 import os
 import time
 
 import members
 import numpy as np
 import pytest
+from full_disk import fill_the_disk
 from h5md_runs import bring_to_disk_every
 from kills import killed_at
 from members import STEPS, TEMPERATURES
@@ -100,6 +103,42 @@ def test_a_damaged_file_of_such_a_run_begins_anew(done, tmp_path, monkeypatch):
     assert read_file(file).step > 0
     file.write_bytes(file.read_bytes()[:5000])
     assert run(tmp_path)["last_mean"].tolist() == done["last_mean"].tolist()
+
+
+def test_a_full_disk_costs_the_members_that_meet_it(done, tmp_path, monkeypatch):
+    """It is full in the middle of the first member. Those behind it cannot begin, and there is no room for a table either."""
+    with monkeypatch.context() as full:
+        fill_the_disk(full, 12)
+        with pytest.raises(OSError, match=r"table.csv cannot be written: No space left on device$"):
+            run(tmp_path)
+        assert [path.name for path in (tmp_path / "0000-0999").iterdir()] == ["0000.h5md"]
+    assert 0 < read_file(tmp_path / FILES[0]).step < STEPS
+    lines = [json.loads(line) for line in (tmp_path / "members.jsonl").read_text().splitlines()]
+    assert [line["status"] for line in lines] == ["failed"] * 4
+    assert all("No space left on device" in line["message"] and "\n" not in line["message"] for line in lines)
+    run(tmp_path)
+    assert (tmp_path / "table.csv").read_bytes() == (done.folder / "table.csv").read_bytes()
+
+
+def test_a_journal_without_room_ends_the_call_with_a_sentence(done, tmp_path, monkeypatch):
+    """Half a line of the second member is on the disk."""
+    write, lines = os.write, []
+
+    def half(descriptor, text):
+        if bytes(text[:9]) != b'{"index":':
+            return write(descriptor, text)
+        lines.append(text)
+        if len(lines) == 2:
+            write(descriptor, text[:20])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, text)
+
+    with monkeypatch.context() as full:
+        full.setattr(os, "write", half)
+        with pytest.raises(OSError, match=r"members.jsonl cannot take the results of member 1: No space left on device$"):
+            run(tmp_path)
+    run(tmp_path)
+    assert (tmp_path / "table.csv").read_bytes() == (done.folder / "table.csv").read_bytes()
 
 
 def told(folder, words):

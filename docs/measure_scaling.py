@@ -26,6 +26,7 @@ PAGE = Path(__file__).parent / "scaling.md"
 SMALL, LARGE = 32, 40  # cells of four atoms in each direction: 131 072 and 256 000 atoms
 HAND_OVERS = ((SMALL, 1), (LARGE, 1), (LARGE, 2))  # cells, processes
 STEPS, EVERY = 100, 50  # of a hand-over
+BYTES_OF_A_FRAME = 48  # for each atom: position and velocity
 PHASES = {"writing": 1, "verifying": 2, "running": 0, "reading back": 1}  # cores: one, LAMMPS' and then one, LAMMPS'
 MEMBERS, MEMBER_STEPS, TURNS = 24, 20_000, 3
 SHORT_MEMBERS = 50
@@ -49,7 +50,7 @@ def melt(cells: int):
 
 
 class Sampler:
-    """Looks every 20 ms at the memory of this process and of those that it has started, and at the files of a folder.
+    """Looks every 20 ms at the memory of this process and of LAMMPS' processes that it has started, and at the files of a folder.
 
     own, others : bytes at most, by phase.  sizes : bytes at most, by file.
     """
@@ -71,7 +72,7 @@ class Sampler:
         while not self._ended.wait(SECONDS_BETWEEN_SAMPLES):
             phase = self._phase()
             self.own[phase] = max(self.own.get(phase, 0), memory_of(os.getpid()))
-            self.others[phase] = max(self.others.get(phase, 0), sum(map(memory_of, descendants(os.getpid()))))
+            self.others[phase] = max(self.others.get(phase, 0), sum(map(memory_of, started(os.getpid()))))
             for file in self._folder.glob("*"):
                 try:
                     self.sizes[file.name] = max(self.sizes.get(file.name, 0), file.stat().st_size)
@@ -87,15 +88,15 @@ def memory_of(process: int) -> int:
         return 0
 
 
-def descendants(process: int) -> Iterator[int]:
-    """The processes that a process has started, and that they have started."""
+def started(process: int) -> Iterator[int]:
+    """LAMMPS' processes among those that a process has started, and that they have started."""
     try:
         children = [int(one) for task in Path(f"/proc/{process}/task").iterdir() for one in (task / "children").read_text().split()]
+        yield from (child for child in children if Path(f"/proc/{child}/comm").read_text().strip() == "lmp")
     except OSError:
         return
     for child in children:
-        yield child
-        yield from descendants(child)
+        yield from started(child)
 
 
 def one_hand_over(cells: int, processes: int) -> None:
@@ -168,12 +169,10 @@ def phases() -> Iterator[str]:
     return table_of(["phase", "cores", "µs per atom", "bytes per atom in minimd", "bytes per atom in LAMMPS"], rows)
 
 
-def file_bytes() -> Numbers:
-    """Bytes per atom of each file; of a frame where there are several."""
+def file_bytes(name: str) -> float:
+    """Growth of a file per atom [B]."""
     small, large = hand_overs()[SMALL, 1], hand_overs()[LARGE, 1]
-    frames = {"frames.bin": large["frames"], "run.h5md": large["frames"]}
-    sizes = {name: (large["sizes"][name] - small["sizes"].get(name, 0)) / (large["n"] - small["n"]) for name in large["sizes"]}
-    return {name: size / frames.get(name, 1) for name, size in sizes.items() if size > 1.0}
+    return (large["sizes"][name] - small["sizes"][name]) / (large["n"] - small["n"])
 
 
 def files() -> Iterator[str]:
@@ -181,16 +180,15 @@ def files() -> Iterator[str]:
     meanings = {
         "atoms.data": "atoms, as text",
         "step0.bin": "energies, forces and virials at step 0, until they are compared",
-        "frames.bin": "LAMMPS' frames, each, until they are read back",
-        "last.bin": "the last state, until it is read back",
-        "run.h5md": "minimd's file, each frame (two restarts included)",
+        "last.bin": "the last state, and each frame in `frames.bin`, until they are read back",
+        "run.h5md": "minimd's file: 48 for each of three frames, and two restarts",
     }
-    return table_of(["file", "bytes per atom", ""], [[f"`{name}`", f"{size:.0f}", meanings.get(name, "")] for name, size in file_bytes().items()])
+    return table_of(["file", "bytes per atom", ""], [[f"`{name}`", f"{file_bytes(name):.0f}", told] for name, told in meanings.items()])
 
 
 def large_model() -> Iterator[str]:
     """What a hand-over of more atoms takes."""
-    sizes, speed = file_bytes(), hand_overs()[LARGE, 1]["n"] * STEPS / hand_overs()[LARGE, 1]["loop"]
+    speed = hand_overs()[LARGE, 1]["n"] * STEPS / hand_overs()[LARGE, 1]["loop"]
     atoms = (1e6, 1e7, 1e8, 1e9)
 
     def row(words: str, per_atom: float, unit: str, digits: Callable[[float], str]) -> list[str]:
@@ -200,8 +198,8 @@ def large_model() -> Iterator[str]:
     rows = [
         row("memory of minimd, at most", own / 1e9, "GB", rounded),
         row("memory of LAMMPS, all processes", max(growth("others", phase) for phase in PHASES) / 1e9, "GB", rounded),
-        row("`atoms.data`", sizes["atoms.data"] / 1e9, "GB", rounded),
-        row("a frame of `run.h5md`", sizes["run.h5md"] / 1e9, "GB", rounded),
+        row("`atoms.data`", file_bytes("atoms.data") / 1e9, "GB", rounded),
+        row("a frame of `run.h5md`", BYTES_OF_A_FRAME / 1e9, "GB", rounded),
         row("writing, one core", growth("seconds", "writing") / 60, "min", rounded),
         row("comparing step 0, one core", growth("seconds", "compare") / 60, "min", rounded),
         row("reading back, three frames, one core", growth("seconds", "reading back") / 60, "min", rounded),

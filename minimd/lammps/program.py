@@ -147,6 +147,8 @@ def _failure(code: int, log: Log, output: str) -> str:
     where = f" after step {log.steps[-1]}" if log.steps else " before its first step"
     if lines:
         reason = re.sub(r" \(src.*\)$", "", lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process"))
+    elif ended := re.search(r"EXIT STRING: (.+)", output):  # mpich, about one of several
+        reason = f"one of its processes ended: {ended[1].strip()}"
     elif code < 0:
         reason = f"killed by {signal.Signals(-code).name}"
     else:

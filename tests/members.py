@@ -57,6 +57,11 @@ def pressure_alone(simulation, member):
     return {"pressure": record.pressure, "last": float(record.pressure[-1]), "known": (1.0, 0.1)}
 
 
+def in_own_file(simulation, member):
+    record = member.run(simulation, every=5)
+    return {"pressure": record.pressure, "last": float(record.pressure[-1]), "step": simulation.step}
+
+
 def one_is_killed(member):
     """The process of member 2 is killed, once."""
     once = member.file.parents[1] / "killed"

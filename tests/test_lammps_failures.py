@@ -9,7 +9,8 @@ import sys
 import threading
 import time
 from collections import namedtuple
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -261,6 +262,52 @@ def test_a_run_that_is_killed_or_interrupted_keeps_its_frames(number, tmp_path):
     assert all(child.poll() is not None for child in children)
     assert md.Simulation.resume(folder / "run.h5md", LJ).step == simulation.step > 0
     assert not (folder / script.FRAMES).exists()
+
+
+def test_the_words_of_mpiexec_about_a_process_that_was_killed_are_one_sentence(tmp_path):
+    banner = "=== BAD TERMINATION\n= EXIT CODE: 9\nYOUR APPLICATION TERMINATED WITH THE EXIT STRING: Killed (signal 9)\nPlease see the FAQ page\n"
+    (tmp_path / "mpiexec").write_text(f"#!/bin/sh\ncat <<END\n{banner}END\nexit 9\n")
+    (tmp_path / "mpiexec").chmod(0o755)
+    with pytest.raises(md.lammps.HandOverError, match=r"^LAMMPS ended before its first step: one of its processes ended: Killed \(signal 9\)$"):
+        program.run([str(tmp_path / "mpiexec")], tmp_path, script.LOG, in_cell(fluid()).engine.surroundings)
+
+
+HANDED_OVER = """
+import sys
+import minimd as md
+from lammps_scenes import fluid, in_cell
+md.lammps.hand_over(in_cell(fluid()), sys.argv[1], 10**7, processes=2, every=50, progress=False, tell=None)
+"""
+
+
+def processes_in(folder):
+    """Processes whose current folder it is."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            found += [int(place.name)] if (place / "cwd").readlink() == folder else []
+    return found
+
+
+def wait_until(is_so, seconds):
+    end = time.monotonic() + seconds
+    while not is_so() and time.monotonic() < end:
+        time.sleep(0.02)
+    return is_so()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_lammps_does_not_outlive_a_minimd_that_is_killed(tmp_path):
+    folder = tmp_path / "run"
+    paths = os.pathsep.join(map(str, (Path(__file__).parent, Path(__file__).parent.parent)))
+    minimd = subprocess.Popen([sys.executable, "-c", HANDED_OVER, folder], env=os.environ | {"PYTHONPATH": paths})
+    try:
+        assert wait_until(lambda: (folder / script.FRAMES).exists() or minimd.poll() is not None, 600.0)
+        assert len(processes_in(folder)) >= 3  # mpiexec and two of LAMMPS
+    finally:
+        minimd.kill()
+        minimd.wait()
+    assert wait_until(lambda: not processes_in(folder), 5.0)
 
 
 def test_no_room_is_noticed_before(tmp_path, monkeypatch):

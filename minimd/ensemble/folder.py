@@ -14,17 +14,21 @@ import json
 import os
 import secrets
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from minimd.compiled.machine import version
 from minimd.ensemble.member import Value, file_of
+from minimd.ensemble.notes import SUFFIX as NOTE
+from minimd.ensemble.own_file import stopped_file
 from minimd.ensemble.work import DONE, Row
 from minimd.files.claim import locked
 from minimd.files.crash_file import crash_file_place
 from minimd.structure.checks import checked_count, shown
 
 DESCRIPTION, JOURNAL = "ensemble.json", "members.jsonl"
+BYTES_AT_ONCE = 2**20  # of the journal, that are read
 
 
 class Asked(NamedTuple):
@@ -89,6 +93,10 @@ class EnsembleFolder:
         """The H5MD file of a member, from the root: a worker may have another current folder."""
         return self.path.absolute() / file_of(index)
 
+    def files(self) -> set[str]:
+        """All that is in the folders of members, as 0000-0999/0012.h5md: a thousand files cost one look, not a thousand."""
+        return {f"{place.name}/{name}" for place in self.path.iterdir() if place.is_dir() for name in os.listdir(place)}
+
     def close(self) -> None:
         """Give the folder free."""
         if self._lock >= 0:
@@ -104,9 +112,10 @@ class EnsembleFolder:
     def _forget(self) -> None:
         """Remove the files of all members: runs of another ensemble must not be gone on with."""
         for index in range(len(self.asked.parameters) if self.asked is not None else 0):
-            for file in (self.file(index), crash_file_place(True, self.file(index))):
-                if file is not None:
-                    file.unlink(missing_ok=True)
+            file = self.file(index)
+            for one in (file, crash_file_place(True, file), stopped_file(file), file.with_suffix(NOTE)):
+                if one is not None:
+                    one.unlink(missing_ok=True)
         self.rows = {}
         os.ftruncate(self._lock, 0)
 
@@ -125,18 +134,11 @@ class EnsembleFolder:
 
     def _lines(self) -> Iterator[Row]:
         """Rows of the journal. A line that is not whole is that of a process that was killed; it is removed when the folder is open for writing."""
-        file = self.path / JOURNAL
-        whole = 0
+        file, whole = self.path / JOURNAL, 0
         with open(file, "rb") as lines:
-            for line in lines:
-                try:
-                    row = json.loads(line) if line.endswith(b"\n") else None
-                except ValueError:
-                    row = None
-                if row is not None:
-                    yield row
-                if line.endswith(b"\n"):
-                    whole += len(line)
+            while some := lines.readlines(BYTES_AT_ONCE):
+                yield from _rows_in(some)
+                whole += sum(map(len, some)) - (0 if some[-1].endswith(b"\n") else len(some[-1]))
         if self._lock >= 0:
             os.ftruncate(self._lock, whole)
 
@@ -147,14 +149,31 @@ class EnsembleFolder:
             self._refuse_unless(there == here, f"{name} = {there} there, {here} here")
         may_grow = not asked.run and asked.steps > before.steps
         self._refuse_unless(asked.steps == before.steps or may_grow, f"steps = {before.steps} there, {asked.steps} here")
-        for index, (one, other) in enumerate(zip(before.parameters, asked.parameters, strict=False)):
-            self._refuse_unless(one == other, f"member {index} has the parameters {shown(one)} there, {shown(other)} here")
+        pairs = zip(before.parameters, asked.parameters, strict=False)
+        index = next((k for k, (one, other) in enumerate(pairs) if one != other), None)
+        if index is not None:
+            there, here = shown(before.parameters[index]), shown(asked.parameters[index])
+            self._refuse_unless(False, f"member {index} has the parameters {there} there, {here} here")
 
     def _refuse_unless(self, is_same: bool, words: str) -> None:
         if not is_same:
             raise ValueError(
                 f"folder {str(self.path)!r} holds another ensemble: {words}; choose another folder, or replace what is there with resume=False"
             )
+
+
+def _rows_in(lines: list[bytes]) -> list[Row]:
+    """Rows of those lines of the journal that are whole. Read in one piece they share the names in them, which is half of their memory."""
+    whole = [line for line in lines if line.endswith(b"\n")]
+    with suppress(ValueError):
+        rows: list[Row] = json.loads(b"[%b]" % b",".join(whole))
+        if len(rows) == len(whole):
+            return rows
+    found = []
+    for line in whole:
+        with suppress(ValueError):
+            found.append(json.loads(line))
+    return found
 
 
 def columns_of(parameters: list[dict[str, Value]]) -> dict[str, list[Value]]:
@@ -186,7 +205,10 @@ def write_whole(file: Path, text: str) -> None:
     """Write a file that is never seen half written.  Raises OSError, with a sentence."""
     part = file.with_name(f"{file.name}.part")
     try:
-        part.write_text(text, encoding="utf-8")
+        with part.open("w", encoding="utf-8") as whole:
+            whole.write(text)
+            whole.flush()
+            os.fsync(whole.fileno())
         os.replace(part, file)
     except OSError as error:
         part.unlink(missing_ok=True)

@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from minimd.engine.record import Record
+from minimd.ensemble.own_file import run_in_file
+from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, listed, shown
 
 Value = bool | int | float | str
@@ -47,6 +50,16 @@ class Member:
     def seed(self) -> int:
         """A whole number below 2⁶³, of the seed sequence, for set_temperature and the noise of a bath."""
         return int(self.seed_sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+    def run(self, simulation: Simulation, every: int = 100) -> Record:
+        """For the function `run` of an ensemble: make the steps of the member into its file; the record of all its frames.
+
+        Where an earlier call was stopped in the middle, the simulation takes the state of the file and makes the steps that are left: file and
+        record have the same bits.
+
+        every : steps between observations.  Raises as Simulation.run; FileExistsError if it is called twice.
+        """
+        return run_in_file(simulation, self.file, self.steps, checked_count("every", every))
 
     def __str__(self) -> str:
         told = ", ".join(f"{name} = {value}" for name, value in self.parameters.items())

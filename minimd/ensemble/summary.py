@@ -71,10 +71,11 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
     curves: dict[tuple, list[int]] = {}
     for k, row in enumerate(rows):
         curves.setdefault(tuple(row[one] for one in others), []).append(k)
+    several = {one for one in others if len(set(rows[one].tolist())) > 1}
     for key, members in curves.items():
         curve = rows[members][np.argsort(rows[members][numbers[0]])] if numbers else rows[members]
         x = curve[numbers[0]] if numbers else np.arange(len(curve))
-        label = ", ".join(f"{one.rpartition('.')[2]} = {value}" for one, value in zip(others, key, strict=True) if len(set(rows[one].tolist())) > 1)
+        label = ", ".join(f"{one.rpartition('.')[2]} = {value}" for one, value in zip(others, key, strict=True) if one in several)
         axes.errorbar(x, curve[f"{name}_mean"], curve[f"{name}_error"], marker="o", ms=3.5, lw=1.0, capsize=2.5, label=label)
     _finish(axes, table, name, numbers, len(curves))
     return figure

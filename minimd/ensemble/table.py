@@ -23,7 +23,7 @@ from minimd.structure.units import SYSTEMS, UnitSystem
 if TYPE_CHECKING:
     import pandas
 
-TEXTS = ("file", "message")
+Floats = NDArray[np.float64]
 SHOWN_FAILURES = 3
 
 
@@ -64,15 +64,15 @@ class EnsembleTable(Displayed):
         by their scatter. Sets of which no member is done are left out.
         """
         rows = self.array[self.done]
-        groups: dict[tuple, list[int]] = {}
-        for k, key in enumerate(zip(*(rows[name].tolist() for name in self.parameters), strict=True) if self.parameters else [()] * len(rows)):
-            groups.setdefault(key, []).append(k)
-        means = [name + ending for name in self.observables for ending in ("_mean", "_error")]
-        kinds = [(name, rows.dtype[name]) for name in self.parameters] + [("n_members", np.int64), *((name, np.float64) for name in means)]
-        made = np.zeros(len(groups), dtype=kinds)
-        for k, (key, members) in enumerate(groups.items()):
-            pairs = [_joined(rows[f"{name}_mean"][members], rows[f"{name}_error"][members]) for name in self.observables]
-            made[k] = (*key, len(members), *(number for pair in pairs for number in pair))
+        groups, first = _groups([rows[name] for name in self.parameters], len(rows))
+        kinds: list[tuple[str, Any]] = [(name, rows.dtype[name]) for name in self.parameters] + [("n_members", np.int64)]
+        kinds += [(name + ending, np.float64) for name in self.observables for ending in ("_mean", "_error")]
+        made = np.zeros(len(first), dtype=kinds)
+        for name in self.parameters:
+            made[name] = rows[name][first]
+        made["n_members"] = np.bincount(groups, minlength=len(first))
+        for name in self.observables:
+            made[f"{name}_mean"], made[f"{name}_error"] = _joined(rows[f"{name}_mean"], rows[f"{name}_error"], groups, made["n_members"])
         return made
 
     def unit(self, name: str) -> str:
@@ -93,7 +93,7 @@ class EnsembleTable(Displayed):
     def write(self) -> None:
         """Write table.csv and table.json into the folder; numbers have all their digits, paths begin at the folder.  Raises OSError."""
         columns = {name: self.array[name].tolist() for name in self.array.dtype.names or ()}
-        columns["file"] = [str(Path(file).relative_to(self.folder)) if file else "" for file in columns["file"]]
+        columns["file"] = [file_of(index).as_posix() if file else "" for index, file in zip(columns["index"], columns["file"], strict=True)]
         stream = io.StringIO()
         lines = csv.writer(stream, lineterminator="\n")
         lines.writerow(columns)
@@ -129,13 +129,30 @@ class EnsembleTable(Displayed):
         return f"EnsembleTable({len(self)} members, {', '.join([*self.parameters, *self.observables])})"
 
 
-def _joined(means: NDArray[Any], errors: NDArray[Any]) -> tuple[float, float]:
-    """Mean of the means of several members, and its error; see EnsembleTable.averaged."""
-    n = len(means)
-    inner = float(np.sqrt((errors**2).sum()) / n)
-    if n == 1:
-        return float(means[0]), inner
-    return float(means.mean()), float(np.fmax(inner, means.std(ddof=1) / np.sqrt(n)))
+def _groups(columns: Sequence[NDArray[Any]], n_rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The number of the group of each row, (R,), and the first row of each group, (G,), where rows with the same entries are a group.
+
+    Groups are counted in the order of their first rows.
+    """
+    groups = np.zeros(n_rows, dtype=np.int64)
+    for column in columns:
+        kinds = np.unique(column, return_inverse=True)[1]
+        groups = np.unique(groups * (kinds.max(initial=0) + 1) + kinds, return_inverse=True)[1]
+    _, first, groups = np.unique(groups, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return np.argsort(order)[groups], first[order]
+
+
+def _joined(means: Floats, errors: Floats, groups: NDArray[np.int64], n: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Means of the means of the n members of each group, and their errors, (G,); see EnsembleTable.averaged."""
+
+    def summed(numbers: Floats) -> Floats:
+        return np.bincount(groups, numbers, minlength=len(n)).astype(np.float64)  # of no members these are whole numbers
+
+    joined, inner = summed(means) / n, np.sqrt(summed(errors**2)) / n
+    scatter = np.full(len(n), np.nan)
+    np.divide(summed((means - joined[groups]) ** 2), n * (n - 1.0), out=scatter, where=n > 1)
+    return joined, np.fmax(inner, np.sqrt(scatter))
 
 
 def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
@@ -145,21 +162,33 @@ def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
     observables = list(dict.fromkeys(name for row in rows if row is not None for name in row.get("means", ())))
     columns: dict[str, Any] = {"index": np.arange(n_members)}
     columns |= {name: np.array([one[name] for one in asked.parameters[:n_members]]) for name in names}
-    files = [folder.path / file_of(index) for index in range(n_members)]
-    is_there = [file.exists() for file in files]
-    columns["status"] = np.array([row["status"] if row else BEGUN if there else MISSING for row, there in zip(rows, is_there, strict=True)])
+    there, names_of_files = folder.files(), [file_of(index).as_posix() for index in range(n_members)]
+    columns["status"] = np.array(
+        [row["status"] if row else BEGUN if name in there else MISSING for row, name in zip(rows, names_of_files, strict=True)]
+    )
     for name in ("n_steps", "n_atoms"):
         columns[name] = np.array([(row or {}).get(name, 0) for row in rows], dtype=np.int64)
-    for name in observables:
-        for ending, key in (("_mean", "means"), ("_error", "errors")):
-            columns[name + ending] = np.array([(row or {}).get(key, {}).get(name, np.nan) for row in rows], dtype=np.float64)
-    columns["file"] = np.array([str(file) if there else "" for file, there in zip(files, is_there, strict=True)], dtype=object)
+    for ending, key in (("_mean", "means"), ("_error", "errors")):
+        numbers = _numbers(rows, key, observables)
+        columns |= {name + ending: numbers[:, k] for k, name in enumerate(observables)}
+    files = [str(folder.path / name) if name in there else "" for name in names_of_files]
+    columns["file"] = np.array(files, dtype=object)
     columns["message"] = np.array([(row or {}).get("message", "") for row in rows], dtype=object)
     array = np.empty(n_members, dtype=[(name, column.dtype) for name, column in columns.items()])
     for name, column in columns.items():
         array[name] = column
     units = {row["units"] for row in rows if row is not None and "units" in row}
     return EnsembleTable(folder.path, names, array, SYSTEMS.get(units.pop()) if len(units) == 1 else None)
+
+
+def _numbers(rows: Sequence[Row | None], key: str, names: list[str]) -> Floats:
+    """The means or errors of these names in all rows, (R, names); NaN where there is none."""
+    numbers = np.full((len(rows), len(names)), np.nan)
+    for k, row in enumerate(rows):
+        found = row.get(key, {}) if row is not None else {}
+        if found:
+            numbers[k] = list(found.values()) if list(found) == names else [found.get(name, np.nan) for name in names]
+    return numbers
 
 
 def _present(row: Row | None, asked: Asked) -> Row | None:

@@ -13,6 +13,8 @@ from minimd.compiled.machine import threads_by_default
 from minimd.engine.record import Record
 from minimd.ensemble.averages import averages_of
 from minimd.ensemble.member import Member
+from minimd.ensemble.notes import Note, noting
+from minimd.ensemble.own_file import set_aside, stopped_file
 from minimd.files.crash_file import crash_file_place
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import shown
@@ -41,8 +43,8 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
     """
     started, row = perf_counter(), {"index": member.index, "parameters": dict(member.parameters)}
     try:
-        with threads_by_default(1):
-            row |= _made(plan, member, begins_anew)
+        with threads_by_default(1), noting(member) as note:
+            row |= _made(plan, member, begins_anew, note)
     except Exception as error:  # of build, prepare or run, which are the user's
         file = getattr(error, "file", None)
         told = {"status": FAILED, "message": f"{type(error).__name__}: {sentence(error)}", "traceback": traceback.format_exc()}
@@ -50,24 +52,34 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
     return row | {"seconds": perf_counter() - started}
 
 
-def _made(plan: Plan, member: Member, begins_anew: bool) -> Row:
+def _made(plan: Plan, member: Member, begins_anew: bool, note: Note) -> Row:
     simulation = plan.build(member)
     if not isinstance(simulation, Simulation):
         raise TypeError(f"build must return a Simulation; of {member} it has returned {shown(simulation)}")
-    goes_on = plan.run is None and not begins_anew and not _crash_file(member).exists()
-    resumed = _resumed(member.file, simulation) if goes_on else None
+    begins_anew |= _crash_file(member).exists()
+    resumed = None if begins_anew or plan.run is not None else _resumed(member.file, simulation)
     if resumed is not None:
+        note.simulation, note.first = resumed
         return _described(resumed[0], _rest_of_run(plan, member, *resumed), member.steps)
-    for file in (member.file, _crash_file(member)):
-        file.unlink(missing_ok=True)
-    member.file.parent.mkdir(parents=True, exist_ok=True)
+    _clear_place(member, begins_anew or plan.run is None)
     if plan.prepare is not None:
         plan.prepare(simulation, member)
-    first = simulation.step
+    note.simulation, note.first = simulation, (first := simulation.step)
     if plan.run is not None:
-        return _described(simulation, plan.run(simulation, member), simulation.step - first)
+        returned = plan.run(simulation, member)
+        stopped_file(member.file).unlink(missing_ok=True)
+        return _described(simulation, returned, simulation.step - first)
     record = simulation.run(member.steps, every=plan.every, trajectory=member.file, progress=False)
     return _described(simulation, record, member.steps)
+
+
+def _clear_place(member: Member, begins_anew: bool) -> None:
+    """Make room for the file of a member; one that was stopped is set aside, unless the member begins anew."""
+    if not begins_anew:
+        set_aside(member.file)
+    for file in (member.file, _crash_file(member), *([stopped_file(member.file)] if begins_anew else [])):
+        file.unlink(missing_ok=True)
+    member.file.parent.mkdir(parents=True, exist_ok=True)
 
 
 def _crash_file(member: Member) -> Path:

@@ -105,6 +105,20 @@ def locked(path: Path, create: bool = False) -> int:
     return descriptor
 
 
+def is_locked(path: Path) -> bool:
+    """Whether a process has the lock of a file; true also where nobody can know.  Raises OSError for a file that cannot be opened."""
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+    try:
+        if fcntl is not None:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    else:
+        return fcntl is None
+    finally:
+        os.close(descriptor)
+
+
 def _begun(place: Path) -> int:
     """The descriptor of an empty file, locked. What a killed run left under this name is nobody's, unless it has another name: that file is whole."""
     descriptor = locked(place, create=True)

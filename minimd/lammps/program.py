@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from time import sleep
+from typing import IO, Any
 
 from minimd.structure.console import Stoppable
 from minimd.structure.errors import HandOverError
@@ -25,6 +26,7 @@ SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 5.0  # that a child gets before it is killed
 SECONDS_TO_TRY = 60.0
 OUTPUT = "output.txt"
+GUARD = "trap '' TERM; read -r line; kill -KILL 0"  # for sh: when nobody holds the other end of its input, kill its process group
 
 
 @dataclass(frozen=True)
@@ -82,31 +84,41 @@ def _version(lmp: Path) -> str:
 
 @contextmanager
 def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
-    """A child process in a group of its own, with what it prints in OUTPUT; it and all its processes are ended when the context is left."""
+    """A child process, with what it prints in OUTPUT; it and all its processes are ended when the context is left, or when this process dies.
+
+    They are in a process group that a shell leads. It waits for the end of its input, which this process alone can end: by closing the pipe, or
+    by dying, by kill -9 too. Then it kills the group.
+    """
     with (folder / OUTPUT).open("w") as output:
+        silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        guard = subprocess.Popen(["/bin/sh", "-c", GUARD], stdin=subprocess.PIPE, process_group=0, **silent)
         try:
-            child = subprocess.Popen(
-                command, cwd=folder, env=environment(), stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
-            )
-        except OSError as error:
-            raise HandOverError(f"{command[0]} does not start: {error.strerror}") from None
-        try:
-            yield child
+            child = _started(command, folder, output, guard.pid)
+            try:
+                yield child
+            finally:
+                _end(child, guard.pid)
         finally:
-            _end(child)
+            guard.communicate()  # it kills what mpiexec has left behind, and itself
 
 
-def _end(child: subprocess.Popen) -> None:
+def _started(command: list[str], folder: Path, output: IO[str], group: int) -> subprocess.Popen:
+    streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
+    try:
+        return subprocess.Popen(command, cwd=folder, env=environment(), process_group=group, **streams)
+    except OSError as error:
+        raise HandOverError(f"{command[0]} does not start: {error.strerror}") from None
+
+
+def _end(child: subprocess.Popen, group: int) -> None:
     """End the process and its group, if they have not ended."""
     for number, seconds in ((signal.SIGTERM, SECONDS_TO_END), (signal.SIGKILL, SECONDS_TO_END)):
         if child.poll() is not None:
             break
         with suppress(ProcessLookupError):
-            os.killpg(child.pid, number)
+            os.killpg(group, number)
         with suppress(subprocess.TimeoutExpired):
             child.wait(seconds)
-    with suppress(ProcessLookupError, PermissionError):
-        os.killpg(child.pid, signal.SIGKILL)  # processes that mpiexec has left behind
 
 
 def run(command: list[str], folder: Path, log: str, stop: Stoppable, tell: Callable[[int], object] = lambda step: None) -> Log:
@@ -135,6 +147,8 @@ def _failure(code: int, log: Log, output: str) -> str:
     where = f" after step {log.steps[-1]}" if log.steps else " before its first step"
     if lines:
         reason = re.sub(r" \(src.*\)$", "", lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process"))
+    elif ended := re.search(r"EXIT STRING: (.+)", output):  # mpich, about one of several
+        reason = f"one of its processes ended: {ended[1].strip()}"
     elif code < 0:
         reason = f"killed by {signal.Signals(-code).name}"
     else:

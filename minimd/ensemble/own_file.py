@@ -1,0 +1,59 @@
+"""The run of a member in its own file, for functions `run` that go on where they were stopped."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+from minimd.engine.record import Record
+from minimd.files.journaled_file import repair
+from minimd.simulation.simulation import Simulation
+
+STOPPED = ".stopped.h5md"
+
+
+def stopped_file(file: Path) -> Path:
+    """Where the file of a member that was stopped waits."""
+    return file.with_suffix(STOPPED)
+
+
+def set_aside(file: Path) -> None:
+    """Give the file of a member that was stopped another name, so that `run` may write a new one, or go on with it."""
+    if file.exists():
+        with suppress(OSError, ValueError):  # what cannot be repaired will not be gone on with
+            repair(file)
+        os.replace(file, stopped_file(file))
+
+
+def run_in_file(simulation: Simulation, file: Path, steps: int, every: int) -> Record:
+    """Make the steps of a member into its file, or those that are left where it was stopped; the record of all frames.
+
+    The simulation takes the state of the file, and has the bits that it had when it was stopped.  Raises as Simulation.run.
+    """
+    from minimd.files.h5md_reader import read_file
+
+    first = _taken_up(simulation, stopped_file(file))
+    if first is None:
+        return simulation.run(steps, every=every, trajectory=file, progress=False)
+    os.replace(stopped_file(file), file)
+    if simulation.step < first + steps:
+        simulation.run(until_step=first + steps, every=every, trajectory=file, append=True, progress=False)
+    return read_file(file).record
+
+
+def _taken_up(simulation: Simulation, file: Path) -> int | None:
+    """Put the simulation where a file ends; the first step of its run. None if there is no such file, or it is damaged or of another system."""
+    from minimd.files.h5md_reader import read_file, verify_frames
+
+    if not file.exists():
+        return None
+    try:
+        verify_frames(file)
+        contents = read_file(file)
+    except (OSError, ValueError):  # the member begins anew, and has the same bits
+        return None
+    if len(contents.system) != len(simulation.system):
+        return None
+    simulation.engine.go_on_from(contents.restart)
+    return int(contents.record.step[0])

@@ -70,6 +70,7 @@ class Simulation(Closed, Displayed):
     step = EngineAttribute[int]("Steps made so far; set it when a run is resumed.")
     time = EngineAttribute[float]("[time] since the start; set it when a run is resumed.")
     reservoir_energy = EngineAttribute[float]("Given by a thermostat since the start [energy]; set it when a run is resumed.")
+    work = EngineAttribute[float]("Done since the start by forces that depend on time [energy].")
     extra_observables = EngineAttribute[Sequence[str]](
         'Names of observables beside the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".'
     )
@@ -272,7 +273,7 @@ class Simulation(Closed, Displayed):
                 self.rescale_temperature(temperature)
                 guard.drop_snapshots()  # a replay does not rescale
                 tell(min(done, n_steps))
-        engine.step, engine.time, engine.reservoir_energy = 0, 0.0, 0.0
+        engine.step, engine.time, engine.reservoir_energy, engine.work = 0, 0.0, 0.0, 0.0
 
     def minimize(
         self,

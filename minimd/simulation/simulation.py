@@ -72,7 +72,7 @@ class Simulation(Closed, Displayed):
     reservoir_energy = EngineAttribute[float]("Given by a thermostat since the start [energy]; set it when a run is resumed.")
     work = EngineAttribute[float]("Done since the start by forces that depend on time [energy].")
     extra_observables = EngineAttribute[Sequence[str]](
-        'Names of observables beside the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".'
+        'Names of observables beside the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".', check=check_extras
     )
     positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")

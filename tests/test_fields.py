@@ -177,6 +177,15 @@ def test_the_report_judges_the_energy_minus_the_work(tmp_path):
     assert (simulation.step, simulation.time, simulation.work) == (0, 0.0, 0.0)
 
 
+def test_an_equilibration_comes_before_the_time_zero():
+    """The spring that starts then has not moved before."""
+    simulation = pulled(md.VelocityVerlet(0.02))
+    simulation.set_temperature(1e-12, seed=1)
+    simulation.equilibrate(30, 1e-12)
+    assert simulation.time == 0.0
+    assert np.abs(simulation.positions).max() < 1e-5  # the way of such an atom; its point moves 0.5 in as many steps
+
+
 @pytest.mark.slow
 def test_fields_that_stay_and_dihedrals_are_exact_in_fixed_point():
     from fixed_point_scenes import bits

@@ -264,6 +264,8 @@ class Simulation(Closed, Displayed):
             progress_of(n_steps, "equilibrating", progress) as tell,
             stop_on_signals(engine.surroundings),
         ):
+            if engine.interactions.depend_on_time:
+                engine.time = -n_steps * engine.method.timestep  # so that it ends at 0
             guard.check_start()
             thermal = engine.n_dof * self.system.units.k_B * temperature
             most = RUNAWAY * (engine.kinetic_energy + abs(engine.interactions.potential_energy) + thermal)

@@ -23,10 +23,11 @@ from minimd.structure.lattice import BASES
 PAGE = Path(__file__).parent / "scenes.md"
 UNITS = {
     "_A": "Å", "_fs": "fs", "_K": "K", "_eV": "eV", "_eV_A": "eV/Å", "_g_cm3": "g/cm³", "_eV_A2": "eV/Å²", "_degree": "°", "_eV_rad2": "eV/rad²",
+    "_per_A": "1/Å", "_A_ps": "Å/ps", "_A_ps2": "Å/ps²",
 }  # fmt: skip
 REDUCED = {
     "length": "σ", "time": "τ", "temperature": "ε/k_B", "energy": "ε", "force": "ε/σ", "density": "1/σ³", "stiffness": "ε/σ²",
-    "angular stiffness": "ε/rad²", "angle": "°",
+    "angular stiffness": "ε/rad²", "angle": "°", "inverse length": "1/σ", "velocity": "σ/τ", "acceleration": "σ/τ²",
 }  # fmt: skip
 CHOICES = {"lattice": BASES, "mixing": MIXING, "truncation": TRUNCATIONS, "method": METHODS}
 MEANINGS = {
@@ -45,7 +46,7 @@ MEANINGS = {
         "pbc": "periodic directions, one for all or three",
         "species": "a label for each atom, instead of those of the file or the element",
         "format": 'of a file whose suffix does not tell it, such as `"lammps-data"`',
-        "bonds": 'pairs of atoms; `"file"` for those that the file names, with its angles; or another file that names them',
+        "bonds": 'pairs of atoms; `"file"` for those that the file names, with its angles and dihedrals; or another file that names them',
     },
     "constraints": {
         "pairs": 'of atoms whose distance is held; `"bonds"` for those of the structure',
@@ -90,6 +91,95 @@ MEANINGS = {
         "k": "u = k (θ − angle)²/2",
         "angle": "at rest",
         "triples": "of atoms, the middle one second; the angles of the structure file if not given",
+    },
+    "potential, morse-bond": {
+        "type": "of the potential",
+        "depth": "u = depth (1 − exp(−a (r − length)))²",
+        "a": "inverse width",
+        "length": "at rest",
+        "pairs": "of atoms; the bonds of the structure if not given",
+    },
+    "potential, fene-bond": {
+        "type": "of the potential",
+        "k": "u = −k longest² ln(1 − (r/longest)²)/2, and the repulsion",
+        "longest": "length that a bond cannot reach",
+        "epsilon": "of the repulsion, Lennard-Jones cut at its minimum; 0 for none",
+        "sigma": "of the repulsion",
+        "pairs": "of atoms; the bonds of the structure if not given",
+    },
+    "potential, periodic-dihedral": {
+        "type": "of the potential",
+        "k": "u = k (1 + cos(n φ − phase))",
+        "n": "minima in a turn",
+        "phase": "see k",
+        "quadruples": "of atoms; the dihedrals of the structure file if not given",
+    },
+    "potential, opls-dihedral": {
+        "type": "of the potential",
+        "k1": "u = k1 (1 + cos φ)/2 + …",
+        "k2": "… + k2 (1 − cos 2φ)/2 + …",
+        "k3": "… + k3 (1 + cos 3φ)/2 + …",
+        "k4": "… + k4 (1 − cos 4φ)/2",
+        "quadruples": "of atoms; the dihedrals of the structure file if not given",
+    },
+    "potential, ryckaert-bellemans": {
+        "type": "of the potential",
+        "coefficients": "c₀ to c₅ of u = Σ cₙ cosⁿ(φ − 180°)",
+        "quadruples": "of atoms; the dihedrals of the structure file if not given",
+    },
+    "potential, harmonic-improper": {
+        "type": "of the potential",
+        "k": "u = k (φ − angle)²/2",
+        "angle": "at rest, with its sign",
+        "quadruples": "of atoms; the impropers of the structure file if not given",
+    },
+    "potential, constant-force": {"type": "of the potential", "force": "on each atom", "atoms": "on which it acts; all if not given"},
+    "potential, gravity": {"type": "of the potential", "acceleration": "of free fall", "atoms": "on which it acts; all if not given"},
+    "potential, restraint": {
+        "type": "of the potential",
+        "k": "u = k (r − point)²/2",
+        "points": "one for all atoms, or one for each",
+        "atoms": "on which it acts; all if not given",
+    },
+    "potential, steered-spring": {
+        "type": "of the potential",
+        "k": "u = k (r − point)²/2",
+        "points": "at the start; one for all atoms, or one for each",
+        "velocity": "of the points",
+        "atoms": "on which it acts; all if not given",
+        "start": "of the motion of the points",
+        "end": "of it; never if not given",
+    },
+    "potential, wall": {
+        "type": "of the potential",
+        "point": "of the plane",
+        "normal": "of the plane, towards the atoms, of any length",
+        "epsilon": "strength of the wall",
+        "sigma": "range of the wall",
+        "cutoff": "distance from the wall from which on there is no force; none if not given",
+        "law": "of the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff",
+        "atoms": "on which it acts; all if not given",
+    },
+    "potential, cylinder-wall": {
+        "type": "of the potential",
+        "point": "on the axis",
+        "axis": "direction, of any length",
+        "radius": "of the cylinder; atoms are inside",
+        "epsilon": "strength of the wall",
+        "sigma": "range of the wall",
+        "cutoff": "distance from the wall from which on there is no force; none if not given",
+        "law": "of the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff",
+        "atoms": "on which it acts; all if not given",
+    },
+    "potential, sphere-wall": {
+        "type": "of the potential",
+        "point": "the center",
+        "radius": "of the sphere; atoms are inside",
+        "epsilon": "strength of the wall",
+        "sigma": "range of the wall",
+        "cutoff": "distance from the wall from which on there is no force; none if not given",
+        "law": "of the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff",
+        "atoms": "on which it acts; all if not given",
     },
     "dynamics": {
         "method": "of integration",
@@ -152,16 +242,15 @@ temperature_K = 94.4
 """
 HEADINGS = {
     "": "At the top of the file",
-    "potential, lennard-jones": '[[potential]] with type = "lennard-jones"',
-    "potential, harmonic-bond": '[[potential]] with type = "harmonic-bond"',
-    "potential, harmonic-angle": '[[potential]] with type = "harmonic-angle"',
-    "potential, tabulated": '[[potential]] with type = "tabulated"',
     "potential.pairs": "[[potential.pairs]]",
 }
 NOTES = {
     "structure": "Either `file`, or `lattice` with `repeat` and `density` or `lattice_constant`, and `element` unless units are reduced.",
     "constraints": "Optional. What it does not name stays as the structure file has it.",
     "potential, lennard-jones": "Double brackets: a scene can have several potentials. Either `epsilon` and `sigma`, or `species`.",
+    "potential, fene-bond": "Leave bonded pairs out of the potential between all beads, by `bonded_scale = [0.0, 1.0, 1.0]`.",
+    "potential, steered-spring": "The work that moving the points does is recorded as `work`.",
+    "potential, wall": "Fields act from outside. What they mean, and all other potentials, is in [forces.md](forces.md).",
     "potential.species.X": "A table for each species X, below its `[[potential]]`, or: `species = { X = { epsilon_eV = 0.01, sigma_A = 3.4 } }`",
     "potential.pairs": "One table for each pair, below its `[[potential]]`.",
     "potential, tabulated": "Either `file` or `pairs`.",
@@ -245,7 +334,8 @@ def page() -> str:
     """The whole page."""
     parts = [INTRODUCTION]
     for name, section in sections():
-        heading = HEADINGS.get(name, f"[{name}]")
+        kind = name.partition("potential, ")[2]
+        heading = HEADINGS.get(name, f'[[potential]] with type = "{kind}"' if kind else f"[{name}]")
         note = [NOTES[name], ""] if name in NOTES else []
         head = ["| key | what it is | value | unit | reduced | default |", "| --- | --- | --- | --- | --- | --- |"]
         parts.append("\n".join([f"## {heading}", "", *note, *head, *rows(name, section), ""]))

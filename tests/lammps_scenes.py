@@ -103,6 +103,20 @@ def chains():
     return md.Simulation(chain_system(), potentials, md.VelocityVerlet(TIMESTEP))
 
 
+def torsions():
+    """Chains of four with every bond and dihedral that LAMMPS has too."""
+    system, chains = chain_system(), groups(4)
+    potentials = [
+        md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 1.0, 1.0)),
+        md.FENEBond(30.0, 1.9, 1.0, 0.9, system.bonds[:27]),
+        md.MorseBond(20.0, 2.0, 1.1, system.bonds[27:]),
+        md.PeriodicDihedral(1.5, 3, 0.4, chains[:13]),
+        md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), chains[13:20]),
+        md.OPLSDihedral(1.0, 2.0, 3.0, 0.5, chains[20:]),
+    ]
+    return md.Simulation(system, potentials, md.VelocityVerlet(TIMESTEP))
+
+
 def two_laws_with_scales_of_their_own():
     potentials = [
         md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 1.0, 1.0)),
@@ -240,6 +254,7 @@ SCENES = {
     "own law of species": own_law_of_species,
     "own law with a decision": own_law_with_a_decision,
     "chains": chains,
+    "torsions": torsions,
     "two laws": two_laws_with_scales_of_their_own,
     "dumbbells": dumbbells,
     "bent": bent,

@@ -137,7 +137,12 @@ def scaled_along_other_bonds():
 
 
 OUTSIDE = {
-    "own term": (lambda: with_potential([LJ, Gravity()]), "LAMMPS can be given pair potentials, bonds and harmonic angles of minimd; .*Gravity"),
+    "own term": (
+        lambda: with_potential([LJ, Gravity()]),
+        "LAMMPS can be given pair potentials, bonds, harmonic angles and dihedrals of minimd; .*Gravity",
+    ),
+    "field": (lambda: with_potential([LJ, md.Gravity(1.0)]), r"bonds, harmonic angles and dihedrals of minimd; Gravity\(acceleration=.* is none"),
+    "improper": (lambda: with_potential([LJ, md.HarmonicImproper(1.0, 0.0, [[0, 1, 2, 3]])]), r"HarmonicImproper\(k=.* is none of them"),
     "unwritable law": (lambda: with_potential(md.PairPotential(unwritable, (1.0,), 2.0, "truncated")), "Lepton cannot write the law unwritable: "),
     "table": (lambda: with_potential(tabulated()), "Lepton cannot write the law tabulated: it looks up a table"),
     "method": (

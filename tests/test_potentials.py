@@ -26,6 +26,7 @@ def soft_core(r2, height):
 
 R = np.linspace(0.3, CUTOFF, 60)
 TABLES = {("A", "A"): np.exp(-R), ("A", "B"): np.exp(-2.0 * R), ("B", "B"): 1.0 / R}
+CHAINS = [[k, k + 1, k + 2, k + 3] for k in range(7)]
 TWO_KINDS = {"A": (1.0, 1.0), "B": (0.5, 0.88)}
 POTENTIALS = {
     **{f"lennard-jones {t}": md.LennardJones(1.0, 1.0, CUTOFF, t) for t in TRUNCATIONS},
@@ -37,6 +38,11 @@ POTENTIALS = {
     "tabulated": md.Tabulated(R, TABLES, truncation="switched", bonded_scale=(0.5, 1.0, 1.0)),
     "harmonic bonds": md.HarmonicBond(np.linspace(50, 90, 9), 1.1),
     "harmonic angles": md.HarmonicAngle(20.0, 2.0, [[k, k + 1, k + 2] for k in range(8)]),
+    "morse bonds": md.MorseBond(np.linspace(3.0, 5.0, 9), 2.0, 1.1),
+    "fene bonds": md.FENEBond(30.0, 1.9, 1.0, np.linspace(0.9, 1.2, 9)),
+    "periodic dihedrals": md.PeriodicDihedral(np.linspace(0.5, 2.0, 7), [0, 1, 2, 3, 4, 5, 6], 0.4, CHAINS),
+    "ryckaert-bellemans": md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), CHAINS),
+    "harmonic impropers": md.HarmonicImproper(3.0, np.linspace(-3.1, 3.1, 7), CHAINS),
     "several": [md.LennardJones(1.0, 1.0, CUTOFF), md.PairPotential(yukawa, (1.0, 2.0), 1.9), md.HarmonicBond(30.0, 1.0)],
 }
 
@@ -201,6 +207,52 @@ def test_straight_angle_pulls_nowhere():
     straight = md.System([[0, 0, 0], [1, 0, 0], [2.2, 0, 0]])
     assert np.abs(md.evaluate(straight, md.HarmonicAngle(10.0, np.pi, [[0, 1, 2]])).forces).max() < 1e-6
     assert np.isfinite(md.evaluate(straight, md.HarmonicAngle(10.0, 2.0, [[0, 1, 2]])).forces).all()
+
+
+def test_dihedral_angles_are_those_of_mdanalysis_and_planar_ones_have_forces():
+    """The sign, trans and cis; and no division by sin φ: at φ = 0 and π forces are finite, and at a barrier zero."""
+    from MDAnalysis.lib.distances import calc_dihedrals
+
+    rng = np.random.default_rng(3)
+    for angle in (*rng.uniform(-np.pi, np.pi, 5), 0.0, np.pi):
+        end = np.array([-0.6, np.cos(angle), np.sin(angle)]) * [-1.0, 1.0, -1.0] + [1.2, 0.0, 0.0]
+        system = md.System([[-0.6, 1.0, 0.0], [0.0, 0.0, 0.0], [1.2, 0.0, 0.0], end], dihedrals=[[0, 1, 2, 3]])
+        found = float(calc_dihedrals(*system.positions))
+        energy = md.evaluate(system, md.HarmonicImproper(2.0, 0.7, [[0, 1, 2, 3]])).potential_energy
+        assert energy == pytest.approx(((found - 0.7 + np.pi) % (2.0 * np.pi) - np.pi) ** 2, rel=1e-6)  # MDAnalysis computes in float32
+        assert np.isfinite(md.evaluate(system, md.PeriodicDihedral(1.0, 3, 0.4)).forces).all()
+    assert np.abs(md.evaluate(system, md.PeriodicDihedral(1.0, 3)).forces).max() < 1e-14  # trans, at the bottom: rounding
+    straight = md.System([[-1.0, 0, 0], [0, 0, 0], [1, 0, 0], [1.5, 1, 0]], dihedrals=[[0, 1, 2, 3]])
+    assert np.isfinite(md.evaluate(straight, md.PeriodicDihedral(1.0, 3, 0.4)).forces).all()
+
+
+def test_a_broken_fene_bond_is_told_and_a_morse_bond_breaks():
+    apart = md.System([[0, 0, 0], [1.5, 0, 0]], bonds=[[0, 1]])
+    with pytest.raises(md.NonFiniteError, match="not finite"):
+        md.evaluate(apart, md.FENEBond(30.0, 1.5))
+    far = md.System([[0, 0, 0], [40.0, 0, 0]], bonds=[[0, 1]])
+    assert md.evaluate(far, md.MorseBond(3.0, 2.0, 1.1)).potential_energy == pytest.approx(3.0, rel=1e-15)
+    assert md.evaluate(far, md.MorseBond(3.0, 2.0, 1.1)).forces == pytest.approx(0.0, abs=1e-30)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: md.MorseBond(1.0, 0.0, 1.0), "a of a Morse bond must be positive"),
+        (lambda: md.FENEBond(-1.0, 1.5), "k of a FENE bond must not be negative"),
+        (lambda: md.PeriodicDihedral(1.0, 1.5), "n must be a whole number"),
+        (lambda: md.RyckaertBellemans([1.0] * 7), "at most 6"),
+        (lambda: md.HarmonicImproper(1.0, 4.0), "angle must lie between -pi and pi"),
+        (
+            lambda: md.evaluate(chain(None), md.PeriodicDihedral([1.0, 2.0], 1, 0.0, CHAINS)),
+            "k must be one number or 7, one for each of the dihedrals",
+        ),
+        (lambda: md.PeriodicDihedral(1.0, 1, quadruples=[[0, 1, 2, 2]]), "quadruples must name different atoms"),
+    ],
+)
+def test_impossible_bonds_and_dihedrals_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
 
 
 def test_bonds_in_any_order_keep_their_own_parameters():

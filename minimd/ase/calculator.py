@@ -66,6 +66,7 @@ class Calculator(ASECalculator):
     @potentials.setter
     def potentials(self, potentials: Potential | Sequence[Potential]) -> None:
         self._potentials = potentials
+        self.parameters["potentials"] = [repr(one) for one in (potentials if isinstance(potentials, list | tuple) else [potentials])]  # for databases
         self._plan = None
         self.reset()
 

@@ -20,8 +20,8 @@ def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
     """Frames of a minimd file, to the last bit: positions (not wrapped), momenta, masses, cell, constraints, bonds, and energy.
 
     Forces are there if the run stored them; they come through kJ/mol and are right to rounding. The stress is there if the run observed it.
-    Bonds and angles stand in the arrays "bonds" and "angles", as ASE's reader of LAMMPS data leaves them; step and time in info. Reduced numbers
-    are no Å and eV.
+    Bonds, angles, dihedrals and impropers stand in arrays of these names, as ASE's reader of LAMMPS data leaves them; step and time in info.
+    Reduced numbers are no Å and eV.
 
     index : which frames, as ase.io.read takes it.
 

@@ -49,15 +49,16 @@ def runaway(engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY,
 
         K + |U| > growth (K₀ + |U₀| + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²
 
-    first : observables of an earlier frame.  since : when that was, for the sentence.  E is the total energy minus the reservoir energy, R the
-    energy [energy] that the rounding of positions can make in a step.
+    first : observables of an earlier frame.  since : when that was, for the sentence.  E is the total energy minus the reservoir energy and
+    work, R the energy [energy] that the rounding of positions can make in a step.
     """
     system, kinetic, potential = engine.system, engine.kinetic_energy, engine.interactions.potential_energy
     with np.errstate(over="ignore"):  # infinite for time steps that nobody needs
         rounding = system.masses.sum() * np.square(np.spacing(np.abs(system.positions).max()) / engine.method.timestep)
     name = "conserved_energy" if engine.method.is_thermostat else "total_energy"
-    energy = kinetic + potential - (engine.reservoir_energy if engine.method.is_thermostat else 0.0)
+    energy = kinetic + potential - engine.work - (engine.reservoir_energy if engine.method.is_thermostat else 0.0)
+    start = first[name] - (0.0 if engine.method.is_thermostat else first.get("work", 0.0))
     before, now = first["kinetic_energy"] + abs(first["potential_energy"]), kinetic + abs(potential)
-    if now > growth * (before + rounding) and abs(energy - first[name]) > HALF * now:
-        return f"the {name.replace('_', ' ')} has gone from {first[name]:.3g} to {energy:.3g} {system.units.energy} since {since}"
+    if now > growth * (before + rounding) and abs(energy - start) > HALF * now:
+        return f"the {name.replace('_', ' ')} has gone from {start:.3g} to {energy:.3g} {system.units.energy} since {since}"
     return None

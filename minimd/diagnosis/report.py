@@ -193,6 +193,7 @@ class Report(Displayed):
     n_steps: int
     units: tuple[str, str, str]
     has_bath: bool = False
+    has_work: bool = False
     constraint_violation: float | None = None
     cost: Cost | None = None
     shadow_drift: Drift | None = None
@@ -256,7 +257,8 @@ class Report(Displayed):
 
         only = self.n_frames == 1
         drifts = "drift unknown: one frame" if only else f"drift {slope} {per} per {time}{'' if np.isinf(slope.error) else ' (standard error)'}"
-        tell("E - reservoir" if self.has_bath else "total energy", drifts)
+        name = "total energy" if not (self.has_bath or self.has_work) else f"E{' - reservoir' * self.has_bath}{' - work' * self.has_work}"
+        tell(name, drifts)
         tell("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)")
         if shadow is not None:
             said = {None: "too short to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
@@ -284,7 +286,8 @@ class Report(Displayed):
 
     @property
     def _energy_verdict(self) -> str:
-        name, (first, last) = "total energy minus reservoir energy" if self.has_bath else "total energy", self.temperatures
+        (first, last), minus = self.temperatures, ["reservoir energy"] * self.has_bath + ["work"] * self.has_work
+        name = " minus ".join(["total energy", *([" and ".join(minus)] if minus else [])])
         if self.energy_is_conserved is None:
             within = f"stays within {self.energy_range / self.kinetic_energy:.1g} of the kinetic energy" if self.is_quiet else "varies"
             return f"the {name} {within}; the run is too short to tell whether it drifts: fluctuations last nearly as long"
@@ -315,10 +318,11 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
     """The report of a record.
 
     linear, angular : whether the scene conserves momentum (no bath, nothing fixed) and angular momentum (nor anything periodic).
-    lines : to show beside them.  Of a run with a thermostat, total energy minus reservoir energy is judged.
+    lines : to show beside them.  Of a run with a thermostat, total energy minus reservoir energy is judged, of one with forces that depend on
+    time minus their work.
     """
     units, has_bath = record.units, "conserved_energy" in record
-    time, energy = record.time * units.to_picosecond, (record.conserved_energy if has_bath else record.total_energy) / record.n_atoms
+    time, energy = record.time * units.to_picosecond, _constant_energy(record) / record.n_atoms
     slope = drift_of_walk(time, energy) if has_bath else drift(time, energy, beside=record.kinetic_energy)
     shadow = record.shadow_energy / record.n_atoms if "shadow_energy" in record else None
     shadow_slope = None if shadow is None else drift(time, shadow, beside=record.kinetic_energy)
@@ -328,6 +332,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         energy_oscillation=_oscillation(time, energy, slope),
         momentum_change=_largest_change(record.momentum, record.absolute_momentum) if linear else None,
         has_bath=has_bath,
+        has_work="work" in record,
         constraint_violation=float(record.constraint_violation.max()) if "constraint_violation" in record else None,
         angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum) if angular else None,
         mean_temperature=float(record.temperature.mean()),
@@ -345,6 +350,13 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         not_finite=_not_finite(record),
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())),
     )
+
+
+def _constant_energy(record: Record) -> NDArray[np.float64]:
+    """What a run should keep, (T,) [energy]: the total energy, minus what a bath has given and minus the work of forces that depend on time."""
+    if "conserved_energy" in record:
+        return record.conserved_energy
+    return record.total_energy - record.work if "work" in record else record.total_energy
 
 
 def _not_finite(record: Record) -> str:

@@ -97,6 +97,8 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
     engine = guard.engine
     if engine.method.is_thermostat:
         raise ValueError(f"{engine.method.name} is a thermostat: its noise cannot be undone, so that no run of it is reversible")
+    if engine.interactions.depend_on_time:
+        raise ValueError("forces that depend on time have no run back: time goes on while atoms return; probe the scene without them")
     before = engine.snapshot()
     with guard.uncounted():
         guard.check_start()

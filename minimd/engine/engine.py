@@ -29,7 +29,7 @@ from minimd.structure.system import AnySystem, System
 class Snapshot(NamedTuple):
     """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy].  open_end : see Surroundings.
 
-    clock : a step, and the time at it, from which the time of others is counted.
+    clock : a step, and the time at it, from which the time of others is counted.  work : done by forces that depend on time [energy].
     """
 
     step: int
@@ -39,6 +39,7 @@ class Snapshot(NamedTuple):
     reservoir_energy: float
     open_end: OpenEnd | None = None
     clock: tuple[int, float] | None = None
+    work: float = 0.0
 
 
 class Checkpoint(NamedTuple):
@@ -138,7 +139,11 @@ class Engine:
         return self.method.advance(self._state, self._compute_forces, n_steps, with_energy, self.surroundings, self.interactions.march)
 
     def _compute_forces(self, state: State, with_energy: bool) -> None:
+        if self.interactions.depend_on_time:
+            step = self._bath.step - self.noise_shift  # the one that is being made
+            self.interactions.time = self._time_at(step) + self.surroundings.phase * self.method.timestep
         self.interactions.compute(TOTALS if with_energy else FORCES, state.unit)
+        self.surroundings.power = self.interactions.power
 
     def begin(self) -> None:
         """Prepare a run from the present state: choose images of rigid bonds, project onto the constraints, mark the forces as outdated."""
@@ -185,8 +190,9 @@ class Engine:
         end = self.surroundings.open_end
         is_aside = end is not None and end.drifts_next  # the run itself needs no forces here
         before, n_builds = self.interactions.lists_built() if is_aside else (), self.interactions.n_builds
+        self.interactions.time = self.time
         self.interactions.compute(TOTALS, self._state.unit)
-        self._state.forces_are_current = True
+        self._state.forces_are_current, self.surroundings.power = True, self.interactions.power
         if is_aside and self.interactions.n_builds != n_builds:
             self.interactions.build_lists(before)
 
@@ -209,12 +215,12 @@ class Engine:
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""
         arrays, end = (self.positions.copy(), self.velocities.copy()), self.surroundings.open_end
-        return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, end, self._clock)
+        return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, end, self._clock, self.work)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot."""
         self.moved()
-        self._step, time, self.positions[:], self.velocities[:], self.reservoir_energy, self.surroundings.open_end, clock = snapshot
+        self._step, time, self.positions[:], self.velocities[:], self.reservoir_energy, self.surroundings.open_end, clock, self.work = snapshot
         self._clock, self.is_whole = clock or (snapshot.step, time), False
         if self.time != time:  # counted with the time step of another method
             self.time = time
@@ -255,12 +261,16 @@ class Engine:
     @property
     def time(self) -> float:
         """[time] since the start: that of the last step at which it was set, and the time steps since."""
-        step, time = self._clock
-        return time + (self._step - step) * self.method.timestep
+        return self._time_at(self._step)
 
     @time.setter
     def time(self, time: float) -> None:
         self._clock = self._step, time
+        self._state.forces_are_current &= not self.interactions.depend_on_time
+
+    def _time_at(self, step: int) -> float:
+        first, time = self._clock
+        return time + (step - first) * self.method.timestep
 
     def count(self, n_steps: int) -> None:
         """So many steps were made."""
@@ -322,6 +332,15 @@ class Engine:
     @reservoir_energy.setter
     def reservoir_energy(self, energy: float) -> None:
         self._bath.energy = energy
+
+    @property
+    def work(self) -> float:
+        """Work done on the system since the start by forces that depend on time, ∫ ∂U/∂t dt [energy]. It is set when a run is resumed."""
+        return self.surroundings.work
+
+    @work.setter
+    def work(self, work: float) -> None:
+        self.surroundings.work = work
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:

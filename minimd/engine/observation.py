@@ -97,7 +97,13 @@ for _observable in (
         lambda engine: engine.system.volume is not None,
     ),
     Observable("stress", "pressure", lambda look: observables.stress(*look.motion, look.virial, look.volume), demand=check_has_volume),
-    Observable("conserved_energy", "energy", lambda look: look.total_energy - look.engine.reservoir_energy, lambda one: one.method.is_thermostat),
+    Observable(
+        "conserved_energy",
+        "energy",
+        lambda look: look.total_energy - look.engine.reservoir_energy - look.engine.work,
+        lambda engine: engine.method.is_thermostat,
+    ),
+    Observable("work", "energy", lambda look: look.engine.work, lambda engine: engine.interactions.depend_on_time),
     Observable("constraint_violation", "", lambda look: float(look.bonds.violation(look.path[0]).max()), lambda one: bool(one.constraint_set.bonds)),
 ):
     register(_observable)

@@ -43,7 +43,8 @@ class Record(Displayed):
     ----------
     step : (T,) int.  time : (T,) [time].
     potential_energy, kinetic_energy, total_energy : (T,) [energy].  temperature : (T,).
-    conserved_energy : (T,) [energy], total energy minus reservoir energy, only with a thermostat.
+    conserved_energy : (T,) [energy], total energy minus reservoir energy and work, only with a thermostat.
+    work : (T,) [energy], done since the start by forces that depend on time, ∫ ∂U/∂t dt, only with such forces.
     shadow_energy : (T,) [energy], only where asked for: see minimd.shadow_energy.
     constraint_violation : (T,) largest |r² − d²|/d², only with lengths held fixed.
     pressure : (T,) [energy/length³], only where the cell has a volume.

@@ -21,6 +21,7 @@ from minimd.files.h5md_restart import damaged_restart, read_restart
 from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, opened
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
+from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.system import System
@@ -189,8 +190,7 @@ def _system(group: h5py.Group, restart: Checkpoint) -> System:
         velocities=restart.state.velocities,
         cell=Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
         species=np.array(labels.tolist())[group["species_index"][:]],
-        bonds=group["bonds"][:],
-        angles=group["angles"][:] if "angles" in group else None,
+        **{name: group[name][:] for name in GROUPS if name in group},
         units=SYSTEMS[group.attrs["units"]],
         constraints=read_constraints(group),
     )

@@ -37,6 +37,7 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
     }
     clock = state.clock or (state.step, state.time)
     numbers["drifts_next"] = int(state.open_end is not None and state.open_end.drifts_next)
+    numbers |= {"work": state.work, "open_work": 0.0 if state.open_end is None else state.open_end.work}
     numbers |= {"clock_step": clock[0], "clock_time": clock[1], "equilibrated": checkpoint.equilibrated}
     numbers |= {"skins": np.array([one.skin for one in checkpoint.lists]), "tolerance": 0.0 if images is None else images[1]}
     if checkpoint.grid is not None:
@@ -48,12 +49,12 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
     """The checkpoint that was flattened."""
     end = None
     if "open_velocities" in arrays:
-        end = OpenEnd(arrays["open_velocities"], arrays.get("open_positions"), bool(numbers["drifts_next"]))
+        end = OpenEnd(arrays["open_velocities"], arrays.get("open_positions"), bool(numbers["drifts_next"]), float(numbers.get("open_work", 0.0)))
     step, time, energy = int(numbers["step"]), float(numbers["time"]), float(numbers["reservoir_energy"])
     lists = tuple(Built(float(skin), arrays.get(f"list_{k}")) for k, skin in enumerate(numbers["skins"]))
     clock = int(numbers["clock_step"]), float(numbers["clock_time"])
     return Checkpoint(
-        state=Snapshot(step, time, arrays["positions"], arrays["velocities"], energy, end, clock),
+        state=Snapshot(step, time, arrays["positions"], arrays["velocities"], energy, end, clock, float(numbers.get("work", 0.0))),
         displacement=float(numbers["displacement"]),
         lists=lists,
         images=(arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None,

@@ -1,7 +1,7 @@
 """Where everything lies in a minimd file, laid out as H5MD.
 
     particles/trajectory    box/edges, position, velocity, force [Å, Å/ps, kJ/mol/Å; times in ps], species, mass
-    connectivity/bonds      pairs of bonded atoms; connectivity/angles, triples of atoms, if there are any
+    connectivity/bonds      pairs of bonded atoms; likewise angles, dihedrals and impropers, if there are any
     observables/<name>      the numbers of the record, to the last bit, in the units of the simulation
     observables/dt          the time between observations [ps], beside each frame: MDAnalysis looks nowhere else for it
     minimd                  what H5MD has no place for: units, cell, pbc, timestep, method, constraints, exact times, restarts, digests
@@ -136,7 +136,7 @@ def _describe_standard(h5: h5py.File, system: System) -> None:
     particles.create_dataset("species", data=system.species_index, dtype=kind)
     particles["mass"] = system.masses
     particles["mass"].attrs["unit"] = "u"
-    for name, groups in (("bonds", system.bonds), ("angles", system.angles)):
+    for name, groups in system.groups().items():
         if len(groups) or name == "bonds":
             h5[f"connectivity/{name}"] = groups
             h5[f"connectivity/{name}"].attrs["particles_group"] = particles.ref

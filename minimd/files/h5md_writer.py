@@ -244,8 +244,7 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
         "the number of atoms": len(ours) == len(theirs),
         "masses": np.array_equal(ours.masses, theirs.masses),
         "species": np.array_equal(ours.species, theirs.species),
-        "bonds": np.array_equal(ours.bonds, theirs.bonds),
-        "angles": np.array_equal(ours.angles, theirs.angles),
+        **{name: np.array_equal(members, theirs.groups()[name]) for name, members in ours.groups().items()},
         "the cell": ours.cell.same_as(theirs.cell),
     }
     for name, is_same in same.items():

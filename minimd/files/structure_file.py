@@ -1,4 +1,4 @@
-"""Structures, and the bonds in them, from files that ASE or MDAnalysis reads; masses of chemical elements."""
+"""Structures, and the bonds, angles and dihedrals in them, from files that ASE or MDAnalysis reads; masses of chemical elements."""
 
 import warnings
 from collections.abc import Iterable, Iterator
@@ -13,6 +13,7 @@ from ase.data import atomic_masses, atomic_numbers
 from ase.io.formats import UnknownFileTypeError, ioformats
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
 from minimd.structure.console import outside_minimd
 from minimd.structure.joined import Joined, joined_in
@@ -24,6 +25,7 @@ SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".mol2": "MOL2", ".gsd": "GSD", ".t
 NAMES_BONDS = ("PDB", "ENT")  # formats of which ASE reads the atoms, and MDAnalysis the bonds
 STATE_MASSES = ("DATA", "GSD")  # formats of MDAnalysis with masses of their own, in units of their own
 MASS_OF_ELEMENT = 1e-3  # relative: 12.0 and 16.0 are carbon and oxygen, 14.027 is no nitrogen but CH₂
+NOTHING: dict[str, Any] = dict.fromkeys(GROUPS)  # joins atoms
 NEAR = 2e-3  # Å, between the same positions read by ASE and by MDAnalysis
 
 
@@ -36,7 +38,7 @@ def system_from_file(
     units: UnitSystem = ASE,
     bonds: ArrayLike | str | Path | None = "file",
 ) -> System:
-    """The last structure in a file of any format that ASE or MDAnalysis reads, with its bonds and angles.
+    """The last structure in a file of any format that ASE or MDAnalysis reads, with its bonds, angles, dihedrals and impropers.
 
     Parameters
     ----------
@@ -44,7 +46,7 @@ def system_from_file(
     format : ASE's name of the format ("lammps-data"), or one of MDAnalysis ("GRO"); the suffix and the content tell it if not given.
     units : minimd.units.ASE; or minimd.units.LJ, whose numbers are taken as they stand. Masses are then those of the file where it states
         them (LAMMPS data, GSD), else 1.
-    bonds : "file" for those that the file names, with its angles; another file, such as a PSF, that names them for the same atoms; pairs;
+    bonds : "file" for those that the file names, with its angles and dihedrals; another file, such as a PSF, that names them; pairs;
         or None for none, with a warning if the file names some.
 
     Species of LAMMPS data are its types, unless its masses are those of as many chemical elements, to 0.1 %, and units are ASE's.
@@ -66,21 +68,23 @@ def system_from_file(
         else:
             system.cell = placed
     if bonds is not None and not isinstance(bonds, str | Path):
-        return changed(system, bonds=bonds, angles=None)
+        return changed(system, **NOTHING | {"bonds": bonds})
     if bonds is None:
         with suppress(ValueError):  # nobody has asked for them
             _tell_unused(path, _joined_in(path, form, source, system))
-        return changed(system, bonds=None, angles=None)
+        return changed(system, **NOTHING)
     found = _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, len(system))
-    if found.n_types > 1:
-        words = f"the bonds of {str(path)!r} are of {found.n_types} types, which a bond potential does not tell apart; give it pairs, or arrays"
+    for name, n_types in found.n_types.items():
+        groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
+        one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
+        words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not tell apart; give it {groups}, or arrays"
         warnings.warn(words, stacklevel=outside_minimd())
-    return changed(system, bonds=found.bonds, angles=found.angles)
+    return changed(system, **found.groups)
 
 
 def changed(system: System, **changes: Any) -> System:
     """A copy of a system with other arguments."""
-    names = ("masses", "velocities", "cell", "species", "bonds", "angles", "units", "constraints")
+    names = ("masses", "velocities", "cell", "species", *GROUPS, "units", "constraints")
     return System(system.positions, **{name: changes[name] if name in changes else getattr(system, name) for name in names})
 
 
@@ -91,9 +95,26 @@ def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
     options: dict[str, Any] = {"units": "ASE" if units is LJ else "metal"} if form == LAMMPS else {}
     read = ase.io.read(path, format=form, **options)
     atoms = read if isinstance(read, Atoms) else read[-1]
+    if form == LAMMPS:
+        _add_impropers(path, atoms)
     if "id" in atoms.arrays:
         atoms.arrays["id"] = np.arange(1, len(atoms) + 1)  # nobody has cut or sorted them, whatever their numbers are
     return atoms
+
+
+def _add_impropers(path: Path, atoms: Atoms) -> None:
+    """The impropers of LAMMPS data, which ASE does not read, beside its dihedrals, which it does: see structure.joined."""
+    from MDAnalysis.topology.LAMMPSParser import DATAParser
+
+    with warnings.catch_warnings(action="ignore"), DATAParser(str(path)) as parser:
+        rows = np.array([line.split()[1:6] for line in parser.grab_datafile()[1].get("Impropers", ())], dtype=np.int64).reshape(-1, 5)
+    if len(rows):
+        place = {number: k for k, number in enumerate(atoms.arrays["id"].tolist())}
+        words: list[list[str]] = [[] for _ in place]
+        for kind, *members in rows.tolist():
+            first, *others = (place[one] for one in members)
+            words[first].append(f"{'-'.join(map(str, others))}({kind})")
+        atoms.arrays["impropers"] = np.array([",".join(each) or "_" for each in words])
 
 
 def _universe(path: Path, form: str | None, topology_only: bool = False) -> Any:
@@ -133,7 +154,7 @@ def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joi
     Raises ValueError if they cannot be read, or MDAnalysis reads the atoms in another order than ASE.
     """
     if not isinstance(source, Atoms):
-        return Joined(system.bonds, system.angles)
+        return Joined(system.groups())
     name = {"proteindatabank": "PDB"}.get(form or "", form or path.suffix[1:]).upper()
     with _read_as(path, "bonds", form):
         if name not in NAMES_BONDS:
@@ -164,7 +185,7 @@ def _joined_of(universe: Any) -> Joined:
         groups = getattr(universe, name, None)  # a universe has no attribute of what its file does not name
         return np.asarray([] if groups is None else groups.indices, dtype=np.int64).reshape(-1, size)
 
-    return Joined(indices("bonds", 2), indices("angles", 3))
+    return Joined({name: indices(name, size) for name, size in GROUPS.items()})
 
 
 def _tell_unused(path: Path, found: Joined) -> None:

@@ -55,6 +55,7 @@ class Forces:
     n_evaluations : calls of compute since the last reset_counts.
     grid : of fixed-point arithmetic, see lay_grid; None in float64.  impulses : (N, 3) int64 in its steps of momentum, of the last compute.
     unit : of time, over which they are computed if compute is given no other [time].
+    time : at which forces that depend on it are evaluated [time].
 
     Raises
     ------
@@ -66,7 +67,7 @@ class Forces:
         self.system, self.options = system, options or Options()
         self.potentials = as_potentials(potentials)
         self.terms: list[Term] = []
-        self.n_evaluations, self._builds_before, self.displacement = 0, 0, 0.0
+        self.n_evaluations, self._builds_before, self.displacement, self.time = 0, 0, 0.0, 0.0
         self.grid: Grid | None = None
         self._bind()
         self.check_resolution()
@@ -90,6 +91,7 @@ class Forces:
         terms = plan(terms_bound, self.system, options, self.displacement, skins)
         self._builds_before += _n_builds(self.terms) - _n_builds(terms)
         self.terms, self._bound, self._planned_for = terms, terms_bound, self.system.cell
+        self._timed = [term for term in terms if term.depends_on_time]
         self._compiled: set[int] = set()  # details that the terms have been computed with
 
     def _is_in_double(self) -> bool:
@@ -102,7 +104,7 @@ class Forces:
         self._plan(self._bound)
         for term in self.terms:
             if not term.fits_grid:
-                kinds = "laws u(r) of pairs and bonds, and angles"
+                kinds = "laws u(r) of pairs and bonds, angles, dihedrals, and fields that stay the same"
                 raise ValueError(f"precision='fixed-point' is for {kinds}; {type(term).__name__} cannot round its forces: take precision='double'")
 
     def depth(self) -> float:
@@ -170,6 +172,8 @@ class Forces:
             unit = self.unit if unit is None else unit
             sums = self._sums(unit)
             sums[0][:] = 0
+            for term in self._timed:
+                term.time = self.time
             for term in self.terms:
                 term.add_to(self.system, detail, sums)
             self._take(sums, unit)
@@ -272,6 +276,16 @@ class Forces:
     def act_from_outside(self) -> bool:
         """Whether a term acts from outside, so that the total momentum is no constant."""
         return any(term.acts_from_outside for term in self._bound)
+
+    @property
+    def depend_on_time(self) -> bool:
+        """Whether a term depends on time."""
+        return bool(self._timed)
+
+    @property
+    def power(self) -> float:
+        """∂U/∂t of the last compute [energy/time]: zero unless a term depends on time."""
+        return sum(term.power for term in self._timed)
 
     @property
     def n_builds(self) -> int:

@@ -1,4 +1,4 @@
-"""A scene in LAMMPS' words: types, bonds and angles, pair styles from the laws, and what has no word there."""
+"""A scene in LAMMPS' words: types, bonds, angles and dihedrals, pair styles from the laws, and what has no word there."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from minimd.lammps.box import Box
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.rigid import Rigid
 from minimd.lammps.types import AtomTypes, Groups
-from minimd.potentials import BondPotential, HarmonicAngle, PairPotential
-from minimd.potentials.laws import HarmonicLaw, LennardJonesLaw
+from minimd.potentials import BondPotential, DihedralPotential, HarmonicAngle, PairPotential
+from minimd.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw, MorseLaw
 from minimd.potentials.pair import UNSCALED
+from minimd.potentials.torsion_laws import PeriodicLaw, RyckaertBellemansLaw
 from minimd.potentials.truncation import ForceShifted, Shifted
 from minimd.structure.bond_graph import among
 from minimd.structure.cell import Cell
@@ -27,6 +28,8 @@ SKIN = 0.12  # of the smallest cutoff, or longest bond
 REACH = 2.0  # longest bonds up to which LAMMPS finds the partner of an atom on another process
 SPECIAL = 0.5  # a factor that neither drops pairs nor leaves them alone, where styles have factors of their own
 LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}  # those of LAMMPS' own with the same truncation
+
+BOND_STYLES = {MorseLaw: "morse", FENELaw: "fene"}  # those with the numbers of minimd's law
 
 
 class PairStyle(NamedTuple):
@@ -47,7 +50,7 @@ class Model:
 
     Attributes
     ----------
-    box : Box.  types : AtomTypes.  bonds, angles : Groups.  rigid_bonds, rigid_angles : types of those that fix shake holds.
+    box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  rigid_bonds, rigid_angles : types of those that fix shake holds.
     pair_styles : list of PairStyle.  cutoff, skin, reach : [length], of lists and of what processes tell each other.  search : how lists are built.
 
     Raises
@@ -57,7 +60,8 @@ class Model:
 
     def __init__(self, engine: Engine) -> None:
         system = engine.system
-        self.box, self.types, self.bonds, self.angles = Box(system), AtomTypes.of(engine), Groups(2), Groups(3)
+        self.box, self.types = Box(system), AtomTypes.of(engine)
+        self.bonds, self.angles, self.dihedrals = Groups(2), Groups(3), Groups(4)
         self.rigid_bonds, self.rigid_angles = range(0), range(0)
         self._extent = float(np.ptp(system.positions, axis=0).max(initial=1.0))
         self.pair_styles: list[PairStyle] = []
@@ -69,11 +73,23 @@ class Model:
             self._take(potential, engine)
         if any(style.scale != UNSCALED for style in self.pair_styles):
             self._complete_graph(system.bonds)
-        bonded = _longest(system.positions, system.cell, self.bonds.atoms, self.angles.atoms)
+        bonded = _longest(system.positions, system.cell, list(self.joined.values()))
         self.cutoff = max((style.cutoff for style in self.pair_styles), default=bonded)
         self.skin = SKIN * (self.smallest_cutoff if self.smallest_cutoff < np.inf else bonded)
         self.reach = max(self.cutoff + self.skin, REACH * bonded + self.skin)
         self.box.make_room(self.reach)
+
+    @property
+    def joined(self) -> dict[str, Groups]:
+        """Bonds, angles and dihedrals, by LAMMPS' word for one of them."""
+        return {"bond": self.bonds, "angle": self.angles, "dihedral": self.dihedrals}
+
+    @property
+    def atom_style(self) -> str:
+        """LAMMPS' style of atoms: what it can join."""
+        if len(self.dihedrals.atoms):
+            return "molecular"
+        return "angle" if len(self.bonds.atoms) + len(self.angles.atoms) else "atomic"
 
     def _take(self, potential: Any, engine: Engine) -> None:
         system = engine.system
@@ -90,8 +106,12 @@ class Model:
             each = np.column_stack([np.broadcast_to(values, len(triples)) for values in (potential.k, potential.angle)])
             rows, of_each = np.unique(each, axis=0, return_inverse=True)
             self.angles.add(triples, of_each.reshape(-1), [("harmonic", f"{0.5 * k:.17g} {np.degrees(angle):.17g}") for k, angle in rows])
+        elif isinstance(potential, DihedralPotential):
+            quadruples = potential.quadruples_in(system)
+            rows, of_each = np.unique(np.column_stack(potential.columns(len(quadruples))), axis=0, return_inverse=True)
+            self.dihedrals.add(quadruples, of_each.reshape(-1), [_dihedral_coefficients(potential, row.tolist()) for row in rows])
         else:
-            known = "pair potentials, bonds and harmonic angles"
+            known = "pair potentials, bonds, harmonic angles and dihedrals"
             raise ValueError(f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd")
 
     def _pair_style(self, potential: PairPotential, species_names: tuple) -> PairStyle:
@@ -165,15 +185,28 @@ class Model:
 
 
 def _bond_coefficients(law: tuple, row: NDArray[np.float64]) -> tuple[str, str]:
-    """Style and numbers of a bond; LAMMPS' K is k/2."""
+    """Style and numbers of a bond; LAMMPS' K of harmonic bonds is k/2."""
     if isinstance(law, HarmonicLaw):
         return "harmonic", f"{0.5 * row[0]:.17g} {row[1]:.17g}"
+    if type(law) in BOND_STYLES:
+        return BOND_STYLES[type(law)], " ".join(f"{number:.17g}" for number in row.tolist())
     return "lepton no_offset", f'0 "{energy_expression(law, tuple(row.tolist()))}"'
 
 
-def _longest(positions: NDArray[np.float64], cell: Cell, bonds: NDArray[np.int64], angles: NDArray[np.int64]) -> float:
-    """The longest bond, or arm of an angle, as it is now [length]; 1 without any."""
-    pairs = np.concatenate([bonds, angles[:, :2], angles[:, 1:]])
+def _dihedral_coefficients(potential: DihedralPotential, row: list[float]) -> tuple[str, str]:
+    """Style and numbers of a dihedral.  Raises ValueError for a law that LAMMPS has not."""
+    if isinstance(potential.law, PeriodicLaw):
+        k, n, phase = row
+        return "fourier", f"1 {k:.17g} {n:.0f} {np.degrees(phase):.17g}"
+    if isinstance(potential.law, RyckaertBellemansLaw):  # of −cos φ; LAMMPS' powers are those of cos φ
+        return "nharmonic", " ".join([str(len(row)), *(f"{-c if n % 2 else c:.17g}" for n, c in enumerate(row))])
+    known = "periodic, OPLS and Ryckaert-Bellemans dihedrals"
+    raise ValueError(f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd")
+
+
+def _longest(positions: NDArray[np.float64], cell: Cell, joined: list[Groups]) -> float:
+    """The longest bond, or arm of an angle or a dihedral, as it is now [length]; 1 without any."""
+    pairs = np.concatenate([groups.atoms[:, k : k + 2] for groups in joined for k in range(groups.size - 1)])
     if not len(pairs):
         return 1.0
     return float(np.linalg.norm(nearest_vectors(positions, cell, pairs), axis=1).max())

@@ -41,23 +41,22 @@ def check_method(engine: Engine) -> None:
 
 
 def write_atoms(path: Path, engine: Engine, model: Model) -> None:
-    """The data file: box, masses, atoms, velocities, bonds, angles; all numbers with all their digits."""
-    types, bonds, angles = model.types, model.bonds, model.angles
-    is_bonded = len(bonds.atoms) + len(angles.atoms) > 0
+    """The data file: box, masses, atoms, velocities, bonds, angles, dihedrals; all numbers with all their digits."""
+    types, is_bonded = model.types, model.atom_style != "atomic"
     with path.open("w", encoding="ascii") as file:
         file.write(f"atoms of a scene of minimd\n\n{len(types.of_atom)} atoms\n{len(types.masses)} atom types\n")
-        for word, groups in (("bond", bonds), ("angle", angles)):
-            if is_bonded:
+        for word, groups in model.joined.items():
+            if is_bonded and (word != "dihedral" or len(groups.atoms)):
                 file.write(f"{len(groups.atoms)} {word}s\n{len(groups.coefficients)} {word} types\n")
         file.write("\n".join(["", *model.box.lines(), "", "Masses", "", ""]))
         file.writelines(f"{k} {mass:.17g}\n" for k, mass in enumerate(types.masses, start=1))
-        file.write(f"\nAtoms # {'angle' if is_bonded else 'atomic'}\n\n")
+        file.write(f"\nAtoms # {model.atom_style}\n\n")
         file.writelines(_rows(f"%d{' 1' if is_bonded else ''} %d %.17g %.17g %.17g\n", types.of_atom + 1, model.box.positions))
         file.write("\nVelocities\n\n")
         file.writelines(_rows("%d %.17g %.17g %.17g\n", model.box.turned(engine.velocities)))
-        for title, groups in (("Bonds", bonds), ("Angles", angles)):
+        for word, groups in model.joined.items():
             if len(groups.atoms):
-                file.write(f"\n{title}\n\n")
+                file.write(f"\n{word.capitalize()}s\n\n")
                 file.writelines(_rows(f"%d %d{' %d' * groups.size}\n", groups.types + 1, groups.atoms + 1))
 
 
@@ -72,19 +71,18 @@ def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
 
 def forces_script(model: Model) -> str:
     """What both runs begin with: units, box, atoms, styles, lists."""
-    is_bonded = len(model.bonds.atoms) + len(model.angles.atoms) > 0
+    is_bonded = model.atom_style != "atomic"
     lines = [
         "units lj",
         "suffix opt",
-        f"atom_style {'angle' if is_bonded else 'atomic'}",
+        f"atom_style {model.atom_style}",
         f"boundary {model.box.boundary()}",
         "box tilt large",
         *([f"special_bonds lj/coul {' '.join(f'{factor:.17g}' for factor in model.special_bonds())}"] if is_bonded else []),
         f"comm_modify cutoff {model.reach:.17g}",
         f"read_data {ATOMS}",
         *model.pair_commands(),
-        *model.bonds.commands("bond"),
-        *model.angles.commands("angle"),
+        *(line for word, groups in model.joined.items() for line in groups.commands(word)),
         f"neighbor {model.skin:.17g} {model.search}",
         "neigh_modify every 1 delay 0 check yes",
     ]

@@ -1,4 +1,4 @@
-"""The kinds of atoms, bonds and angles that LAMMPS tells apart by numbers from 1 on."""
+"""The kinds of atoms, bonds, angles and dihedrals that LAMMPS tells apart by numbers from 1 on."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class AtomTypes(NamedTuple):
 
 
 class Groups:
-    """Bonds, or angles, with the types that they have.
+    """Bonds, angles or dihedrals, with the types that they have.
 
     size : atoms in a group.  coefficients : of each type, style and numbers.  atoms : (G, size).  types : (G,) from 0 on.
     """
@@ -73,7 +73,7 @@ class Groups:
         return np.concatenate([np.zeros(0, dtype=np.int64), *self._types])
 
     def commands(self, word: str) -> list[str]:
-        """Styles and coefficients as commands.  word : bond or angle."""
+        """Styles and coefficients as commands.  word : bond, angle or dihedral."""
         styles = list(dict.fromkeys(style for style, _ in self.coefficients))
         if not styles:
             return []

@@ -18,7 +18,7 @@ MOST_COUNTS = 10**7  # of molecules times species
 
 
 def bare_universe(kind: type[U], system: System) -> U:
-    """A universe without a trajectory: masses, types, names, elements where labels are symbols, bonds, angles; each molecule is a residue.
+    """A universe without a trajectory: masses, types, names, elements where labels are symbols, bonds, angles, dihedrals; each molecule is a residue.
 
     kind : its class.  Residues are numbered from 1, in the order of their first atoms; the name is the chemical formula, or "MOL".
     """
@@ -33,7 +33,7 @@ def bare_universe(kind: type[U], system: System) -> U:
     made.add_TopologyAttr("resids", np.arange(1, n_molecules + 1))
     made.add_TopologyAttr("resnames", _formulas(system, of_atoms))
     made.add_TopologyAttr("segids", ["SYSTEM"])
-    for name, groups in (("bonds", system.bonds), ("angles", system.angles)):
+    for name, groups in system.groups().items():
         if len(groups):
             made.add_TopologyAttr(name, [tuple(group) for group in groups.tolist()])
     return made

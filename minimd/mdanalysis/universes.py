@@ -60,7 +60,7 @@ Run = str | Path | Simulation | Frames | RunUniverse
 
 
 def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | None = None) -> RunUniverse:
-    """A minimd file as an MDAnalysis universe: masses, types, names, elements where labels are symbols, bonds, angles, residues, all frames.
+    """A minimd file as an MDAnalysis universe: masses, types, names, elements where labels are symbols, bonds, angles, dihedrals, residues.
 
     Each molecule is a residue: atoms that bonds or fixed lengths connect. Observables stand in ts.data.
 

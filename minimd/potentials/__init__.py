@@ -1,10 +1,40 @@
 """Laws u(r), their truncation and mixing, bonded terms, and the plain loops that apply them."""
 
 from minimd.potentials.angles import HarmonicAngle
-from minimd.potentials.bonded import BondPotential, HarmonicBond
+from minimd.potentials.bonded import BondPotential, FENEBond, HarmonicBond, MorseBond
+from minimd.potentials.dihedrals import DihedralPotential, HarmonicImproper, OPLSDihedral, PeriodicDihedral, RyckaertBellemans
+from minimd.potentials.fields import ConstantForce, Gravity, Restraint, SteeredSpring
 from minimd.potentials.lennard_jones import LennardJones
 from minimd.potentials.pair import PairPotential
 from minimd.potentials.tabulated import Tabulated
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
+from minimd.potentials.user_fields import Field
+from minimd.potentials.walls import CylinderWall, SphereWall, Wall
 
-__all__ = ["FORCES", "PER_ATOM", "TOTALS", "BondPotential", "HarmonicAngle", "HarmonicBond", "LennardJones", "PairPotential", "Tabulated", "Term"]
+__all__ = [
+    "FORCES",
+    "PER_ATOM",
+    "TOTALS",
+    "BondPotential",
+    "ConstantForce",
+    "CylinderWall",
+    "DihedralPotential",
+    "FENEBond",
+    "Field",
+    "Gravity",
+    "HarmonicAngle",
+    "HarmonicBond",
+    "HarmonicImproper",
+    "LennardJones",
+    "MorseBond",
+    "OPLSDihedral",
+    "PairPotential",
+    "PeriodicDihedral",
+    "Restraint",
+    "RyckaertBellemans",
+    "SphereWall",
+    "SteeredSpring",
+    "Tabulated",
+    "Term",
+    "Wall",
+]

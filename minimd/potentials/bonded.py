@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.potentials.law import checked_law
-from minimd.potentials.laws import HarmonicLaw
+from minimd.potentials.laws import FENELaw, HarmonicLaw, MorseLaw
 from minimd.potentials.pair_loop import FixedPairs
 from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
 from minimd.structure.bond_graph import checked_pairs
@@ -74,7 +74,25 @@ class BondPotential(OwnPotential):
         return np.stack([np.broadcast_to(column, n_bonds) for column in (np.array(np.inf), *self.parameters)], axis=-1)
 
 
-class HarmonicBond(BondPotential):
+class OwnBond(BondPotential):
+    """Base of bonds with a law of minimd's.  names : of its parameters."""
+
+    names: ClassVar[tuple[str, ...]]
+
+    def law_arguments(self) -> dict[str, Any]:
+        """See BondPotential."""
+        return dict(zip(self.names, self.parameters, strict=True))
+
+    def _check(self, what: str, negative: tuple[str, ...] = (), not_positive: tuple[str, ...] = ()) -> None:
+        """Raise ValueError if a parameter is negative, or not positive, that must not be."""
+        for name, values in self.law_arguments().items():
+            if name in negative and np.any(values < 0.0):
+                raise ValueError(f"{name} of {what} must not be negative; {name} = {values.tolist()}")
+            if name in not_positive and np.any(values <= 0.0):
+                raise ValueError(f"{name} of {what} must be positive; {name} = {values.tolist()}")
+
+
+class HarmonicBond(OwnBond):
     """Harmonic bond u(r) = ½ k (r − r₀)².
 
     Parameters
@@ -88,12 +106,52 @@ class HarmonicBond(BondPotential):
     ValueError : if k is negative, or a length is, or one of them is not finite.
     """
 
+    names = ("k", "length")
+
     def __init__(self, k: ArrayLike, length: ArrayLike, pairs: ArrayLike | None = None) -> None:
         super().__init__(HarmonicLaw(), (k, length), pairs)
-        for name, values in zip(("k", "length"), self.parameters, strict=True):
-            if np.any(values < 0.0):
-                raise ValueError(f"{name} of a harmonic bond must not be negative; {name} = {values.tolist()}")
+        self._check("a harmonic bond", negative=("k", "length"))
 
-    def law_arguments(self) -> dict[str, Any]:
-        """See BondPotential."""
-        return dict(zip(("k", "length"), self.parameters, strict=True))
+
+class MorseBond(OwnBond):
+    """Morse bond u(r) = D (1 − exp[−a (r − r₀)])², which breaks when it is pulled.
+
+    Parameters
+    ----------
+    depth : D [energy].  a : [1/length]; the stiffness at rest is 2 a² D.  length : r₀ [length]. One number each, or one for each bond.
+    pairs : (B, 2) int, the bonded atoms; system.bonds if not given.
+
+    Raises
+    ------
+    ValueError : if depth or length is negative, a is not positive, or one of them is not finite.
+    """
+
+    names = ("depth", "a", "length")
+
+    def __init__(self, depth: ArrayLike, a: ArrayLike, length: ArrayLike, pairs: ArrayLike | None = None) -> None:
+        super().__init__(MorseLaw(), (depth, a, length), pairs)
+        self._check("a Morse bond", negative=("depth", "length"), not_positive=("a",))
+
+
+class FENEBond(OwnBond):
+    """Finitely extensible bond of Kremer and Grest: −½ k R² ln(1 − (r/R)²), and a repulsion of its two beads, Lennard-Jones cut at its minimum.
+
+    Leave bonded pairs out of the potential between all beads, by bonded_scale=(0, 1, 1), as LAMMPS' `special_bonds fene` does. A bond as long as R
+    has no finite energy: the run ends with NonFiniteError.
+
+    Parameters
+    ----------
+    k : stiffness [energy/length²].  longest : R [length].  epsilon, sigma : of the repulsion [energy], [length]; epsilon = 0 for none.
+        One number each, or one for each bond.
+    pairs : (B, 2) int, the bonded atoms; system.bonds if not given.
+
+    Raises
+    ------
+    ValueError : if k or epsilon is negative, a length is not positive, or one of them is not finite.
+    """
+
+    names = ("k", "longest", "epsilon", "sigma")
+
+    def __init__(self, k: ArrayLike, longest: ArrayLike, epsilon: ArrayLike = 1.0, sigma: ArrayLike = 1.0, pairs: ArrayLike | None = None) -> None:
+        super().__init__(FENELaw(), (k, longest, epsilon, sigma), pairs)
+        self._check("a FENE bond", negative=("k", "epsilon"), not_positive=("longest", "sigma"))

@@ -1,6 +1,6 @@
 """The laws u(r), each written once, as a function of r² and its parameters."""
 
-from math import sqrt
+from math import exp, log, nan, sqrt
 
 from minimd.compiled.kernels import scalar
 from minimd.potentials.law import evaluate_law, law_type
@@ -39,6 +39,59 @@ def harmonic(r2, k, length):
 
 
 @scalar
+def morse(r2, depth, a, length):
+    """Morse bond.
+
+        u(r)     = D (1 − x)²,  x = exp[−a (r − r₀)]
+        −u′(r)/r = −2 a D (1 − x) x / r
+
+    r2 : squared distance, > 0 [length²].  depth : D, energy that breaks the bond [energy].  a : its width [1/length]; the stiffness at rest is
+    2 a² D.  length : r₀, distance of the minimum [length].  Returns u [energy], −u′/r [energy/length²].
+    P. M. Morse, Phys. Rev. 34, 57 (1929).
+    """
+    r = sqrt(r2)
+    x = exp(-a * (r - length))
+    return depth * (1.0 - x) * (1.0 - x), -2.0 * a * depth * (1.0 - x) * x / r
+
+
+@scalar
+def fene(r2, k, longest, epsilon, sigma):
+    """Finitely extensible bond with the repulsion of its beads.
+
+        u(r)     = −½ k R² ln(1 − (r/R)²) + [4ε ((σ/r)¹² − (σ/r)⁶) + ε below r = 2^(1/6) σ]
+        −u′(r)/r = −k / (1 − (r/R)²)      + [24ε/r² (2(σ/r)¹² − (σ/r)⁶)          likewise]
+
+    r2 : squared distance, > 0 [length²].  k : stiffness [energy/length²].  longest : R, length that the bond cannot reach [length].
+    epsilon, sigma : ε [energy] and σ [length] of the repulsion.  Returns u [energy], −u′/r [energy/length²]; NaN from R on.
+    K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990).
+    """
+    rest = 1.0 - r2 / (longest * longest)
+    if rest <= 0.0:
+        return nan, nan
+    u, f = -0.5 * k * longest * longest * log(rest), -k / rest
+    s2 = sigma * sigma / r2
+    s6 = s2 * s2 * s2
+    if 2.0 * s6 > 1.0:
+        u, f = u + 4.0 * epsilon * s6 * (s6 - 1.0) + epsilon, f + 24.0 * epsilon * s6 * (2.0 * s6 - 1.0) / r2
+    return u, f
+
+
+@scalar
+def lennard_jones_93(r2, epsilon, sigma):
+    """Lennard-Jones 9-3 law, of an atom beside a half-space of Lennard-Jones atoms.
+
+        u(r)     = ε [2/15 (σ/r)⁹ − (σ/r)³]
+        −u′(r)/r = ε/r² [6/5 (σ/r)⁹ − 3 (σ/r)³]
+
+    r2 : squared distance, > 0 [length²].  epsilon : ε; the well is √10/3 ε deep, at r = (2/5)^(1/6) σ [energy].  sigma : [length].
+    Returns u [energy], −u′/r [energy/length²].  W. A. Steele, Surf. Sci. 36, 317 (1973).
+    """
+    s3 = (sigma * sigma / r2) * sqrt(sigma * sigma / r2)
+    s9 = s3 * s3 * s3
+    return epsilon * (2.0 / 15.0 * s9 - s3), epsilon / r2 * (1.2 * s9 - 3.0 * s3)
+
+
+@scalar
 def scaled(r2, law, parameters):
     """A law times a constant factor, the first of its parameters [dimensionless]: for pairs a few bonds apart.
 
@@ -49,4 +102,5 @@ def scaled(r2, law, parameters):
 
 
 LennardJonesLaw, HarmonicLaw = law_type("LennardJonesLaw", lennard_jones), law_type("HarmonicLaw", harmonic)
+MorseLaw, FENELaw, LennardJones93Law = law_type("MorseLaw", morse), law_type("FENELaw", fene), law_type("LennardJones93Law", lennard_jones_93)
 Scaled = law_type("Scaled", scaled)

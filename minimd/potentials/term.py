@@ -62,6 +62,8 @@ class Term:
     ingredient : name of what this term adds to a scene; the report lists it where absent.  warning : for the user, given once.
     acts_from_outside : whether its forces need not add up to zero, as those of fields and walls: the total momentum is then no constant.
     needs_one_accumulator : whether add with TOTALS adds to the first elements of energies and virials only.
+    depends_on_time : whether its forces depend on time. Before each evaluation it then finds the time as its attribute time [time], and leaves
+        ∂U/∂t of its energy as power [energy/time], from which the work that is done from outside is counted.
     marches : whether march does anything.
     fits_grid : whether its add_to takes GridSums, for precision="fixed-point".
     """
@@ -76,6 +78,9 @@ class Term:
     warning: str = ""
     acts_from_outside: bool = False
     needs_one_accumulator: bool = False
+    depends_on_time: bool = False
+    time: float = 0.0
+    power: float = 0.0
     marches: bool = False
     fits_grid: bool = False
 
@@ -184,7 +189,7 @@ def bound(potential: Any, system: System) -> Term:
 
 
 def no_bonds(what: str, groups: str = "bonds") -> str:
-    """The warning that something meant for bonds, or for angles, finds none."""
-    key = "structure.bonds" if groups == "bonds" else "triples"
+    """The warning that something meant for bonds, angles, dihedrals or impropers finds none."""
+    key = {"bonds": "structure.bonds", "angles": "triples"}.get(groups, "quadruples")
     places = f"System({groups}=...) or System.from_ase(atoms, {groups}=...), in a scene file as {key}"
     return f"{what} has no effect: the system has no {groups}; give them as {places}"

@@ -10,7 +10,6 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from minimd.engine.observation import check_extras
 from minimd.integrators import Splitting
 from minimd.scene.problems import problems
 from minimd.scene.section import Reading
@@ -86,9 +85,8 @@ class Scene:
             simulation = Simulation(start, potentials, method, threads=dynamics.threads, precision=dynamics.precision)
         simulation.engine.notes.update(title=self.sections.title or "", scene=self.whole_text())
         for name in self.sections.output.extra_observables:
-            simulation.extra_observables = (*simulation.extra_observables, name)
             with _blamed_on(f"{self.path}: output.{name}"):
-                check_extras(simulation.engine)
+                simulation.extra_observables = (*simulation.extra_observables, name)
         if system is None and dynamics.temperature is not None:
             simulation.set_temperature(dynamics.temperature, dynamics.seed)
         return simulation

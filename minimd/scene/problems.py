@@ -2,7 +2,7 @@
 
 import json
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import ValidationError
 
@@ -48,8 +48,8 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
         path = f"{place}.{keys[0]}".removeprefix(".")
         return path, " or ".join([f"{path} is missing; give it", *keys[1:]])
     if kind == "union_tag_not_found":
-        kinds = "'lennard-jones', 'tabulated', 'harmonic-bond' or 'harmonic-angle'"
-        return place, f"{place}.type is missing; it says what kind of potential this is: {kinds}"
+        *kinds, last = (repr(get_args(one.model_fields["type"].annotation)[0]) for one in sections_below(Section) if "type" in one.model_fields)
+        return place, f"{place}.type is missing; it says what kind of potential this is: {', '.join(kinds)} or {last}"
     if kind == "union_tag_invalid":
         return place, f"{place}.type must be one of {details['ctx']['expected_tags']}; {place}.type = {_shown(value['type'])}"
     if kind == "model_type" and not isinstance(value, dict):

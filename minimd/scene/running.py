@@ -150,8 +150,7 @@ def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tel
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:
     """Lines about what has been built and will be run."""
     dynamics, units, system = scene.sections.dynamics, scene.units, simulation.system
-    groups = ((system.bonds, "bonds"), (system.angles, "angles"))
-    joined = "".join(f"; {len(group)} {name}" for group, name in groups if len(group))
+    joined = "".join(f"; {len(group)} {name}" for name, group in system.groups().items() if len(group))
     species = ", ".join(f"{n} {name}" for n, name in zip(np.bincount(system.species_index), system.species_names, strict=True))
     relaxation = dynamics.relaxation_time
     bath = f", bath at {dynamics.temperature:g} {units.temperature}, relaxation time {units.shown(relaxation)}" if relaxation else ""

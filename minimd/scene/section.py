@@ -11,7 +11,7 @@ from typing import Any, cast
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationInfo, model_validator
 
 from minimd.structure.checks import LARGEST
-from minimd.structure.units import BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3
+from minimd.structure.units import BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3, PICOSECOND
 
 KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension: ending of the key: size of that unit
     "ASE": {
@@ -24,12 +24,12 @@ KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension:
         "stiffness": {"_eV_A2": 1.0},
         "angle": {"_degree": DEGREE},
         "angular stiffness": {"_eV_rad2": 1.0},
-    },
-    "LJ": {
-        **{dimension: {"": 1.0} for dimension in ("length", "time", "temperature", "energy", "force", "density", "stiffness", "angular stiffness")},
-        "angle": {"_degree": DEGREE},
+        "inverse length": {"_per_A": 1.0},
+        "velocity": {"_A_ps": 1.0 / PICOSECOND},
+        "acceleration": {"_A_ps2": 1.0 / PICOSECOND**2},
     },
 }
+KEY_UNITS["LJ"] = {dimension: {"": 1.0} for dimension in KEY_UNITS["ASE"]} | {"angle": {"_degree": DEGREE}}
 Keys = dict[str, tuple[str, float | None]]  # key: its field, and the factor that it puts on its numbers, None for no quantity
 UNKNOWN = "?"  # stands before a key that its section does not have
 

@@ -9,29 +9,26 @@ from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, Positiv
 from minimd.forces.options import Precision
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
-from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones, Tabulated
+from minimd.potentials import LennardJones, Tabulated
 from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
 from minimd.potentials.truncation import TRUNCATIONS
+from minimd.scene.bonded_sections import BondedSection
+from minimd.scene.field_sections import FieldSection
 from minimd.scene.section import Dimension, Section, one_of, reading_of
 from minimd.scene.tables import Numbers, TableSection
+from minimd.scene.values import NotNegative, PairOfAtoms, Positive, Three
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 
-Three = Field(min_length=3, max_length=3)
-Positive = Annotated[FiniteFloat, Field(gt=0.0)]
-NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
-PairOfAtoms = Annotated[list[int], Field(min_length=2, max_length=2)]
-TripleOfAtoms = Annotated[list[int], Three]
-
 
 class StructureSection(Section):
     """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
 
-    format : name of the format, for a file whose suffix does not tell it.  bonds : pairs; "file" for those that the file names, with its angles;
-    or another file that names them.
+    format : name of the format, for a file whose suffix does not tell it.  bonds : pairs; "file" for those that the file names, with its angles and
+    dihedrals; or another file that names them.
     """
 
     file: str | None = None
@@ -192,32 +189,6 @@ class TabulatedSection(Section):
         return Tabulated(tables[first].r, by_pair or tables[first].u, **others)
 
 
-class HarmonicBondSection(Section):
-    """[[potential]] of type "harmonic-bond": on structure.bonds, or on pairs."""
-
-    type: Literal["harmonic-bond"]
-    k: Annotated[NotNegative, Dimension("stiffness")]
-    length: Annotated[NotNegative, Dimension("length")]
-    pairs: list[PairOfAtoms] | None = None
-
-    def potential(self) -> HarmonicBond:
-        """The potential that the section describes."""
-        return HarmonicBond(self.k, self.length, self.pairs)
-
-
-class HarmonicAngleSection(Section):
-    """[[potential]] of type "harmonic-angle": on triples of atoms, or on the angles of the structure file."""
-
-    type: Literal["harmonic-angle"]
-    k: Annotated[NotNegative, Dimension("angular stiffness")]
-    angle: Annotated[NotNegative, Dimension("angle")]
-    triples: list[TripleOfAtoms] | None = None
-
-    def potential(self) -> HarmonicAngle:
-        """The potential that the section describes."""
-        return HarmonicAngle(self.k, self.angle, self.triples)
-
-
 class DynamicsSection(Section):
     """[dynamics]: method and length of the run. Without a temperature the velocities stay as they are."""
 
@@ -288,7 +259,7 @@ class OutputSection(Section):
         return [name for name in ("shadow_energy", "stress") if getattr(self, name)]
 
 
-PotentialSection = Annotated[LennardJonesSection | TabulatedSection | HarmonicBondSection | HarmonicAngleSection, Field(discriminator="type")]
+PotentialSection = Annotated[LennardJonesSection | TabulatedSection | BondedSection | FieldSection, Field(discriminator="type")]
 
 
 class SceneSections(Section):

@@ -1,5 +1,6 @@
 """Attributes of a simulation that are those of its engine, or measured on it."""
 
+from collections.abc import Callable
 from difflib import get_close_matches
 from operator import attrgetter
 from typing import Any, ClassVar, Generic, TypeVar
@@ -27,10 +28,13 @@ class Closed:
 
 
 class EngineAttribute(Generic[T]):
-    """Attribute of a simulation that reads and sets the attribute of its engine with the same name; with a path it is read-only."""
+    """Attribute of a simulation that reads and sets the attribute of its engine with the same name; with a path it is read-only.
 
-    def __init__(self, doc: str, path: str = "") -> None:
-        self.__doc__, self._path = doc, path
+    check : raises for an engine with a value that it cannot have; the value is then what it was.
+    """
+
+    def __init__(self, doc: str, path: str = "", check: Callable[[Any], None] | None = None) -> None:
+        self.__doc__, self._path, self._check = doc, path, check
 
     def __set_name__(self, _owner: type, name: str) -> None:
         self._name = name
@@ -42,7 +46,14 @@ class EngineAttribute(Generic[T]):
     def __set__(self, simulation: Any, value: T) -> None:
         if self._path:
             raise AttributeError(f"{self._name} of a Simulation cannot be set; make a new Simulation")
+        before = getattr(simulation.engine, self._name)
         setattr(simulation.engine, self._name, value)
+        if self._check is not None:
+            try:
+                self._check(simulation.engine)
+            except BaseException:
+                setattr(simulation.engine, self._name, before)
+                raise
 
 
 class Measured(Generic[T]):

@@ -70,8 +70,9 @@ class Simulation(Closed, Displayed):
     step = EngineAttribute[int]("Steps made so far; set it when a run is resumed.")
     time = EngineAttribute[float]("[time] since the start; set it when a run is resumed.")
     reservoir_energy = EngineAttribute[float]("Given by a thermostat since the start [energy]; set it when a run is resumed.")
+    work = EngineAttribute[float]("Done since the start by forces that depend on time [energy].")
     extra_observables = EngineAttribute[Sequence[str]](
-        'Names of observables beside the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".'
+        'Names of observables beside the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".', check=check_extras
     )
     positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")
@@ -263,6 +264,8 @@ class Simulation(Closed, Displayed):
             progress_of(n_steps, "equilibrating", progress) as tell,
             stop_on_signals(engine.surroundings),
         ):
+            if engine.interactions.depend_on_time:
+                engine.time = -n_steps * engine.method.timestep  # so that it ends at 0
             guard.check_start()
             thermal = engine.n_dof * self.system.units.k_B * temperature
             most = RUNAWAY * (engine.kinetic_energy + abs(engine.interactions.potential_energy) + thermal)
@@ -272,7 +275,7 @@ class Simulation(Closed, Displayed):
                 self.rescale_temperature(temperature)
                 guard.drop_snapshots()  # a replay does not rescale
                 tell(min(done, n_steps))
-        engine.step, engine.time, engine.reservoir_energy = 0, 0.0, 0.0
+        engine.step, engine.time, engine.reservoir_energy, engine.work = 0, 0.0, 0.0, 0.0
 
     def minimize(
         self,

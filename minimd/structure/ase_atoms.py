@@ -11,6 +11,7 @@ from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure.ase_constraints import ases_constraints_of, constraints_of, fixes_center
+from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
 from minimd.structure.joined import joined_in, texts
 from minimd.structure.observables import stress as kinetic_stress
@@ -20,12 +21,12 @@ from minimd.structure.velocities import without_momentum
 LABELS = "species_labels"  # the array of an ase.Atoms that holds species which are no chemical elements
 
 
-def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True, angles: ArrayLike | None = None) -> dict[str, Any]:
+def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True, **others: ArrayLike | None) -> dict[str, Any]:
     """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and constraints.
 
     Species are the chemical symbols, or the labels that atoms_from_system stored in the atoms.
 
-    bonds, angles : (B, 2) and (A, 3) int, as for System; without bonds, what the arrays of the atoms name: see joined_in.
+    bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds, what the arrays of the atoms name: see joined_in.
     constraints : True to take those of the atoms; False if the caller handles them.
 
     Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as joined_in.
@@ -42,28 +43,29 @@ def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: 
         "velocities": velocities,
         "cell": cell_of(atoms),
         "species": atoms.arrays.get(LABELS, atoms.get_chemical_symbols()),
-        "bonds": bonds if found is None else found.bonds,
-        "angles": angles if found is None or angles is not None else found.angles,
+        **(found.groups if found is not None else {"bonds": bonds}),
+        **{name: given for name, given in others.items() if given is not None},
         "units": ASE,
         "constraints": constraints_of(atoms) if constraints else (),
     }
 
 
 def atoms_from_system(system: Any) -> Atoms:
-    """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity, constraints, bonds and angles of a system.
+    """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity, constraints, bonds, angles and dihedrals of a system.
 
     Species that are chemical symbols become elements. All others become 'X', ASE's symbol for no element, and all labels
     are kept in the array "species_labels", where system_from_atoms finds them again. Numbers cross unchanged: for a system
-    in reduced units they are no Å and eV. Bonds and angles become the arrays "bonds" and "angles", as ASE's reader of LAMMPS data leaves
-    them, beside "id", by which system_arguments sees that no atoms were cut out or sorted; it gives them back in the order of their first atoms.
+    in reduced units they are no Å and eV. Bonds, angles, dihedrals and impropers become arrays of these names, as ASE's reader of LAMMPS data
+    leaves them, beside "id", by which system_arguments sees that no atoms were cut out or sorted; it gives them back in the order of their first
+    atoms.
     """
     symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
     momenta = system.velocities * system.masses[:, None]
     atoms = Atoms(symbols, system.positions, momenta=momenta, masses=system.masses, cell=system.cell.vectors, pbc=system.cell.pbc)
     if not set(system.species_names) <= set(atomic_numbers):
         atoms.set_array(LABELS, system.species)
-    if len(system.bonds) or len(system.angles):
-        atoms.arrays.update(texts(system.bonds, system.angles, len(atoms)), id=np.arange(1, len(atoms) + 1))
+    if named := texts(system.groups(), len(atoms)):
+        atoms.arrays.update(named, id=np.arange(1, len(atoms) + 1))
     atoms.set_constraint(ases_constraints_of(system))
     return atoms
 
@@ -81,7 +83,7 @@ def same_labels(one: Atoms, other: Atoms) -> bool:
 def same_scene(one: Atoms, other: Atoms) -> bool:
     """True if only positions, momenta and cell can differ."""
     arrays = [(one.numbers, other.numbers), (one.get_masses(), other.get_masses()), (one.pbc, other.pbc)]
-    arrays += [(one.arrays.get(name, ()), other.arrays.get(name, ())) for name in ("bonds", "angles")]
+    arrays += [(one.arrays.get(name, ()), other.arrays.get(name, ())) for name in GROUPS]
     return all(np.array_equal(a, b) for a, b in arrays) and same_labels(one, other) and one.calc is other.calc
 
 

@@ -6,6 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.structure.checks import checked_indices
 
 MAX_BONDS_APART = 3
+GROUPS = {"bonds": 2, "angles": 3, "dihedrals": 4, "impropers": 4}  # of a System, and how many atoms each has
 
 
 def pairs_by_bonds_apart(bonds: NDArray[np.int64], n_atoms: int) -> list[NDArray[np.int64]]:

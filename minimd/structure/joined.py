@@ -1,52 +1,64 @@
-"""Bonds and angles as ASE's atoms carry them: text beside each atom, as ASE's reader of LAMMPS data files leaves it.
+"""Bonds, angles and dihedrals as ASE's atoms carry them: text beside each atom, as ASE's reader of LAMMPS data files leaves it.
 
-In the array "bonds" stands "j(type)" beside atom i, in "angles" "i-k(type)" beside the middle atom j; several are joined by commas, none is "_".
+In the array "bonds" stands "j(type)" beside atom i, in "angles" "i-k(type)" beside the middle atom j, in "dihedrals" "j-k-l(type)" beside the
+first atom i, and so in "impropers", which ASE does not read; several are joined by commas, none is "_".
 The indices are those of the atoms as they were read. ASE copies the text unchanged when atoms are cut out, repeated or sorted.
 """
 
 import re
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.structure.bond_graph import GROUPS
+
 Indices = NDArray[np.int64]
-BOND, ANGLE = re.compile(r"(\d+)(?:\(\w+\))?"), re.compile(r"(\d+)-(\d+)(?:\(\w+\))?")
+FORMS = {name: re.compile("-".join([r"(\d+)"] * (size - 1)) + r"(?:\(\w+\))?") for name, size in GROUPS.items()}
+PLACE = {"bonds": 0, "angles": 1, "dihedrals": 0, "impropers": 0}  # in the group, of the atom beside which it stands
 NONE = ("_", "")
 
 
 class Joined(NamedTuple):
-    """bonds : (B, 2) int, pairs of atoms.  angles : (A, 3) int, the middle atom second.  n_types : of bonds, 1 if they are not told apart."""
+    """groups : bonds (B, 2), angles (A, 3), the middle atom second, dihedrals (D, 4) and impropers (I, 4), by these names; int, all of them.
 
-    bonds: Indices
-    angles: Indices
-    n_types: int = 1
+    n_types : how many types of each there are, by these names; those that are not told apart are left out.
+    """
+
+    groups: dict[str, Indices]
+    n_types: dict[str, int] = {}  # noqa: RUF012 - never changed
 
     def __bool__(self) -> bool:
-        return bool(len(self.bonds) or len(self.angles))
+        return any(map(len, self.groups.values()))
 
     def __str__(self) -> str:
-        names = (f"{len(groups)} {name}" for groups, name in ((self.bonds, "bonds"), (self.angles, "angles")) if len(groups))
-        return " and ".join(names) or "no bonds"
+        names = [f"{len(groups)} {name}" for name, groups in self.groups.items() if len(groups)]
+        return " and ".join([*([", ".join(names[:-1])] if names[:-1] else []), *names[-1:]]) or "no bonds"
 
 
 def joined_in(atoms: Any) -> Joined:
-    """What the arrays "bonds" and "angles" of an ase.Atoms name; nothing if there are none.
+    """What the arrays "bonds", "angles", "dihedrals" and "impropers" of an ase.Atoms name; nothing if there are none.
 
     Raises ValueError for text that is not of ASE's kind, or if the atoms are not those that were read: the array "id" then does not count 1 to N.
     """
-    if "bonds" not in atoms.arrays and "angles" not in atoms.arrays:
-        return Joined(np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64))
+    if not any(name in atoms.arrays for name in GROUPS):
+        return Joined({name: np.zeros((0, size), np.int64) for name, size in GROUPS.items()})
     ids = atoms.arrays.get("id")
     if ids is not None and not np.array_equal(ids, np.arange(1, len(atoms) + 1)):
         raise ValueError(
             "the bonds of these atoms cannot be trusted: ids of atoms do not count from 1 to N, so that atoms may have been cut out, repeated or "
             "sorted since they were read; give the bonds as bonds=[[0, 1], ...], or bonds=() for none"
         )
-    bonds = [(i, *found) for i, found in _entries(atoms, "bonds", BOND)]
-    angles = [(first, i, last) for i, (first, last) in _entries(atoms, "angles", ANGLE)]
-    kinds = {kind for text in atoms.arrays.get("bonds", ()) for kind in re.findall(r"\((\w+)\)", str(text))}
-    return Joined(np.array(bonds, np.int64).reshape(-1, 2), np.array(angles, np.int64).reshape(-1, 3), max(1, len(kinds)))
+    found: dict[str, Indices] = {}
+    n_types: dict[str, int] = {}
+    for name, size in GROUPS.items():
+        place = PLACE[name]
+        rows = [(*others[:place], i, *others[place:]) for i, others in _entries(atoms, name, FORMS[name])]
+        found[name] = np.array(rows, np.int64).reshape(-1, size)
+        kinds = {kind for text in atoms.arrays.get(name, ()) for kind in re.findall(r"\((\w+)\)", str(text))}
+        n_types |= {name: len(kinds)} if len(kinds) > 1 else {}
+    return Joined(found, n_types)
 
 
 def _entries(atoms: Any, name: str, form: re.Pattern[str]) -> list[tuple[int, tuple[int, ...]]]:
@@ -64,14 +76,17 @@ def _entries(atoms: Any, name: str, form: re.Pattern[str]) -> list[tuple[int, tu
     return found
 
 
-def texts(bonds: Indices, angles: Indices, n_atoms: int) -> dict[str, NDArray[np.str_]]:
-    """The arrays "bonds" and "angles" of ASE's atoms, of those that there are; all of type 1."""
-    beside = {"bonds": [(i, f"{j}(1)") for i, j in bonds.tolist()], "angles": [(j, f"{i}-{k}(1)") for i, j, k in angles.tolist()]}
+def texts(groups: Mapping[str, Indices], n_atoms: int) -> dict[str, NDArray[np.str_]]:
+    """The arrays "bonds", "angles", "dihedrals" and "impropers" of ASE's atoms, of those that there are; all of type 1.
+
+    groups : (G, n) int, by these names.
+    """
     found = {}
-    for name, entries in beside.items():
+    for name, members in groups.items():
         words: list[list[str]] = [[] for _ in range(n_atoms)]
-        for atom, text in entries:
-            words[atom].append(text)
-        if entries:
+        for row in members.tolist():
+            atom = row.pop(PLACE[name])
+            words[atom].append("-".join(map(str, row)) + "(1)")
+        if len(members):
             found[name] = np.array([",".join(each) or NONE[0] for each in words])
     return found

@@ -1,5 +1,6 @@
 """Atoms of MDAnalysis as systems."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -7,13 +8,16 @@ from MDAnalysis import AtomGroup, NoDataError, Universe
 from MDAnalysis.lib.mdamath import triclinic_vectors
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.structure.bond_graph import GROUPS
 from minimd.structure.units import LJ, UnitSystem
 
 
 def universe_arguments(
-    universe: Universe | AtomGroup, units: UnitSystem, bonds: ArrayLike | None, angles: ArrayLike | None, pbc: ArrayLike | None
+    universe: Universe | AtomGroup, units: UnitSystem, groups: Mapping[str, ArrayLike | None], pbc: ArrayLike | None
 ) -> dict[str, Any]:
     """Arguments for System from a universe or a group of its atoms, as System.from_mdanalysis describes them.
+
+    groups : bonds, angles, dihedrals and impropers by these names; None for those of the universe.
 
     Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default.
     """
@@ -29,8 +33,7 @@ def universe_arguments(
         "cell": triclinic_vectors(ts.dimensions, dtype=np.float64) / units.to_angstrom if is_periodic else None,
         "pbc": pbc,
         "species": _species(atoms),
-        "bonds": _within(atoms, "bonds", 2) if bonds is None else bonds,
-        "angles": _within(atoms, "angles", 3) if angles is None else angles,
+        **{name: _within(atoms, name, GROUPS[name]) if given is None else given for name, given in groups.items()},
         "units": units,
     }
 
@@ -58,7 +61,7 @@ def _species(atoms: AtomGroup) -> list[str] | None:
 
 
 def _within(atoms: AtomGroup, name: str, size: int) -> NDArray[np.int64]:
-    """Bonds or angles of which all atoms are in the group, by their place in it."""
+    """Bonds, angles or dihedrals of which all atoms are in the group, by their place in it."""
     try:
         groups = np.asarray(getattr(atoms, name).indices, dtype=np.int64).reshape(-1, size)
     except (AttributeError, NoDataError):

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.machine import EPS
 from minimd.structure import units as unit_systems
-from minimd.structure.bond_graph import checked_groups, checked_pairs
+from minimd.structure.bond_graph import GROUPS, checked_groups, checked_pairs
 from minimd.structure.cell import Cell
 from minimd.structure.checks import LARGEST, MOST_ATOMS, SMALLEST, checked_numbers, shown
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     import MDAnalysis
 
 AnySystem: TypeAlias = "System | ase.Atoms"
-READ_ONLY = ("masses", "species_names", "species_index", "bonds", "angles", "units")
+READ_ONLY = ("masses", "species_names", "species_index", *GROUPS, "units")
 RESOLVED = 1e-6  # of a length: rounding errors of separations beside it
 
 
 class System(Displayed):
-    """N atoms: positions, velocities, masses, species, cell, bonds and angles.
+    """N atoms: positions, velocities, masses, species, cell, bonds, angles, dihedrals and impropers.
 
     Parameters
     ----------
@@ -38,6 +38,7 @@ class System(Displayed):
     pbc : one bool or three; True where a lattice vector is given, if not said otherwise.
     species : N labels (str or int); all alike if not given.
     bonds : (B, 2) int, pairs of bonded atoms.  angles : (A, 3) int, triples of atoms with an angle at the second one.
+    dihedrals, impropers : (D, 4), (I, 4) int, quadruples of atoms with an angle between the planes through the first and the last three.
     units : minimd.units.LJ (reduced, default) or minimd.units.ASE (eV, Å, u).
     constraints : DistanceConstraints and FixedAtoms that a Simulation keeps if it is not given others.
 
@@ -49,7 +50,7 @@ class System(Displayed):
 
     Raises
     ------
-    ValueError : if a shape does not fit, a number is masked, complex, a bool or not finite, a mass is not positive, a bond or an angle
+    ValueError : if a shape does not fit, a number is masked, complex, a bool or not finite, a mass is not positive, a bond, an angle or a dihedral
         names a missing atom, one atom twice or one pair twice, or a periodic direction has no lattice vector. TypeError : for units or constraints of
         another kind.
     """
@@ -65,6 +66,8 @@ class System(Displayed):
         species: Sequence[str] | Sequence[int] | NDArray | None = None,
         bonds: ArrayLike | None = None,
         angles: ArrayLike | None = None,
+        dihedrals: ArrayLike | None = None,
+        impropers: ArrayLike | None = None,
         units: UnitSystem = unit_systems.LJ,
         constraints: Sequence[Constraint] = (),
     ) -> None:
@@ -79,8 +82,9 @@ class System(Displayed):
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
         self.species_names, self.species_index = _species(species, len(self))
         self.bonds = checked_pairs("bonds", () if bonds is None else bonds, len(self))
-        self.angles = checked_groups("angles", () if angles is None else angles, 3, len(self))
-        for fixed in (self.masses, self.species_index, self.bonds, self.angles):
+        self.angles = _groups("angles", angles, len(self))
+        self.dihedrals, self.impropers = _groups("dihedrals", dihedrals, len(self)), _groups("impropers", impropers, len(self))
+        for fixed in (self.masses, self.species_index, *self.groups().values()):
             fixed.setflags(write=False)
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -106,8 +110,12 @@ class System(Displayed):
 
     @property
     def _joined(self) -> str:
-        """Bonds, and angles if there are any, in words."""
-        return f"{len(self.bonds)} bonds" + (f", {len(self.angles)} angles" if len(self.angles) else "")
+        """Bonds, and angles, dihedrals and impropers if there are any, in words."""
+        return ", ".join(f"{len(one)} {name}" for name, one in self.groups().items() if name == "bonds" or len(one))
+
+    def groups(self) -> dict[str, NDArray[np.int64]]:
+        """Bonds, angles, dihedrals and impropers, by these names."""
+        return {name: getattr(self, name) for name in GROUPS}
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -118,8 +126,7 @@ class System(Displayed):
             mass = self.masses.sum() / self.volume
             of_mass = f"{mass / unit_systems.GRAM_PER_CM3:.6g} g/cm³" if units is unit_systems.ASE else f"{mass:.6g} mass/{units.length}³"
             rows.append(("density", f"{density:.6g} atoms/{units.length}³, {of_mass}"))
-        rows += [("bonds", str(len(self.bonds)))] if len(self.bonds) else []
-        rows += [("angles", str(len(self.angles)))] if len(self.angles) else []
+        rows += [(name, str(len(one))) for name, one in self.groups().items() if len(one)]
         rows += [("constraints", ", ".join(map(repr, self.constraints)))] if self.constraints else []
         return [*rows, ("units", f"{units.name}: {units.length}, {units.energy}, {units.time}")]
 
@@ -135,20 +142,28 @@ class System(Displayed):
 
     def copy(self) -> System:
         """An independent copy."""
-        names = ("masses", "velocities", "cell", "species", "bonds", "angles", "units", "constraints")
+        names = ("masses", "velocities", "cell", "species", *GROUPS, "units", "constraints")
         return System(self.positions, **{name: getattr(self, name) for name in names})
 
     @classmethod
-    def from_ase(cls, atoms: ase.Atoms, bonds: ArrayLike | None = None, angles: ArrayLike | None = None) -> System:
+    def from_ase(
+        cls,
+        atoms: ase.Atoms,
+        bonds: ArrayLike | None = None,
+        angles: ArrayLike | None = None,
+        dihedrals: ArrayLike | None = None,
+        impropers: ArrayLike | None = None,
+    ) -> System:
         """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments.
 
-        bonds, angles : as for System. Without bonds, those that ASE found in a file: atoms.arrays["bonds"] and ["angles"]; bonds=() for none.
+        bonds, angles, dihedrals, impropers : as for System. Without bonds, those that ASE found in a file: atoms.arrays["bonds"] and so on;
+        bonds=() for none of them.
         FixCom becomes velocities without momentum, and is not remembered: hand over the atoms themselves, and a Simulation that would move their
         center is refused.
         """
         from minimd.structure.ase_atoms import system_arguments
 
-        return cls(**system_arguments(atoms, bonds, angles=angles))
+        return cls(**system_arguments(atoms, bonds, angles=angles, dihedrals=dihedrals, impropers=impropers))
 
     @classmethod
     def from_mdanalysis(
@@ -158,16 +173,18 @@ class System(Displayed):
         units: UnitSystem = unit_systems.ASE,
         bonds: ArrayLike | None = None,
         angles: ArrayLike | None = None,
+        dihedrals: ArrayLike | None = None,
+        impropers: ArrayLike | None = None,
         pbc: ArrayLike | None = None,
     ) -> System:
-        """The present frame of an MDAnalysis universe, or of a group of its atoms: positions, velocities, masses, cell, bonds and angles.
+        """The present frame of an MDAnalysis universe, or of a group of its atoms: positions, velocities, masses, cell, bonds, angles, dihedrals.
 
         MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles. Species are its types.
 
         Parameters
         ----------
         units : minimd.units.ASE, into which Å, Å/ps and u are converted; or minimd.units.LJ, whose numbers are taken as they stand.
-        bonds, angles : as for System; those of the universe if not given, () for none.  pbc : as for System.
+        bonds, angles, dihedrals, impropers : as for System; those of the universe if not given, () for none.  pbc : as for System.
 
         Raises
         ------
@@ -175,7 +192,8 @@ class System(Displayed):
         """
         from minimd.structure.mdanalysis_atoms import universe_arguments
 
-        return cls(**universe_arguments(universe, units, bonds, angles, pbc))
+        groups = {"bonds": bonds, "angles": angles, "dihedrals": dihedrals, "impropers": impropers}
+        return cls(**universe_arguments(universe, units, groups, pbc))
 
     def to_ase(self) -> ase.Atoms:
         """An ase.Atoms with the same positions, momenta, masses, cell, species, bonds and constraints: see minimd.ase.atoms_from_system."""
@@ -195,6 +213,10 @@ def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArra
     if np.abs(array).max() > LARGEST:
         raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {np.abs(array).max():g}: take other units")
     return array
+
+
+def _groups(name: str, groups: ArrayLike | None, n_atoms: int) -> NDArray[np.int64]:
+    return checked_groups(name, () if groups is None else groups, GROUPS[name], n_atoms)
 
 
 def _masses(masses: ArrayLike | None, n_atoms: int, units: UnitSystem) -> NDArray[np.float64]:

@@ -106,10 +106,12 @@ class Splitting(Method):
         repeated = None if march is None or around.constraints is not None else self.repeated(cycle[first_kick:] + cycle[:first_kick], around)
         units = self.units({*start, *cycle, *end})
         step, goes_on = 0, around.take_up(state)
+        behind = sum(substep.coefficient for substep in end if isinstance(substep, Drift))  # of an open end: the time that its drifts take
         while step <= n_steps:
             substeps = end if step == n_steps else start if step == 0 and not goes_on else cycle
             if step == n_steps:
                 around.leave_open(state, end, cycle)
+            around.phase = -behind if step > 0 or goes_on else 0.0
             for k, substep in enumerate(substeps):
                 if march is not None and repeated is not None and substeps is cycle and k == first_kick and not state.forces_are_current:
                     made = march(state, repeated, n_steps - 1 - step)
@@ -122,11 +124,13 @@ class Splitting(Method):
                         compute_forces(state, with_energy and is_last)
                         state.forces_are_current = True
                     state.kick(duration, unit)
+                    around.work += duration * around.power
                 elif isinstance(substep, Thermalize):
                     self.thermalize(state, duration, around)
                     state.settle()
                 else:
                     around.drift(state, duration, unit)
+                    around.phase += substep.coefficient
                     state.forces_are_current = False
             if step < n_steps:
                 around.count(1)

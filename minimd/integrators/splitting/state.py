@@ -181,11 +181,13 @@ class OpenEnd(NamedTuple):
 
     velocities : (N, 3), a copy.  positions : likewise, or None if they are those of the state.
     drifts_next : whether the next block moves the atoms before it needs forces; those at the positions of the state are not on its way.
+    work : see Surroundings [energy].
     """
 
     velocities: Array
     positions: Array | None
     drifts_next: bool
+    work: float = 0.0
 
 
 @dataclass
@@ -195,6 +197,9 @@ class Surroundings:
     constraints : solver of the lengths that drifts keep, or None.  bath : of a thermostat, or None.
     stop_requested : set it to True to end a run of steps after the present one.
     keeps_open_end : whether a block goes on from the open end of the one before; who changes the state in between sets open_end to None.
+    phase : time since the beginning of the step, in time steps; it passes in drifts.
+    power : ∂U/∂t of the forces of the next kick [energy/time].  work : its integral, Σ duration · power of all kicks [energy]: time is a coordinate
+    whose momentum is −work, and the splitting that of the larger system, so that total energy minus work is conserved as an energy is.
     """
 
     constraints: ConstraintSolver | None = None
@@ -202,6 +207,9 @@ class Surroundings:
     stop_requested: bool = False
     keeps_open_end: bool = False
     open_end: OpenEnd | None = None
+    phase: float = 0.0
+    power: float = 0.0
+    work: float = 0.0
 
     def leave_open(self, state: State, end: Substeps, cycle: Substeps) -> None:
         """Keep the open end of a block.  end : the substeps that end it.  cycle : those of the next step, if it goes on."""
@@ -209,13 +217,13 @@ class Surroundings:
             return
         velocities = state.velocities.copy() if end or self.constraints is not None else state.velocities
         positions = state.positions.copy() if any(isinstance(substep, Drift) for substep in end) else None
-        self.open_end = OpenEnd(velocities, positions, drifts_next=isinstance(mechanical(cycle)[0], Drift))
+        self.open_end = OpenEnd(velocities, positions, drifts_next=isinstance(mechanical(cycle)[0], Drift), work=self.work)
 
     def take_up(self, state: State) -> bool:
         """Go back to the open end of the block before; False if there is none."""
         if self.open_end is None:
             return False
-        velocities, positions, _ = self.open_end
+        velocities, positions, _, self.work = self.open_end
         state.velocities[:] = velocities
         if positions is not None:
             state.positions[:], state.forces_are_current = positions, False

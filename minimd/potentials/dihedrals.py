@@ -1,0 +1,286 @@
+"""Dihedrals and impropers: a law of the angle between two planes, the one through atoms i, j, k and the one through j, k, l."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Callable, Sequence
+from math import pi
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.compiled.kernels import kernel, scalar, without_cache
+from minimd.potentials.accumulators import force_along, in_steps, watch
+from minimd.potentials.each import Array, checked_each, columns_of
+from minimd.potentials.law import checked_law, evaluate_law
+from minimd.potentials.pair_loop import ByPair, parameters_of_pair
+from minimd.potentials.term import FORCES, PER_ATOM, NoTerm, OwnPotential, OwnTerm, Term, no_bonds
+from minimd.potentials.torsion_laws import HarmonicTorsionLaw, PeriodicLaw, RyckaertBellemansLaw
+from minimd.potentials.user_laws import is_recognized
+from minimd.structure.bond_graph import checked_groups
+from minimd.structure.cell import minimum_image_translations
+from minimd.structure.checks import shown
+from minimd.structure.system import System
+
+STRAIGHT2 = 1e-16  # least sin² of the angle between two neighboring bonds that forces are divided by: it is rounded to this
+N_COEFFICIENTS = 6  # of the polynomial of Ryckaert and Bellemans
+
+
+class DihedralPotential(OwnPotential):
+    """A law u(φ) of the dihedral angles of quadruples of atoms i, j, k, l, about the axis from j to k.
+
+    Parameters
+    ----------
+    law : function law(phi, *parameters) of the angle [rad], −π < φ ≤ π, zero for cis and ±π for trans, that returns u [energy] and u′(φ)
+        [energy/rad]; plain Python of numbers, or already compiled by numba.njit.
+    parameters : one entry for each parameter of the law: a number for all dihedrals, or an array with one number for each.
+    quadruples : (D, 4) int; system.dihedrals if not given.
+
+    Each bond of the chain i, j, k, l runs to the nearest image of its partner. Raises ValueError for parameters that are not finite numbers, or
+    quadruples that are none; TypeError for a law that is not a function, or parameters without their tuple.
+    """
+
+    groups: ClassVar[str] = "dihedrals"  # of a System, on which it acts
+
+    def __init__(self, law: Callable | tuple, parameters: Sequence[ArrayLike] = (), quadruples: ArrayLike | None = None) -> None:
+        if not isinstance(parameters, Sequence) or isinstance(parameters, str):
+            raise TypeError(f"parameters must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}")
+        self._hold(checked_law(law), {f"parameter {k}": values for k, values in enumerate(parameters)}, quadruples)
+
+    def _hold(self, law: tuple, parameters: dict[str, Any], quadruples: ArrayLike | None, not_negative: tuple[str, ...] = ()) -> None:
+        self.law, self.parameters = law, checked_each(self.groups, parameters, not_negative)
+        self.quadruples = None if quadruples is None else checked_groups("quadruples", quadruples, 4)
+
+    def law_arguments(self) -> dict[str, Any]:
+        """The arguments that are those of the law, by name, to be shown."""
+        return {"law": type(self.law).python, "parameters": tuple(self.parameters.values())}  # type: ignore[attr-defined]
+
+    def arguments(self) -> dict[str, Any]:
+        """See OwnPotential."""
+        return self.law_arguments() | {"quadruples": self.quadruples}
+
+    def quadruples_in(self, system: System) -> NDArray[np.int64]:
+        """(D, 4) int, those on which it acts in a system.  Raises ValueError if they name missing atoms."""
+        given = self.quadruples
+        found: NDArray[np.int64] = getattr(system, self.groups) if given is None else checked_groups("quadruples", given, 4, len(system))
+        return found
+
+    def columns(self, n: int) -> tuple[Array, ...]:
+        """The parameters of each of n dihedrals, (n,) each.  Raises ValueError for an array of another length."""
+        return columns_of(self.groups, self.parameters, n)
+
+    def bind(self, system: System) -> Term:
+        """The term of these dihedrals in a system.
+
+        Raises
+        ------
+        ValueError : if a quadruple names a missing atom, or an array of parameters has another length than the list of quadruples.
+        """
+        quadruples = self.quadruples_in(system)
+        columns = self.columns(len(quadruples))
+        if len(quadruples):
+            return DihedralTerm(quadruples, self.law, columns)
+        return NoTerm(no_bonds(repr(self), self.groups) if self.quadruples is None else "")
+
+
+class PeriodicDihedral(DihedralPotential):
+    """Periodic torsion u(φ) = k [1 + cos(nφ − φ₀)], as of CHARMM and AMBER.
+
+    LAMMPS' `dihedral_style harmonic`, K [1 + d cos(nφ)], is k = K with the phase 0 for d = 1 and π for d = −1.
+
+    Parameters
+    ----------
+    k : half the barrier [energy].  n : minima in a turn, whole numbers from 0 on.  phase : φ₀ [rad]. One number each, or one for each dihedral.
+    quadruples : (D, 4) int; system.dihedrals if not given. A quadruple may come several times, for a sum of such terms.
+
+    Raises
+    ------
+    ValueError : if a number is not finite, n is not whole, or shapes do not fit.
+    """
+
+    def __init__(self, k: ArrayLike, n: ArrayLike, phase: ArrayLike = 0.0, quadruples: ArrayLike | None = None) -> None:
+        self._hold(PeriodicLaw(), {"k": k, "n": n, "phase": phase}, quadruples, not_negative=("n",))
+        if (np.rint(self.parameters["n"]) != self.parameters["n"]).any():
+            raise ValueError(f"n must be a whole number, of minima in a turn; n = {shown(self.parameters['n'].tolist())}")
+
+    def law_arguments(self) -> dict[str, Any]:
+        """See DihedralPotential."""
+        return dict(self.parameters)
+
+
+class RyckaertBellemans(DihedralPotential):
+    """Ryckaert-Bellemans torsion u(φ) = Σ cₙ cosⁿ(φ − π), n = 0 … 5.
+
+    Parameters
+    ----------
+    coefficients : c₀ … c₅ [energy], up to six, of which each is one number or an array with one for each dihedral; missing ones are 0.
+    quadruples : (D, 4) int; system.dihedrals if not given.
+
+    LAMMPS' `dihedral_style nharmonic` has powers of cos φ: A₁ = c₀, A₂ = −c₁, A₃ = c₂, A₄ = −c₃ …
+
+    Raises
+    ------
+    ValueError : if a number is not finite, there are more than six, or shapes do not fit.
+    """
+
+    def __init__(self, coefficients: Sequence[ArrayLike], quadruples: ArrayLike | None = None) -> None:
+        given = list(coefficients)
+        if len(given) > N_COEFFICIENTS:
+            raise ValueError(f"coefficients must be at most {N_COEFFICIENTS}, c0 to c5; they are {len(given)}")
+        self._hold(RyckaertBellemansLaw(), {f"c{k}": given[k] if k < len(given) else 0.0 for k in range(N_COEFFICIENTS)}, quadruples)
+
+    def law_arguments(self) -> dict[str, Any]:
+        """See DihedralPotential."""
+        return {"coefficients": tuple(self.parameters.values())}
+
+
+class OPLSDihedral(DihedralPotential):
+    """OPLS torsion u(φ) = ½ [k₁ (1 + cos φ) + k₂ (1 − cos 2φ) + k₃ (1 + cos 3φ) + k₄ (1 − cos 4φ)], as LAMMPS' `dihedral_style opls`.
+
+    It is computed as the polynomial of Ryckaert and Bellemans that equals it.
+
+    Parameters
+    ----------
+    k1, k2, k3, k4 : [energy], one number each, or one for each dihedral.  quadruples : (D, 4) int; system.dihedrals if not given.
+
+    W. L. Jorgensen, D. S. Maxwell, J. Tirado-Rives, J. Am. Chem. Soc. 118, 11225 (1996).
+
+    Raises
+    ------
+    ValueError : if a number is not finite, or shapes do not fit.
+    """
+
+    def __init__(self, k1: ArrayLike, k2: ArrayLike, k3: ArrayLike, k4: ArrayLike = 0.0, quadruples: ArrayLike | None = None) -> None:
+        self.barriers = checked_each(self.groups, {"k1": k1, "k2": k2, "k3": k3, "k4": k4})
+        one, two, three, four = self.barriers.values()
+        if len({each.shape for each in self.barriers.values()} - {()}) > 1:
+            raise ValueError(f"k1 to k4 must have one length; their shapes are {[each.shape for each in self.barriers.values()]}")
+        c = (two + 0.5 * (one + three), 0.5 * (3.0 * three - one), 4.0 * four - two, -2.0 * three, -4.0 * four, 0.0)
+        self._hold(RyckaertBellemansLaw(), {f"c{k}": each for k, each in enumerate(c)}, quadruples)
+
+    def law_arguments(self) -> dict[str, Any]:
+        """See DihedralPotential."""
+        return dict(self.barriers)
+
+
+class HarmonicImproper(DihedralPotential):
+    """Harmonic improper u(φ) = ½ k (φ − φ₀)², φ − φ₀ taken between −π and π.
+
+    φ is the dihedral angle of the four atoms in the order in which they are given, with its sign: φ₀ = 0 keeps them in a plane, another φ₀ keeps
+    the hand of a center.  LAMMPS' `improper_style harmonic` takes the same angle without its sign, and K = k/2.
+
+    Parameters
+    ----------
+    k : stiffness [energy/rad²].  angle : φ₀ [rad], between −π and π. One number each, or one for each improper.
+    quadruples : (I, 4) int; system.impropers if not given.
+
+    Raises
+    ------
+    ValueError : if a number is not finite or out of range, or shapes do not fit.
+    """
+
+    groups = "impropers"
+
+    def __init__(self, k: ArrayLike, angle: ArrayLike = 0.0, quadruples: ArrayLike | None = None) -> None:
+        self._hold(HarmonicTorsionLaw(), {"k": k, "angle": angle}, quadruples, not_negative=("k",))
+        if (np.abs(self.parameters["angle"]) > pi).any():
+            raise ValueError(f"angle must lie between -pi and pi (radians); angle = {shown(self.parameters['angle'].tolist())}")
+
+    def law_arguments(self) -> dict[str, Any]:
+        """See DihedralPotential."""
+        return dict(self.parameters)
+
+
+class Dihedrals(namedtuple("Dihedrals", "atoms first middle last")):
+    """atoms : (D, 4) int, i, j, k, l.  first, middle, last : (D, 3) [length], added to r_i − r_j, r_j − r_k and r_l − r_k."""
+
+
+@scalar
+def _between(positions, i, j, translation):
+    """r_j − r_i + translation."""
+    return (
+        positions[j, 0] - positions[i, 0] + translation[0],
+        positions[j, 1] - positions[i, 1] + translation[1],
+        positions[j, 2] - positions[i, 2] + translation[2],
+    )
+
+
+@scalar
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@scalar
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def add_dihedral_forces(positions, dihedrals, law, parameters, detail, sums):
+    """Add a law of dihedral angles, without a division by sin φ.
+
+        F = r_i − r_j,  G = r_j − r_k,  H = r_l − r_k,  A = F × G,  B = H × G
+        cos φ = A·B/(|A||B|),   sin φ = (B × A)·G/(|A||B||G|)
+        F_i = u′ |G|/A² A,   F_l = −u′ |G|/B² B,   S = u′ (F·G/(A²|G|) A − H·G/(B²|G|) B),   F_j = −F_i − S,   F_k = −F_l + S
+
+    positions : (N, 3) [length].  dihedrals : Dihedrals.  law : law type.  parameters : see parameters_of_pair.  detail : see Term.add.
+    sums : its accumulators forces, energies and virials; or GridSums.
+    The virial F ⊗ F_i − G ⊗ S + H ⊗ F_l is symmetric because dihedrals feel no torque. TOTALS adds a dihedral to its second atom, PER_ATOM a
+    quarter of it to each atom.  A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq. 6, 27.
+    """
+    forces, energies, virials = sums[0], sums[1], sums[2]
+    for t in range(dihedrals.atoms.shape[0]):
+        i, j, k, l = dihedrals.atoms[t]
+        f = _between(positions, j, i, dihedrals.first[t])
+        g = _between(positions, k, j, dihedrals.middle[t])
+        h = _between(positions, k, l, dihedrals.last[t])
+        a, b = _cross(f, g), _cross(h, g)
+        g2, fg, hg, a2, b2 = _dot(g, g), _dot(f, g), _dot(h, g), _dot(a, a), _dot(b, b)
+        length = g2**0.5
+        phi = np.arctan2(_dot(g, _cross(b, a)) / length, _dot(a, b))
+        u, slope = evaluate_law(law, phi, parameters_of_pair(parameters, t, 0, 0))
+        a2, b2 = max(a2, STRAIGHT2 * g2 * _dot(f, f)), max(b2, STRAIGHT2 * g2 * _dot(h, h))
+        size2 = 0.0
+        for c in range(3):
+            force_i, force_l = slope * length / a2 * a[c], -slope * length / b2 * b[c]
+            shared = slope * (fg / (a2 * length) * a[c] - hg / (b2 * length) * b[c])
+            on_i, on_l, between = force_along(force_i, 1.0, sums), force_along(force_l, 1.0, sums), force_along(shared, 1.0, sums)
+            forces[i, c] += on_i
+            forces[j, c] -= on_i + between
+            forces[k, c] -= on_l - between
+            forces[l, c] += on_l
+            size2 += force_i * force_i + force_l * force_l + shared * shared
+            for d in range(c, 3 if detail != FORCES else c):
+                w, component = f[d] * force_i - g[d] * shared + h[d] * force_l, c if c == d else 6 - c - d
+                if detail == PER_ATOM:
+                    for atom in (i, j, k, l):
+                        virials[atom, component] += in_steps(0.25 * w, sums)
+                else:
+                    virials[j, component] += in_steps(w, sums)
+        watch(size2, sums)
+        if detail == PER_ATOM:
+            for atom in (i, j, k, l):
+                energies[atom] += in_steps(0.25 * u, sums)
+        elif detail != FORCES:
+            energies[j] += in_steps(u, sums)
+
+
+class DihedralTerm(OwnTerm):
+    """A law of dihedral angles, each bond of their chains taken at its nearest image."""
+
+    def __init__(self, quadruples: NDArray[np.int64], law: tuple, columns: tuple[Array, ...]) -> None:
+        translations = np.zeros((3, len(quadruples), 3))
+        self._dihedrals = Dihedrals(np.ascontiguousarray(quadruples), translations[0], translations[1], translations[2])
+        self._ends = [np.ascontiguousarray(quadruples[:, k]) for k in range(4)]
+        self._law, self._parameters = law, ByPair(columns)
+        self._loop = add_dihedral_forces if is_recognized(law) else without_cache(add_dihedral_forces)
+
+    def add_to(self, system: System, detail: int, sums: Any) -> None:
+        """See Term."""
+        cell, (i, j, k, l) = system.cell, self._ends
+        if cell.is_periodic:
+            lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
+            for first, second, translations in ((j, i, self._dihedrals.first), (k, j, self._dihedrals.middle), (k, l, self._dihedrals.last)):
+                minimum_image_translations(system.positions, first, second, *lattice, translations)
+        self._loop(system.positions, self._dihedrals, self._law, self._parameters, detail, sums)

@@ -1,0 +1,122 @@
+"""A field of the user's: u(x, y, z, t), its force and its change with time, tried before they are trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from math import isfinite, nan
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from minimd.potentials.each import Array, checked_each, columns_of
+from minimd.potentials.fields import FieldTerm, OwnField, checked_atoms
+from minimd.potentials.law import checked_law, evaluate_law
+from minimd.potentials.term import Term
+from minimd.structure.checks import shown
+from minimd.structure.system import System
+
+TRIED = 5  # atoms at which a law is tried
+TIMES = (0.0, 0.37, 1.9)  # at which it is tried
+TIMED = 5  # numbers that a law returns whose u depends on time
+STEP = 1e-5  # of a central difference, of the units of length and time
+ACCURACY, BESIDE_U = 1e-4, 1e-8  # of that difference: relative, and beside the size of u
+
+
+class Field(OwnField):
+    """A field of the user's, u(x, y, z, t).
+
+        def trap(x, y, z, t, k):
+            return 0.5 * k * (x * x + y * y), -k * x, -k * y, 0.0
+
+        md.Field(trap, (2.0,))
+
+    Parameters
+    ----------
+    law : function law(x, y, z, t, *parameters) of the position of an atom, which is never wrapped [length], and the time [time], that returns
+        u [energy] and the force, three numbers [energy/length]; and, if u depends on t, ∂u/∂t [energy/time] as a fifth number, from which the
+        work is counted. Plain Python of numbers, or already compiled by numba.njit.
+    parameters : one entry for each parameter of the law: a number for all atoms, or an array with one number for each.
+    atoms : indices of those on which it acts; all if not given.
+
+    Raises
+    ------
+    TypeError : for a law that is not a function, or does not return such numbers.  ValueError : for parameters that are not finite or do not fit,
+        and, when it is bound to a system, for a force that is not −∇u, or a u that changes with time where ∂u/∂t is not returned.
+    """
+
+    def __init__(self, law: Callable, parameters: Sequence[ArrayLike] = (), atoms: ArrayLike | None = None) -> None:
+        if not isinstance(parameters, Sequence) or isinstance(parameters, str):
+            raise TypeError(f"parameters must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}")
+        self.law = checked_law(law)
+        self.parameters = checked_each("atoms", {f"parameter {k}": values for k, values in enumerate(parameters)})
+        self.atoms = checked_atoms(atoms)
+
+    def arguments(self) -> dict[str, Any]:
+        """See OwnPotential."""
+        return {"law": type(self.law).python, "parameters": tuple(self.parameters.values()), "atoms": self.atoms}
+
+    def bind(self, system: System) -> Term:
+        """The term of this field in a system.  Raises ValueError, TypeError as the class says."""
+        atoms = self.atoms_in(system)
+        columns = columns_of("atoms", self.parameters, len(atoms))
+        some = np.unique(np.linspace(0, len(atoms) - 1, TRIED).astype(int)) if len(atoms) else ()
+        tried = [_Tried(self.law, system.positions[atoms[k]], tuple(column[k].item() for column in columns)) for k in some]
+        faults = [fault for one in tried for time in TIMES for fault in one.wrong(time)]
+        for k, sentence in faults:
+            if 2 * sum(other == k for other, _ in faults) > len(tried) * len(TIMES):
+                raise ValueError(sentence)
+        warning = next((words for one in tried if (words := one.repeats(system))), "")
+        term = FieldTerm(atoms, self.law, columns, warning=warning)
+        term.depends_on_time = any(one.is_timed for one in tried)
+        return term
+
+
+class _Tried:
+    """A law of the user's at the position of an atom."""
+
+    def __init__(self, law: tuple, place: Array, numbers: tuple[float, ...]) -> None:
+        self.law, self.place, self.numbers = law, place, numbers
+        self.is_timed = len(self.at(TIMES[0])) == TIMED
+
+    def at(self, time: float, shift: Array | float = 0.0) -> tuple[float, ...]:
+        """What it returns.  Raises TypeError unless that is four or five numbers."""
+        name = type(self.law).python.__name__  # type: ignore[attr-defined]
+        x, y, z = (self.place + shift).tolist()
+        wanted = "u, three forces, and ∂u/∂t if it depends on t"
+        try:
+            found = tuple(float(one) for one in evaluate_law(self.law, x, (y, z, time, *self.numbers)))
+        except ArithmeticError:
+            return (nan,) * 4
+        except Exception as error:  # whatever a law of the user's raises
+            taken = f"x, y, z, t and {len(self.numbers)} parameters"
+            raise TypeError(f"the law {name} must take {taken}, and return {wanted}: {error}") from None
+        if len(found) not in (4, TIMED):
+            raise TypeError(f"the law {name} must return {wanted}; it returns {len(found)} numbers")
+        return found
+
+    def slopes(self, time: float) -> Array:
+        """−∇u and ∂u/∂t by central differences, (4,)."""
+        steps = [(h, 0.0) for h in STEP * np.eye(3)] + [(np.zeros(3), STEP)]
+        return np.array([(self.at(time - dt, h)[0] - self.at(time + dt, -h)[0]) / (-2.0 * STEP) for h, dt in steps])
+
+    def wrong(self, time: float) -> Iterator[tuple[int, str]]:
+        """What is wrong: which of the numbers behind u, and a sentence."""
+        u, *told = self.at(time)
+        for k, (said, slope) in enumerate(zip((*told, 0.0)[:4], self.slopes(time).tolist(), strict=True)):
+            if isfinite(said) and isfinite(slope) and abs(said - slope) > ACCURACY * max(abs(said), abs(slope)) + BESIDE_U * abs(u):
+                at = f"at ({', '.join(f'{c:.4g}' for c in self.place)}), t = {time:g}"
+                what = f"-∂u/∂{'xyz'[k]}" if k < len("xyz") else "∂u/∂t"
+                if k == len(told):
+                    yield k, f"the law must return ∂u/∂t as its fifth number, because u depends on t; {at} it is {slope:.6g}"
+                else:
+                    yield k, f"the law must return u, -∇u and ∂u/∂t; {at} it returns {said:.6g} where {what} is {slope:.6g}"
+
+    def repeats(self, system: System) -> str:
+        """A warning if the force is another one lattice vector away; empty if not."""
+        here = np.array(self.at(TIMES[0])[1:4])
+        for k in np.flatnonzero(system.cell.pbc):
+            there = self.at(TIMES[0], system.cell.vectors[k])[1:4]
+            if not np.allclose(here, there, rtol=ACCURACY, atol=ACCURACY * np.abs(here).max()):
+                return f"the field is not periodic along {'abc'[k]}, as the cell is: an atom and its image feel other forces"
+        return ""

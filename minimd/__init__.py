@@ -12,6 +12,7 @@ from minimd.diagnosis.timestep import StepAdvice, advise_timestep
 from minimd.engine.record import Record
 from minimd.ensemble import EnsembleTable, Member, ensemble
 from minimd.forces.forces import Evaluation, Forces, evaluate
+from minimd.grade import Grade, grade
 from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
 from minimd.minimization.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
@@ -43,6 +44,7 @@ __all__ = [
     "Evaluation",
     "FixedAtoms",
     "Forces",
+    "Grade",
     "Grid",
     "HarmonicAngle",
     "HarmonicBond",
@@ -70,6 +72,7 @@ __all__ = [
     "archive",
     "ensemble",
     "evaluate",
+    "grade",
     "integrators",
     "lammps",
     "lattice",

@@ -1,5 +1,8 @@
 """md.grade: right steps and forces pass, wrong ones are told what is wrong with them, and what does not fit is refused in a sentence."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from wrong_functions import RIGHT_FORCES, RIGHT_STEPS, WRONG_FORCES, WRONG_STEPS, explicit_euler, kick_first, runge_kutta_4, velocity_verlet
@@ -123,3 +126,13 @@ def test_the_state_of_the_random_numbers_is_not_changed():
     np.random.seed(5)
     md.grade(lambda x, v, force, dt: (x + dt * v, v + 0.0 * dt))
     assert np.random.random() == expected
+
+
+def test_the_scripts_of_the_page_run():
+    page = (Path(__file__).parents[1] / "docs" / "grade.md").read_text(encoding="utf-8")
+    step, forces = re.findall(r"```python\n(.*?)```", page, re.S)
+    exec(step, {})
+    known = {}
+    exec(forces, known)
+    assert len(known["grade"].faults) == 1
+    assert "the energy jumps at the cutoff by +0.01632" in known["grade"].faults[0]

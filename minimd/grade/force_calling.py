@@ -176,11 +176,12 @@ class StudentForce:
         self.energy_first = True
 
         def off(first: bool) -> float:
-            grid = np.linspace(1.05, 1.5, 10)
-            pairs = np.array([np.array(self(r * r if self.is_squared else r)[::-1], dtype=float) for r in grid])
-            u, f = (pairs[:, 0], pairs[:, 1]) if first else (pairs[:, 1], pairs[:, 0])
-            ratios = [np.log(np.abs(f[1:-1] / np.gradient(u, grid)[1:-1]))]
-            return float(np.std(ratios))
+            grid, h = np.linspace(0.95, 1.6, 12), 1e-4
+            at = [[np.array(self((r + e) ** 2 if self.is_squared else r + e)[::-1], dtype=float) for e in (-h, 0.0, h)] for r in grid]
+            here, slopes = np.array([one[1] for one in at]), np.array([one[2] - one[0] for one in at]) / (2.0 * h)
+            ratio = here[:, 1] / slopes[:, 0] if first else here[:, 0] / slopes[:, 1]
+            logs = np.log(np.abs(ratio[np.isfinite(ratio) & (ratio != 0.0)]))
+            return float(np.median(np.abs(logs - np.median(logs)))) if logs.size else np.inf
 
         return off(True) <= off(False)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -98,7 +99,8 @@ def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None
     faults: list[str] = []
     remarks: list[str] = []
     end = min(farthest, 0.9 * (cutoff or 2.5), 2.2)
-    r = np.linspace(NEAREST + 0.05, end, POINTS)
+    ended = [x for x in np.linspace(1.15, end, 60) if f(float(x)) == 0.0]
+    r = np.linspace(NEAREST + 0.05, 0.99 * ended[0] if ended else end, POINTS)
     values = np.array([f(float(x)) for x in r])
     if not np.isfinite(values).all():
         findings.append(Finding("finite", False, f"the force of a pair is not finite at r = {r[np.argmin(np.isfinite(values))]:.3g}"))
@@ -135,6 +137,9 @@ def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None
     elif len(values) and values[0] < 0.0 and not faults:
         findings.append(Finding("sign", None, f"attractive at r = {r[0]:.2f}: {values[0]:.3g}", float(values[0])))
     more, wrong = cutoff_findings(f, u, cutoff, farthest)
+    if getattr(potential, "truncation", "") == "truncated":  # minimd's own energy jumps likewise, by the user's wish
+        more = [replace(finding, passed=None) if finding.name == "energy continuous" and not finding.passed else finding for finding in more]
+        wrong = [fault for fault in wrong if "the energy jumps" not in fault]
     return findings + more, faults + wrong, law, remarks
 
 
@@ -165,11 +170,11 @@ def reference(potential: Any, r: float) -> float:
 
 def _of_bodies(force: StudentForce, potential: Any, lengths: Array | None, cutoff: float | None, given: Array | None) -> Answer:
     """Forces of all atoms."""
-    bodies = Bodies(force, lengths, given)
+    bodies = Bodies(force, lengths, cutoff, given)
     remarks = []
     if lengths is None and not bodies.is_field and (edge := bodies.period()) is not None:
         remarks.append(f"the forces are periodic, with {edge:.6g} along x: taken for the edge of the cell")
-        bodies = Bodies(force, lengths := np.full(3, edge), given)
+        bodies = Bodies(force, lengths := np.full(3, edge), cutoff, given)
     findings, faults, law = bodies.findings(), list(bodies.faults), ""
     if bodies.takes_pairs and not (bodies.is_broken or bodies.is_field):
         farthest = FARTHEST if lengths is None else min(FARTHEST, 0.5 * float(lengths.min()) * 0.999)
@@ -177,11 +182,22 @@ def _of_bodies(force: StudentForce, potential: Any, lengths: Array | None, cutof
         findings += more[0]
         faults = more[1] + faults
         law = more[2]
+    if bodies.multiple != 1.0 and not faults:
+        faults.append(related((bodies.multiple, 0.0), "−∇U")[1])
+    if lengths is not None and cutoff is None and bodies.takes_pairs and not (bodies.is_broken or bodies.is_field):
+        findings.append(_at_half_the_cell(bodies, float(lengths.min())))
     if potential is not None:
         finding, fault = _beside(bodies, potential, lengths)
         findings.append(finding)
         faults += fault if not faults else []
     return findings, faults, law, remarks
+
+
+def _at_half_the_cell(bodies: Bodies, edge: float) -> Finding:
+    """The force of a pair at half the cell, where the nearest image changes: it must have ended by then."""
+    rest = abs(bodies.of_a_pair(0.4999 * edge))
+    words = "the force has ended there" if rest == 0.0 else f"the force is still {rest:.2g}, and jumps where the nearest image changes: take a cutoff"
+    return Finding("at half the cell", True if rest == 0.0 else None, words, rest)
 
 
 def _beside(bodies: Bodies, potential: Any, lengths: Array | None) -> tuple[Finding, list[str]]:

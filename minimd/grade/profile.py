@@ -100,7 +100,9 @@ def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) 
     faults = []
     if c < 0.0:
         faults.append(f"the force has the wrong sign: it is {coefficient(c)} times {other}, so that atoms which should repel attract each other")
-    if k == 1.0:
+    if k == 1.0 and is_law:
+        faults.append(f"the force has one power of r too many: a factor 1/r is missing in {other}")
+    elif k == 1.0:
         faults.append("the factor 1/r is missing: du/dr is multiplied by the vector r_ij, where du/dr / r (or the unit vector) is needed")
     elif k == -1.0 and not is_law:
         faults.append("a factor 1/r too many: the force is divided by r twice")
@@ -177,6 +179,20 @@ def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
     return "", []
 
 
+def _other_cutoff(seen: list[Jump], cutoff: float | None) -> list[str]:
+    """A force that ends elsewhere than at the cutoff, as where r² is compared with it."""
+    ends = [one.r for one in seen if one.above == 0.0]
+    if not ends:
+        return []
+    end, squared = ends[0], ends[0] ** 2
+    if cutoff is not None and end < 0.999 * cutoff:
+        why = ": r² is compared with the cutoff, not with its square" if is_near(squared, cutoff) else ""
+        return [f"the force ends at r = {end:.6g}, before the cutoff {cutoff:g}{why}"]
+    if cutoff is None and is_near(2.0 * squared, round(2.0 * squared)) and not is_near(100.0 * end, round(100.0 * end)):
+        return [f"the force ends at r = {end:.6g}, where r² = {squared:.6g}: is r² compared with a cutoff, not with its square?"]
+    return []
+
+
 def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float) -> tuple[list[Finding], list[str]]:
     """Whether force and energy end at the cutoff, and how; if no cutoff is named, the one that is seen."""
     r = np.linspace(NEAREST, farthest, GRID)
@@ -190,6 +206,7 @@ def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float
             seen = [one.r for one in steps[0][1] if one.above == 0.0]
             where = f"; the force ends at {seen[0]:.6g} instead" if seen else ""
             faults.append(f"the cutoff {cutoff:g} is not applied: at r = {1.001 * cutoff:.4g} the force is {f(1.001 * cutoff):.3g}{where}")
+    faults += _other_cutoff(steps[0][1], cutoff)
     for name, found in steps:
         words = "; ".join(f"jumps by {one.height:+.4g} at r = {one.r:.6g}" for one in found[:3]) or "continuous"
         passed = (None if name == "force" else False) if found else True

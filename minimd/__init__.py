@@ -12,6 +12,7 @@ from minimd.diagnosis.timestep import StepAdvice, advise_timestep
 from minimd.engine.record import Record
 from minimd.ensemble import EnsembleTable, Member, ensemble
 from minimd.forces.forces import Evaluation, Forces, evaluate
+from minimd.grade import Grade, grade
 from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
 from minimd.minimization.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
@@ -70,6 +71,7 @@ __all__ = [
     "Field",
     "FixedAtoms",
     "Forces",
+    "Grade",
     "Gravity",
     "Grid",
     "HarmonicAngle",
@@ -107,6 +109,7 @@ __all__ = [
     "archive",
     "ensemble",
     "evaluate",
+    "grade",
     "integrators",
     "lammps",
     "lattice",

@@ -18,6 +18,7 @@ FLOORS = [  # highest first; several on one floor do not know each other
     "minimd.bench",
     "minimd",
     "minimd.view",
+    "minimd.grade",
     "minimd.replay",
     "minimd.ensemble",
     "minimd.scene",

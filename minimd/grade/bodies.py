@@ -1,0 +1,258 @@
+"""Laws of forces on many atoms: −∇U, action and reaction, exchange, rotation, translation, nearest images, and sums over pairs."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from minimd.grade.findings import Finding, coefficient
+from minimd.grade.force_calling import Array, StudentForce
+
+SPACING, JITTER = 1.25, 0.12  # of the atoms of the test, in σ: no two nearer than 0.9
+TRIALS = 30  # configurations, of which the one is taken whose pairs stay away from the cutoff
+CUTOFF = 2.5  # σ: the likeliest one
+DELTA = 5e-4
+ROUNDING = 1e-9
+PROBE = 1.25  # distance of two atoms across a boundary
+LONGEST = 40.0  # as far as a period is looked for
+WHERE = np.array([0.31, 0.47, 0.23])
+ALONG = {1: np.array([1.0]), 2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}  # of pairs, by the number of dimensions
+AXES = "xyz"
+
+
+class Bodies:
+    """A student's forces on a configuration. faults : sentences, known after findings()."""
+
+    def __init__(self, force: StudentForce, lengths: Array | None, cutoff: float | None, given: Array | None) -> None:
+        self.force, self.d = force, force.dimensions
+        self.lengths = None if lengths is None else lengths[: self.d]
+        self.along, self.cutoff = ALONG[self.d], cutoff or CUTOFF
+        self.x = given if given is not None else self._cluster()
+        self.faults: list[str] = []
+        self.multiple = 1.0  # of −∇U that the forces are
+        self.takes_pairs, self.is_broken = self._takes(2), False
+        self.is_field = self._takes(1) and bool(np.abs(self.f(self.pair(PROBE)[:1])).max() > 0.0)
+
+    def f(self, x: Array) -> Array:
+        """(N, 3) forces."""
+        return self.force(x, len(x))[0]
+
+    def u(self, x: Array) -> float:
+        """Energy."""
+        return float(np.asarray(self.force(x, len(x))[1]))
+
+    def pair(self, r: float) -> Array:
+        """Two atoms at a distance, inside the cell."""
+        start = WHERE[: self.d] if self.lengths is None else WHERE[: self.d] * 0.3 * self.lengths / self.lengths.max()
+        return np.array([start, start + r * self.along])
+
+    def of_a_pair(self, r: float) -> float:
+        """The force of a pair, > 0 for repulsion."""
+        forces = self.f(self.pair(r))
+        both = np.array([-forces[0] @ self.along, forces[1] @ self.along])
+        return float(both[np.argmax(np.abs(both))])
+
+    def energy_of_a_pair(self, r: float) -> float:
+        """The energy of a pair."""
+        return self.u(self.pair(r))
+
+    def period(self) -> float | None:
+        """The edge of a cell that the function knows, along x: the distance at which the force of a pair comes back; None if there is none."""
+        if not self.takes_pairs:
+            return None
+        distances = np.arange(3.0, LONGEST, 0.25)
+        start, unit = WHERE[: self.d], np.eye(self.d)[0]
+
+        def at(d: float) -> float:
+            return float(self.f(np.array([start, start + d * unit]))[1, 0])
+
+        first, values = at(1.5), np.array([at(float(d)) for d in distances])
+        if first == 0.0 or not np.isfinite(values).all():
+            return None
+        large = np.flatnonzero(np.abs(values) > 0.5 * abs(first))
+        if not len(large):
+            return None
+        low, high = distances[large[0]] - 2.0, distances[large[0]] + 3.0
+        guesses = np.arange(low, high, 0.005)
+        offs = [abs(at(float(edge) + 1.5) - first) + abs(at(float(edge) - 1.5) + first) for edge in guesses]
+        k = int(np.argmin(offs))
+        edge = float(np.round(guesses[k], 3))
+        return edge if abs(at(edge + 1.5) - first) < 0.05 * abs(first) else None
+
+    def findings(self) -> list[Finding]:
+        """All laws."""
+        forces = self.f(self.x)
+        if not np.isfinite(forces).all():
+            self.is_broken = True
+            self.faults.append(f"the forces of {len(self.x)} atoms are not finite: an atom meets itself (i = j, r = 0), or two atoms coincide")
+            return [Finding("finite", False, f"{np.count_nonzero(~np.isfinite(forces))} numbers are not")]
+        scale = float(np.abs(forces).max()) or 1.0
+        if self.is_field:
+            return [Finding("external field", None, "a single atom feels a force"), *self._gradient(forces, scale), self._exchange(forces, scale)]
+        answers = [self._reaction(forces, scale), *self._gradient(forces, scale), self._exchange(forces, scale), self._translation(forces, scale)]
+        answers += [self._rotation(forces, scale)] if self.lengths is None else self._images(forces, scale)
+        return answers + ([self._sum(forces, scale)] if self.takes_pairs else [])
+
+    def _takes(self, n: int) -> bool:
+        try:
+            return self.f(self.pair(PROBE)[:n]).shape == (n, self.d)
+        except Exception:  # whatever a student's function raises
+            return False
+
+    def _cluster(self) -> Array:
+        """Atoms near a simple cubic lattice; in a cell, around one of its corners."""
+        sides = np.full(self.d, {1: 6, 2: 3, 3: 2}[self.d])
+        if self.lengths is not None:
+            sides = np.clip((self.lengths / SPACING).astype(int), 1, {1: 6, 2: 4, 3: 3}[self.d])
+        lattice = np.array(list(product(*map(range, sides))), dtype=float)
+        trials = [SPACING * lattice + np.random.default_rng(seed).uniform(-JITTER, JITTER, lattice.shape) for seed in range(TRIALS)]
+        x = max(trials, key=self._margin)
+        return x + 0.5 if self.lengths is None else np.mod(x - SPACING + 0.3, self.lengths)
+
+    def _margin(self, x: Array) -> float:
+        """How near a pair comes to the cutoff, or to half the cell along an axis: there forces may jump."""
+        first, second = np.triu_indices(len(x), 1)
+        apart, margins = np.abs(x[first] - x[second]), [1.0]
+        if self.lengths is not None:
+            margins.append(float(np.abs(apart - 0.5 * self.lengths).min()))
+            apart = np.minimum(apart, self.lengths - apart)
+        margins.append(float(np.abs(np.sqrt((apart**2).sum(axis=1)) - self.cutoff).min()))
+        return min(margins)
+
+    def _reaction(self, forces: Array, scale: float) -> Finding:
+        off = float(np.abs(forces.sum(axis=0)).max()) / scale
+        if off > ROUNDING and self.takes_pairs:
+            one, two = self.f(self.pair(PROBE))
+            sizes = np.linalg.norm(one), np.linalg.norm(two)
+            if min(sizes) < ROUNDING * max(sizes):
+                who = "first" if sizes[1] < sizes[0] else "second"
+                hint = "" if self.lengths is None else "; or the nearest image is taken with floor in place of round"
+                self.faults.append(
+                    f"only one of the two atoms of a pair gets the force, the {who} one: subtract from the other what is added to one{hint}"
+                )
+            elif np.allclose(one, two, rtol=1e-9):
+                self.faults.append("both atoms of a pair get the same force: the second one needs the opposite sign")
+        return Finding("sum of forces", off < ROUNDING, f"|Σ F| is {off:.1e} of the largest force", off)
+
+    def _gradient(self, forces: Array, scale: float) -> list[Finding]:
+        """F against −∇U; without an energy, whether F can be a gradient at all: ∂F_i/∂x_j = ∂F_j/∂x_i."""
+        n = self.x.size
+        units = np.eye(n).reshape(n, *self.x.shape) * DELTA
+        weights = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
+        if not self.force.has_energy:
+            some = units[:24]
+            matrix = np.array([np.ravel(sum(c * (self.f(self.x + k * e) - self.f(self.x - k * e)) for k, c in weights)) for e in some]) / DELTA
+            matrix = matrix[:, : len(some)]
+            off = float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
+            if off >= 1e-4:
+                self.faults.append(
+                    f"the forces are no gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {off:.1%}; the energy cannot be conserved"
+                )
+            return [Finding("a gradient", off < 1e-4, f"∂F_i/∂x_j − ∂F_j/∂x_i is {off:.1e} of the largest element", off)]
+        slopes = (
+            -np.array([sum(c * (self.u(self.x + k * e) - self.u(self.x - k * e)) for k, c in weights) for e in units]).reshape(self.x.shape) / DELTA
+        )
+        off = float(np.abs(forces - slopes).max() / np.abs(slopes).max())
+        c = float(np.sum(forces * slopes) / np.sum(slopes * slopes))
+        words = f"largest difference {off:.1e} of the largest force"
+        if off > 1e-6 and float(np.abs(forces - c * slopes).max() / np.abs(slopes).max()) < 1e-6:
+            words = f"F = {coefficient(c)} × (−∇U)"
+            self.multiple = c
+        return [Finding("all forces = −∇U", off < 1e-6, words, off)]
+
+    def _exchange(self, forces: Array, scale: float) -> Finding:
+        order = np.random.default_rng(2).permutation(len(self.x))
+        off = float(np.abs(self.f(self.x[order]) - forces[order]).max()) / scale
+        if off > ROUNDING and not self.faults:
+            self.faults.append(f"the forces depend on the numbering of the atoms, by {off:.1%}: the double loop leaves out pairs, or forces "
+                               f"are overwritten "
+                               "(=) where they should be added (+=)")  # fmt: skip
+        return Finding("exchange", off < ROUNDING, f"renumbered atoms have forces that differ by {off:.1e}", off)
+
+    def _translation(self, forces: Array, scale: float) -> Finding:
+        shifts = np.array([[0.013, -0.007, 0.021], [0.002, 0.001, 0.003]])[:, : self.d]  # the smaller of two: no pair may cross a cutoff that jumps
+        off = min(float(np.abs(self.f(self.x + shift) - forces).max()) / scale for shift in shifts)
+        return Finding("translation", off < 1e-8, f"shifted atoms have forces that differ by {off:.1e}", off)
+
+    def _rotation(self, forces: Array, scale: float) -> Finding:
+        turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
+        off = float(np.abs(self.f(self.x @ turn) - forces @ turn).max()) / scale
+        if off > 1e-8:
+            self.faults.append(
+                f"the forces are not turned with the atoms: they differ by {off:.1%}. A component is missing, or r is not √(x² + y² + z²)"
+            )
+        return Finding("rotation", off < 1e-8, f"turned atoms have forces that differ by {off:.1e}", off)
+
+    def _images(self, forces: Array, scale: float) -> list[Finding]:
+        """Nearest images across each face, in both directions, and atoms in other cells."""
+        lengths = np.asarray(self.lengths)
+        answers: list[Finding] = []
+        missing: list[tuple[int, int]] = []
+        wrong: list[tuple[int, int]] = []
+        if self.takes_pairs:
+            for axis, sign in product(range(self.d), (1, -1)):
+                unit = np.eye(self.d)[axis]
+                first = 0.5 * lengths + (0.5 * lengths[axis] - 0.2) * sign * unit
+                inside = self.f(np.array([0.5 * lengths, 0.5 * lengths + sign * PROBE * unit]))
+                across = self.f(np.array([first, first + sign * PROBE * unit - sign * lengths[axis] * unit]))
+                off = float(np.abs(across - inside).max() / np.abs(inside).max())
+                if off > 1e-8:
+                    (missing if np.abs(across).max() < 0.2 * np.abs(inside).max() else wrong).append((axis, sign))
+            n_bad = len(missing) + len(wrong)
+            words = "pairs across all faces feel each other as inside" if not n_bad else f"pairs across {n_bad} of {2 * self.d} faces do not"
+            answers.append(Finding("nearest image", not n_bad, words, float(n_bad)))
+            if n_bad:
+                self._tell_images(missing, wrong)
+        random = np.random.default_rng(6).integers(-1, 2, self.x.shape)
+        off = float(np.abs(self.f(self.x + random * lengths) - forces).max()) / scale
+        answers.append(Finding("periodic", off < 1e-8, f"atoms moved by whole cells have forces that differ by {off:.1e}", off))
+        if off > 1e-8 and not missing and not wrong:
+            self.faults.append(f"atoms outside the cell have other forces (by {off:.1%}): subtract L · round(dx/L), which holds for any distance")
+        return answers
+
+    def _tell_images(self, missing: list[tuple[int, int]], wrong: list[tuple[int, int]]) -> None:
+        bad = missing + wrong
+        axes = sorted({axis for axis, _ in bad})
+        where = "along " + ", ".join(AXES[axis] for axis in axes)
+        verb = "is missing" if missing else "is wrong"
+        if len(bad) == 2 * self.d:
+            self.faults.append(f"minimum image {verb}: atoms on both sides of a face of the cell do not feel each other; take dx − L · round(dx/L)")
+        elif len(axes) < self.d and len(bad) == 2 * len(axes):
+            self.faults.append(f"minimum image {verb} {where}: it is there for the other axes")
+        else:
+            self.faults.append(f"minimum image {verb} in one direction {where}: dx > L/2 is treated and dx < −L/2 is not, or the other way round")
+
+    def _sum(self, forces: Array, scale: float) -> Finding:
+        """The forces as a sum over pairs of what two atoms alone feel."""
+        n = len(self.x)
+        parts = np.zeros((n, n, self.d))
+        for i in range(n):
+            for j in range(i + 1, n):
+                parts[i, j], parts[j, i] = self.f(self.x[[i, j]])
+        off = float(np.abs(parts.sum(axis=1) - forces).max()) / scale
+        if off > 1e-8:
+            lower = np.array([np.abs(forces[i] - parts[i, :i].sum(axis=0)).max() for i in range(n)]).max() / scale
+            upper = np.array([np.abs(forces[i] - parts[i, i + 1 :].sum(axis=0)).max() for i in range(n)]).max() / scale
+            single = np.array([np.abs(forces[i] - parts[i]).max(axis=1)[np.arange(n) != i].min() for i in range(n)]).max() / scale
+            last = float(np.abs(forces[-1]).max()) / scale
+            if single < 1e-8:
+                self.faults.append("each atom feels one other atom only: its force is overwritten (=) in the loop where it should be added (+=)")
+            elif min(lower, upper) < 1e-8:
+                self.faults.append("each atom feels only those with a higher, or a lower, number")
+            elif last < 1e-12 and n > 2:
+                self.faults.append(f"atom {n - 1}, the last, feels nothing: look at the bounds of the loop")
+            else:
+                return self._other_sum(parts.sum(axis=1), forces, off)
+        return Finding("sum over pairs", off < 1e-8, f"F − Σ of pairs alone is {off:.1e} of the largest force", off)
+
+    def _other_sum(self, pairs: Array, forces: Array, off: float) -> Finding:
+        """Forces that are not the sum of those of pairs: a multiple of it, which is a fault, or many-body forces, which need not be one."""
+        c, n = float(np.sum(forces * pairs) / np.sum(pairs * pairs)), len(forces)
+        if float(np.abs(forces - c * pairs).max()) < 1e-8 * float(np.abs(forces).max()):
+            self.faults.append(f"the forces of {n} atoms are {coefficient(c)} times the sum of those of pairs: they are divided or "
+                               f"multiplied by a number "
+                               "of atoms or pairs")  # fmt: skip
+            return Finding("sum over pairs", False, f"F = {coefficient(c)} × Σ of pairs alone", c)
+        passed = False if self.faults else None
+        return Finding("sum over pairs", passed, f"F − Σ of pairs alone is {off:.1e} of the largest force: many-body forces, or pairs left out", off)

@@ -1,0 +1,223 @@
+"""The grade of a force function: a gradient, pairwise, symmetric, periodic, cut where it should be, and equal to minimd's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from minimd.grade.bodies import Bodies
+from minimd.grade.findings import Finding, Grade, coefficient
+from minimd.grade.force_calling import Array, StudentForce, checked_positions, edges
+from minimd.grade.profile import (
+    FARTHEST,
+    NEAREST,
+    Law,
+    cutoff_findings,
+    lennard_jones_fault,
+    powers_of,
+    ratio_of,
+    related,
+    slope_of,
+)
+
+BOX, CUTOFF = 12.0, 2.5  # σ: what a function gets that asks for them and is told nothing
+POINTS = 40  # distances at which laws are compared
+
+
+def grade_forces(
+    function: Callable[..., Any],
+    potential: Any = None,
+    cell: float | Sequence[float] | None = None,
+    cutoff: float | None = None,
+    positions: Any = None,
+    kind: str | None = None,
+) -> Grade:
+    """See grade."""
+    lengths, given = edges(cell), checked_positions(positions)
+    if cutoff is None and potential is not None and np.isfinite(getattr(potential, "cutoff", np.inf) or np.inf):
+        cutoff = float(potential.cutoff)
+    edge = BOX if lengths is None else float(lengths[0])
+    box = edge if lengths is None or np.ptp(lengths) == 0.0 else lengths
+    options = {"box": box, "cutoff": cutoff or CUTOFF, "epsilon": 1.0, "sigma": 1.0, "n": 0}
+    options |= {"box given": lengths is not None, "cutoff given": cutoff is not None}
+    parameters = getattr(potential, "parameters", None)
+    if isinstance(parameters, tuple) and len(parameters) == 2:
+        options |= {"epsilon": parameters[0], "sigma": parameters[1]}
+    force = StudentForce(function, options, kind, given)
+    if force.takes_box and lengths is None:
+        lengths = np.full(3, BOX)
+    if force.takes_cutoff:
+        cutoff = cutoff or CUTOFF
+    told = (
+        f"{force.name}({', '.join(force.names)}): "
+        + {"forces": "forces of all atoms", "law": "a law of the distance", "pair": "the force of a pair"}[force.kind]
+    )
+    told += " and the energy" if force.has_energy else ""
+    with np.errstate(all="ignore"):
+        findings, faults, law, remarks = (_of_bodies if force.kind == "forces" else _of_a_law)(force, potential, lengths, cutoff, given)
+    if force.changes_input:
+        faults.append("the function changes the positions that it is given: work on a copy")
+    return Grade(told, tuple(findings), tuple(dict.fromkeys(fault for fault in faults if fault)), law, tuple(remarks))
+
+
+Answer = tuple[list[Finding], list[str], str, list[str]]
+
+
+def _of_a_law(force: StudentForce, potential: Any, lengths: Array | None, cutoff: float | None, given: Array | None) -> Answer:
+    """A law f(r) or a vector law F(r_ij)."""
+    findings, faults, remarks = [], [], []
+
+    def at(r: float) -> tuple[float, float]:
+        if force.kind == "law":
+            f, u = force(r * r if force.is_squared else r)
+            return float(f), float(u)
+        direction = np.array([0.6, 0.0, 0.8])
+        f, u = force(r * direction)
+        return float(f @ direction), float(np.asarray(u))
+
+    if force.kind == "pair":
+        vector, _ = force(np.array([0.9, 0.5, -0.4]))
+        off = float(np.linalg.norm(np.cross(vector, [0.9, 0.5, -0.4])) / np.linalg.norm(vector))
+        findings.append(Finding("central", off < 1e-9, f"F × r_ij is {off:.1e} of F r", off))
+        faults += ["the force of the pair does not point along r_ij: the direction must be r_ij/r in all three components"] if off >= 1e-9 else []
+    farthest = FARTHEST
+    more = profile_findings(
+        lambda r: at(r)[0], (lambda r: at(r)[1]) if force.has_energy else None, potential, cutoff, farthest, is_law=force.kind == "law"
+    )
+    findings += more[0]
+    faults += more[1]
+    remarks += more[3]
+    return findings, faults, more[2], remarks
+
+
+def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None, farthest: float, is_law: bool = False) -> Answer:
+    """What the force of a pair against the distance shows. f : > 0 for repulsion."""
+    findings: list[Finding] = []
+    faults: list[str] = []
+    remarks: list[str] = []
+    end = min(farthest, 0.9 * (cutoff or 2.5), 2.2)
+    ended = [x for x in np.linspace(1.15, end, 60) if f(float(x)) == 0.0]
+    r = np.linspace(NEAREST + 0.05, 0.99 * ended[0] if ended else end, POINTS)
+    values = np.array([f(float(x)) for x in r])
+    if not np.isfinite(values).all():
+        findings.append(Finding("finite", False, f"the force of a pair is not finite at r = {r[np.argmin(np.isfinite(values))]:.3g}"))
+        return findings, ["the force of a pair is not finite at an ordinary distance"], "", remarks
+    if u is not None:
+        slopes = -np.array([slope_of(u, float(x)) for x in r])
+        pair = ratio_of(values, slopes, r)
+        words, fault = related(pair, "−du/dr", is_law)
+        if is_law and pair is not None and pair[1] == -1.0:
+            remarks.append("the law returns f = −u′(r)/r, as minimd's laws do: it is to be multiplied by the vector r_ij")
+            values, f = values * r, (lambda f: lambda x: f(x) * x)(f)
+        findings.append(Finding("force = −∇U", pair is not None and not fault, words, float("nan") if pair is None else pair[0]))
+        faults += [fault] if fault else []
+        faults += _apart(values, r, u) if pair is None else []
+    law, own = "", powers_of(values, r)
+    if own is not None:
+        law, suspected = lennard_jones_fault(own)
+        findings.append(Finding("powers of r", not suspected if potential is None and u is None else None, f"F = {own}"))
+        if potential is None and (u is None or not faults):
+            faults += suspected if u is None else []
+    if potential is not None:
+        known = np.array([reference(potential, float(x)) for x in r])
+        pair = ratio_of(values, known, r)
+        if is_law and pair is not None and pair[1] == -1.0:
+            remarks.append("the law returns f/r: it is to be multiplied by the vector r_ij")
+            pair = pair[0], 0.0
+        words, fault = related(pair, "minimd's force")
+        off = float(np.abs(values - known).max() / np.abs(known).max())
+        ok = off < SAME_FORCE
+        findings.append(Finding("as minimd's", ok, f"largest difference {off:.1e} of the largest force" if pair is None or ok else words, off))
+        if not ok:
+            faults += [fault] if fault else (lennard_jones_fault(own)[1] if own is not None else [])
+            faults += [] if faults else [f"the force differs from minimd's by {off:.1%} of the largest"]
+    elif len(values) and values[0] < 0.0 and not faults:
+        findings.append(Finding("sign", None, f"attractive at r = {r[0]:.2f}: {values[0]:.3g}", float(values[0])))
+    more, wrong = cutoff_findings(f, u, cutoff, farthest)
+    if getattr(potential, "truncation", "") == "truncated":  # minimd's own energy jumps likewise, by the user's wish
+        more = [replace(finding, passed=None) if finding.name == "energy continuous" and not finding.passed else finding for finding in more]
+        wrong = [fault for fault in wrong if "the energy jumps" not in fault]
+    return findings + more, faults + wrong, law, remarks
+
+
+SAME_FORCE = 1e-9
+
+
+def _apart(values: Array, r: Array, u: Law) -> list[str]:
+    """Which power of r of the force is wrong, where the energy is a sum of powers."""
+    energy, force = powers_of(np.array([u(float(x)) for x in r]), r), powers_of(values, r)
+    if energy is None or force is None:
+        return ["the force is not minus the slope of the energy: it is no multiple of it"]
+    right = {n + 1: n * c for n, c in zip(energy.exponents, energy.coefficients, strict=True)}
+    have = dict(zip(force.exponents, force.coefficients, strict=True))
+    parts = [f"{have[n]:.6g} r^−{n} where {right[n]:.6g} r^−{n} belongs" for n in have if n in right and not np.isclose(have[n], right[n], rtol=1e-5)]
+    parts += [f"r^−{n} has no place in it" for n in have if n not in right] + [
+        f"{c:.6g} r^−{n} is missing" for n, c in right.items() if n not in have
+    ]
+    return [f"the force is not minus the slope of the energy, u = {energy}: wrong exponent or coefficient: {', '.join(parts)}"]
+
+
+def reference(potential: Any, r: float) -> float:
+    """minimd's force of a pair at a distance, > 0 for repulsion."""
+    from minimd.forces.forces import evaluate
+    from minimd.structure.system import System
+
+    return float(evaluate(System(np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]])), potential).forces[1, 0])
+
+
+def _of_bodies(force: StudentForce, potential: Any, lengths: Array | None, cutoff: float | None, given: Array | None) -> Answer:
+    """Forces of all atoms."""
+    bodies = Bodies(force, lengths, cutoff, given)
+    remarks = []
+    if lengths is None and not bodies.is_field and (edge := bodies.period()) is not None:
+        remarks.append(f"the forces are periodic, with {edge:.6g} along x: taken for the edge of the cell")
+        bodies = Bodies(force, lengths := np.full(3, edge), cutoff, given)
+    findings, faults, law = bodies.findings(), list(bodies.faults), ""
+    if bodies.takes_pairs and not (bodies.is_broken or bodies.is_field):
+        farthest = FARTHEST if lengths is None else min(FARTHEST, 0.5 * float(lengths.min()) * 0.999)
+        more = profile_findings(bodies.of_a_pair, bodies.energy_of_a_pair if force.has_energy else None, potential, cutoff, farthest)
+        findings += more[0]
+        faults = more[1] + faults
+        law = more[2]
+    if bodies.multiple != 1.0 and not faults:
+        faults.append(related((bodies.multiple, 0.0), "−∇U")[1])
+    if lengths is not None and cutoff is None and bodies.takes_pairs and not (bodies.is_broken or bodies.is_field):
+        findings.append(_at_half_the_cell(bodies, float(lengths.min())))
+    if potential is not None:
+        finding, fault = _beside(bodies, potential, lengths)
+        findings.append(finding)
+        faults += fault if not faults else []
+    return findings, faults, law, remarks
+
+
+def _at_half_the_cell(bodies: Bodies, edge: float) -> Finding:
+    """The force of a pair at half the cell, where the nearest image changes: it must have ended by then."""
+    rest = abs(bodies.of_a_pair(0.4999 * edge))
+    words = "the force has ended there" if rest == 0.0 else f"the force is still {rest:.2g}, and jumps where the nearest image changes: take a cutoff"
+    return Finding("at half the cell", True if rest == 0.0 else None, words, rest)
+
+
+def _beside(bodies: Bodies, potential: Any, lengths: Array | None) -> tuple[Finding, list[str]]:
+    """All forces of a configuration beside minimd's."""
+    from minimd.forces.forces import evaluate
+    from minimd.structure.system import System
+
+    own, x = bodies.f(bodies.x), np.pad(bodies.x, ((0, 0), (0, 3 - bodies.d)))
+    answer = evaluate(System(x, cell=None if lengths is None else lengths), potential)
+    known = answer.forces[:, : bodies.d]
+    off = float(np.abs(own - known).max() / np.abs(known).max())
+    c = float(np.sum(own * known) / np.sum(known**2))
+    words = f"largest difference of {len(own)} atoms {off:.1e} of the largest force"
+    is_multiple = float(np.abs(own - c * known).max()) < 1e-6 * float(np.abs(known).max())
+    fault = [f"the forces of {len(own)} atoms are {coefficient(c)} times minimd's"] if is_multiple and off > SAME_FORCE else []
+    if off > SAME_FORCE and not fault:
+        fault = [f"the forces of {len(own)} atoms differ from minimd's by {off:.1%} of the largest"]
+    energy = float(np.asarray(bodies.u(bodies.x)))
+    if bodies.force.has_energy and not np.isclose(energy, answer.potential_energy, rtol=1e-9):
+        fault.append(
+            f"the energy of {len(own)} atoms is {energy:.8g}, minimd's {answer.potential_energy:.8g}: {energy / answer.potential_energy:.4g} times it"
+        )
+    return Finding("all atoms as minimd's", off < SAME_FORCE, words, off), fault

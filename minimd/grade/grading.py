@@ -1,0 +1,80 @@
+"""The face: one function that grades a step or a force function."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from minimd.grade.calling import role_of
+from minimd.grade.findings import Grade
+from minimd.grade.force_calling import KINDS
+from minimd.grade.forces import grade_forces
+from minimd.grade.steps import grade_step
+from minimd.structure.checks import checked_count, checked_number, shown
+
+
+def grade(
+    function: Callable[..., Any],
+    potential: Any = None,
+    *,
+    cell: float | Sequence[float] | None = None,
+    cutoff: float | None = None,
+    positions: ArrayLike | None = None,
+    order: int = 2,
+    kind: str | None = None,
+) -> Grade:
+    """Say what a step or a force function of one's own keeps, and what is wrong with it, by how much.
+
+    A function with a time step and velocities among its parameters is graded as a step, any other as forces.
+
+    step(x, v, force, m, dt) -> x, v. Parameters are known by their names, in any order (see below), and m may be left out. It may return x
+    and v, or change them in place, and is called with coordinates of shape (N, 3), (N,) or one number, whichever works; force is a function
+    of positions. Measured are order, reversibility, symplectic form, volume, momenta, drift and oscillation of the energy, and what it keeps
+    of a harmonic oscillator. The first terms of its expansion in dt, and a table of known methods, say what is wrong.
+
+    forces(positions) -> F or (F, U). Or a law f(r), law(r2) -> (u, f), or the force of a pair f(r_ij). Measured are F = −∇U, sum of forces,
+    exchange, rotation, translation, nearest images, powers of r, cutoff and continuity; and the difference from a potential of minimd.
+
+    Parameters
+    ----------
+    function : the step or the force function; names of parameters: x r q pos positions, v vel velocities, force forces f compute_forces,
+        acceleration a (force over mass), m mass masses, dt h timestep, p momenta; x_old x_prev for a recursion of two positions; v_half for
+        velocities half a step earlier.
+    potential : of minimd, such as LennardJones(1.0, 1.0, 2.5), with which forces are compared.
+    cell : edge of the cubic cell, or three edges, in which forces are periodic [length].  cutoff : beyond which they vanish [length].
+    positions : (N, 3), for a force function that is written for these atoms alone [length].
+    order : that a step should have.  kind : "step", "forces", "law" or "pair", where it is not clear.
+
+    Returns
+    -------
+    Grade : print it, or show it in a notebook; grade.faults are the sentences, grade["order"].value is a figure, grade.passed the verdict.
+
+    Raises
+    ------
+    TypeError : for what is no function, or takes arguments that nobody can name.
+    ValueError : if it fails when it is called, or returns None or another shape, with the call and the error; for options out of range.
+    """
+    kinds = ("step", *KINDS)
+    if kind is not None and kind not in kinds:
+        raise ValueError(f"kind must be one of {', '.join(map(repr, kinds))}; got {shown(kind)}")
+    if not callable(function):
+        raise TypeError(f"grade takes a function, such as step(x, v, force, m, dt) or forces(positions); got {shown(function)}")
+    checked_count("order", order)
+    if cutoff is not None:
+        checked_number("cutoff", cutoff, "positive and finite")
+    if kind == "step" or (kind is None and _is_step(function)):
+        return grade_step(function, order)
+    return grade_forces(function, potential, cell, cutoff, positions, kind)
+
+
+def _is_step(function: Callable[..., Any]) -> bool:
+    """Whether velocities or a time step are among the parameters, or there are as many as only a step has."""
+    try:
+        names = list(inspect.signature(function).parameters)
+    except (TypeError, ValueError):
+        return False
+    roles = {role_of(name) for name in names}
+    return bool({"dt"} & roles) or ("v" in roles and len(names) > 2)

@@ -1,0 +1,80 @@
+"""The problem on which a student's step is tried: few particles in smooth, anharmonic forces, in as many dimensions as the step wants.
+
+    N particles     U = Σ_{i<j} ½ k r² + ¼ g r⁴          invariant under translation, rotation and exchange
+    one number      U = ½ k q² + ¼ g q⁴
+
+Reduced units; frequencies are about 1, masses are all different. Polynomials have neither cutoff nor singularity, so that what is
+measured is the fault of the step. The same in all dimensions, also for coordinates of shape (N,).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+STIFFNESS, QUARTIC = 0.25, 0.06  # k and g
+MASSES = np.array([1.0, 1.7, 0.6, 2.3, 1.2])
+SHAPES: tuple[tuple[int, ...], ...] = ((5, 3), (5, 2), (5,), ())
+
+
+class Problem(NamedTuple):
+    """Positions x and velocities v of one shape, (N, d), (N,) or (), and masses of shape (N,) or ()."""
+
+    x: Array
+    v: Array
+    m: Array
+    stiffness: float = 0.0  # of springs to the origin, in place of everything else, if it is not zero
+
+    def force(self, x: Array) -> Array:
+        """−∇U, in the shape of x."""
+        if self.stiffness:
+            return -self.stiffness * np.asarray(x, dtype=float)
+        if self.x.ndim == 0:
+            return np.asarray(-x * (1.0 + 0.3 * x * x))
+        points = x.reshape(len(x), -1)
+        apart = points[:, None] - points
+        r2 = (apart * apart).sum(axis=2, keepdims=True)
+        return np.asarray(-((STIFFNESS + QUARTIC * r2) * apart).sum(axis=1)).reshape(x.shape)
+
+    def potential(self, x: Array) -> float:
+        """U."""
+        if self.stiffness:
+            return float(0.5 * self.stiffness * np.sum(x * x))
+        if self.x.ndim == 0:
+            return float(0.5 * x * x + 0.075 * x**4)
+        points = x.reshape(len(x), -1)
+        r2 = ((points[:, None] - points) ** 2).sum(axis=2)
+        return float((0.5 * STIFFNESS * r2 + 0.25 * QUARTIC * r2 * r2).sum() / 2.0)
+
+    @property
+    def mass(self) -> Array:
+        """Masses, one for each coordinate, as an array that can be multiplied with x."""
+        return self.m.reshape(self.m.shape + (1,) * (self.x.ndim - self.m.ndim))
+
+    def energy(self, x: Array, v: Array) -> float:
+        """Kinetic plus potential energy."""
+        return float(0.5 * np.sum(self.mass * v * v)) + self.potential(x)
+
+    def flow(self, time: float) -> tuple[Array, Array]:
+        """The exact x and v after a time, to about 1e-13."""
+        from scipy.integrate import solve_ivp
+
+        n, shape = self.x.size, self.x.shape
+
+        def slope(_: float, y: Array) -> Array:
+            return np.concatenate([y[n:], np.ravel(self.force(y[:n].reshape(shape)) / self.mass)])
+
+        start = np.concatenate([np.ravel(self.x), np.ravel(self.v)])
+        end = solve_ivp(slope, (0.0, time), start, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+        return end[:n].reshape(shape), end[n:].reshape(shape)
+
+
+def problem(shape: tuple[int, ...], seed: int, same_mass: bool = False, **changes: Any) -> Problem:
+    """A random state.  same_mass : one mass for all particles, another for each seed."""
+    random = np.random.default_rng(seed)
+    x, v = random.uniform(0.5, 2.5, shape), random.normal(0.0, 0.6, shape)
+    masses = MASSES[seed % 5] * np.ones(shape[:1]) if same_mass or not shape else np.roll(MASSES, seed)[: shape[0]]
+    return Problem(np.asarray(x), np.asarray(v), np.asarray(masses), **changes)

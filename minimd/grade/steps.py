@@ -1,0 +1,238 @@
+"""The grade of a step: its order, its symmetries, what it conserves, and what its first terms say about its faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from minimd.grade.calling import FORCES, StudentStep, understood
+from minimd.grade.expansion import Expansion, expansion, explained
+from minimd.grade.findings import Finding, Grade
+from minimd.grade.motion import cost, energy, momenta, order_of, oscillator, reversal, symplecticity
+from minimd.grade.problems import Problem
+from minimd.grade.sequence import FEW, nearest_method, substeps_of, told
+from minimd.grade.variants import recognized
+
+ROUNDING = 1e-9  # relative differences below it are rounding
+SINGLE = 1e-8  # noise of a step above it: float32
+STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}  # by the shape of x: as many as tell all terms apart
+
+
+def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
+    """See grade."""
+    step = understood(function)
+    problems = [step.problem(seed) for seed in range(STATES[step.manner.shape])]
+    called = step.manner.told(getattr(function, "__name__", "step"))
+    remarks = _remarks(step, problems[0])
+    with np.errstate(all="ignore"):
+        faults = _hidden(step, problems[0])
+        if faults:
+            return Grade(called, (Finding("a map of x and v", False, faults[0]),), tuple(faults), remarks=tuple(remarks))
+        noise = noise_of(step, problems[0])
+        findings = [order_of(step, problems[0], order), reversal(step, problems[0], noise), *symplecticity(step, problems[0], noise)]
+        if any(role.startswith("before") for role in step.manner.roles):
+            remarks.append("a step that takes the force of the step before is no map of x and v: it is not judged as one")
+            findings[1:] = [replace(finding, passed=None) for finding in findings[1:]]
+        findings += [*momenta(step, problems[0], noise), energy(step, problems[0]), oscillator(step), cost(step, problems[0])]
+        method, wrong = recognized(step(problems[0], problems[0].x, problems[0].v, 0.1), problems[0], 0.1, max(ROUNDING, 10.0 * noise))
+        faults = [wrong] if wrong else _faults(step, problems, noise)
+        if not wrong and findings_of(findings, "energy").value == 0.0:
+            faults = []
+        parts = substeps_of(step, problems[0]) if not method else None
+        method = told(parts) if parts else method
+        faults += _of_substeps(parts, findings, order) if parts and not (faults and _is_plain(parts)) else []
+    faults += _structural(findings, step) if not faults else []
+    return Grade(called, tuple(findings), tuple(faults), method, tuple(remarks))
+
+
+def findings_of(findings: list[Finding], name: str) -> Finding:
+    """The one of this name."""
+    return next(finding for finding in findings if finding.name == name)
+
+
+def _hidden(step: StudentStep, where: Problem) -> list[str]:
+    """What makes the step no function of x and v: noise, memory."""
+    first = step(where, where.x, where.v, 0.1)
+    step.n_evaluations = 0
+    second = step(where, where.x, where.v, 0.1)
+    if step.n_evaluations == 0 and any(role in FORCES for role in step.manner.roles):
+        return ["the step does not compute the force: it asked for it in its first call, or never, and goes on with what it got then"]
+    off = max(float(np.abs(a - b).max()) for a, b in zip(first, second, strict=True))
+    if off == 0.0:
+        return []
+    state = np.random.get_state()
+    ends = []
+    for _ in range(2):
+        np.random.seed(1)
+        ends.append(step(where, where.x, where.v, 0.1))
+    np.random.set_state(state)
+    if all(np.array_equal(a, b) for a, b in zip(*ends, strict=True)):
+        return [f"the step draws random numbers: two steps from the same state differ by {off:.1e}. A thermostat stands in the step"]
+    return [f"two steps from the same x and v differ by {off:.1e}: the step draws random numbers, or remembers earlier calls, such as a force "
+            "that is kept outside. What a step needs must be among its arguments"]  # fmt: skip
+
+
+def _remarks(step: StudentStep, where: Problem) -> list[str]:
+    remarks = []
+    if step.swapped:
+        remarks.append("the step returns v before x; x, v is the usual order")
+    if step.in_place:
+        remarks.append("the step changes the arrays that it is given; whoever keeps the old ones must copy them")
+    if step.manner.masses == "(N, 1)":
+        remarks.append("masses of shape (N,) do not work in it; it was given (N, 1)")
+    if "half" in step.manner.roles:
+        remarks.append("velocities are at half steps: half a kick was made before and after")
+    if "old" in step.manner.roles:
+        remarks.append("a recursion of two positions; velocities are (x₁ − x₀)/dt + ½ dt F/m")
+    return remarks
+
+
+def noise_of(step: StudentStep, where: Problem) -> float:
+    """Rounding of a step, relative to the coordinates, from third differences along a line of states 1e-6 apart."""
+    line = np.array([np.ravel(step(where, where.x * (1.0 + 1e-6 * k), where.v, 0.1)[0]) for k in range(12)])
+    return float(np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max())
+
+
+def _faults(step: StudentStep, problems: list[Problem], noise: float) -> list[str]:
+    faults = []
+    if noise > SINGLE:
+        faults.append(f"the step rounds to {noise:.0e} of the coordinates: float32 stands somewhere in it, where float64 rounds to 1e-16")
+    faults += _left_out(step, problems) or (_wrapped(step, problems[0]) if not faults else []) or _thermostat(step, problems)
+    if not faults:
+        faults += explained(expand(step, problems))
+    if step.third is not None and any(role.startswith("known") for role in step.manner.roles):
+        faults += _handed_on(step, problems[0])
+    return faults
+
+
+def expand(step: StudentStep, problems: list[Problem]) -> Expansion:
+    """See expansion."""
+    scaled = step.has_masses or any("acceleration" in role for role in step.manner.roles)
+    return expansion(step, problems, scaled)
+
+
+def _left_out(step: StudentStep, problems: list[Problem]) -> list[str]:
+    """Atoms or axes that are not moved, or not kicked."""
+    faults: list[str] = []
+    if problems[0].x.ndim == 0:
+        return faults
+    ends = [step(where, where.x, where.v, 0.1) for where in problems]
+    for part, verb, starts in ((0, "moved", [one.x for one in problems]), (1, "kicked", [one.v for one in problems])):
+        still = np.all([end[part] == start for end, start in zip(ends, starts, strict=True)], axis=0)
+        if still.all() or not still.any():
+            continue
+        for axis, what in ((1, "atom"), (0, "axis")):
+            alone: Any = [] if still.ndim <= axis and what == "axis" else np.flatnonzero(still.all(axis=axis) if still.ndim > 1 else still)
+            if len(alone) and (what == "atom" or still.ndim > 1):
+                last = ", the last," if what == "atom" and list(alone) == [len(still) - 1] else ""
+                faults.append(f"{what} {', '.join(map(str, alone))}{last} is not {verb}: look at the bounds of the loop, such as range(N − 1)")
+                break
+    return faults
+
+
+def _wrapped(step: StudentStep, where: Problem) -> list[str]:
+    """Positions that are moved by whole cells, told by starts farther and farther away; the forces here know no cell."""
+    if where.x.ndim == 0 or where.stiffness:
+        return []
+    new, _ = step(where, where.x, where.v, 0.02)
+    for distance in 1.375 * 2.0 ** np.arange(12):
+        for shift in (-distance, distance):
+            far, _ = step(where, where.x + shift, where.v, 0.02)
+            jump = np.abs(far - shift - new)
+            if jump.max() > 1e-6:
+                cell = f"{jump[jump > 1e-6].min():.6g}"
+                return [f"atoms that are {distance:g} farther away are moved by {cell} more: positions are wrapped into a box of this edge "
+                        f"inside the "
+                        "step, or it depends on where the origin is. Wrap what is written, not what is integrated"]  # fmt: skip
+    return []
+
+
+def _thermostat(step: StudentStep, problems: list[Problem]) -> list[str]:
+    """Velocities that are rescaled, at once or at a rate, by a factor that depends on the state; or freed of the motion of the whole."""
+    where = problems[0]
+    if where.x.ndim == 0:
+        return []
+    h = 1e-7
+    changes = [step(one, one.x, one.v, h)[1] - one.v for one in problems]
+    if np.abs(changes[0]).max() > 1e-4:
+        if np.abs(changes[0] - changes[0].mean(axis=0)).max() < 1e-5:
+            return ["the motion of the whole is taken away in each step: all velocities change by the same vector. Do this once, at the start"]
+        factors = [float(np.sum(change * one.v) / np.sum(one.v**2)) for change, one in zip(changes, problems, strict=True)]
+        rests = [np.abs(change - c * one.v).max() for change, c, one in zip(changes, factors, problems, strict=True)]
+        if max(rests) < 1e-5 and np.ptp(factors) > 1e-4:
+            told = ", ".join(f"{1.0 + c:.4g}" for c in factors[:3])
+            return [f"velocities are multiplied by {told}, … in each step, however short it is: they are rescaled to a temperature, a thermostat "
+                    "stands in the step"]  # fmt: skip
+        return []
+    rates = []
+    for change, one in zip(changes, problems, strict=True):
+        basis = np.array([np.ravel(one.v), np.ravel(one.force(one.x) / one.mass)]).T
+        found, *_ = np.linalg.lstsq(basis, np.ravel(change) / h, rcond=None)
+        if np.abs(np.ravel(change) / h - basis @ found).max() > 1e-4:
+            return []
+        rates.append(float(found[0]))
+    if np.ptp(rates) < 1e-4:
+        return []
+    told = ", ".join(f"{rate:.3g}" for rate in rates[:3])
+    return [
+        f"velocities change by {told}, … dt v beside the kick, a rate that depends on the state: a thermostat such as Berendsen's stands in the step"
+    ]
+
+
+def _handed_on(step: StudentStep, where: Problem) -> list[str]:
+    """Whether the force that a step hands back is that at the new positions."""
+    x, _ = step(where, where.x, where.v, 0.1)
+    role = next(role.split()[1] for role in step.manner.roles if role.startswith("known"))
+    right = {"force": where.force(x), "acceleration": where.force(x) / where.mass, "gradient": -where.force(x)}[role]
+    third = step.third
+    off = float(np.abs(third - right).max() / np.abs(right).max()) if third is not None else 0.0
+    return (
+        [f"the force that is returned is not the one at the new positions (off by {off:.1%}): the next step would begin with an old force"]
+        if off > ROUNDING
+        else []
+    )
+
+
+def _is_plain(parts: list[tuple[str, float]]) -> bool:
+    """Whether these are the substeps of a method of order 2 or 1, of which the first terms say enough."""
+    return sum(kind == "kick" for kind, _ in parts) < FEW
+
+
+def _of_substeps(parts: list[tuple[str, float]], findings: list[Finding], order: int) -> list[str]:
+    """A sequence of many kicks whose order is 2 at most: the weights of a method of higher order are wrong."""
+    kicks, reached = sum(kind == "kick" for kind, _ in parts), findings[0].value
+    if kicks < FEW or reached > max(order, 2) + 0.5:
+        return []
+    near = nearest_method(parts)
+    near = (
+        f": {near}" if near else "; print(md.integrators.METHODS) lists those that have more, and md.integrators.CandyRozmus4.substeps their weights"
+    )
+    return [
+        f"{kicks} kicks in a step and no more than order {reached:.1f}: the weights of the substeps are not those of a method of higher order{near}"
+    ]
+
+
+def _structural(findings: list[Finding], step: StudentStep) -> list[str]:
+    """Sentences for laws that fail though the first terms are right."""
+    failed = {finding.name: finding for finding in findings if finding.passed is False}
+    faults = []
+    if "energy" in failed and failed["energy"].value == 0.0:
+        faults.append("the energy is kept to rounding: velocities are rescaled in each step to keep it, which hides the error of the step "
+                      "and is neither "
+                      "symplectic nor reversible")  # fmt: skip
+    if "order" in failed:
+        faults.append(f"the first terms are right, but the measured order is {failed['order'].value:.2f}")
+    if "momentum" in failed:
+        faults.append(
+            "the total momentum changes: the forces of a step are not all computed at the same positions, or atoms are moved one after another"
+        )
+    if "symplectic" in failed and "volume" in failed:
+        faults.append("the step shrinks or stretches phase space (see volume), as Runge-Kutta methods and thermostats do: its energy drifts")
+    elif "symplectic" in failed:
+        faults.append("the step is not symplectic: it is not a product of kicks and drifts")
+    elif "reversible" in failed:
+        faults.append("the step is symplectic, but not symmetric: kicks and drifts do not read the same forwards and backwards")
+    return faults

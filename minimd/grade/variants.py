@@ -1,0 +1,125 @@
+"""Methods, right and wrong, that a step is compared with to rounding: the table that gives a step its name.
+
+A row is a name and a step made of pieces: a(x) is F/m at x. Steps that are sequences of kicks and drifts come from minimd's own table
+of splittings. To add one, add a row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from minimd.grade.problems import Array, Problem
+
+Acceleration = Callable[[Array], Array]
+Row = Callable[[Array, Array, Acceleration, float], tuple[Array, Array]]
+NOT_SYMPLECTIC = "a Runge-Kutta method: not symplectic, its energy drifts however high the order"
+
+
+def explicit_euler(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, Array]:
+    """All from the old state."""
+    return x + h * v, v + h * a(x)
+
+
+def runge_kutta(x: Array, v: Array, a: Acceleration, h: float, stages: list[list[float]], weights: list[float]) -> tuple[Array, Array]:
+    """An explicit Runge-Kutta method of the first-order system."""
+    slopes: list[tuple[Array, Array]] = []
+    for row in stages:
+        at_x = x + h * sum((c * dx for c, (dx, _) in zip(row, slopes, strict=False)), np.zeros_like(x))
+        at_v = v + h * sum((c * dv for c, (_, dv) in zip(row, slopes, strict=False)), np.zeros_like(v))
+        slopes.append((at_v, a(at_x)))
+    return (
+        x + h * sum((w * dx for w, (dx, _) in zip(weights, slopes, strict=True)), np.zeros_like(x)),
+        v + h * sum((w * dv for w, (_, dv) in zip(weights, slopes, strict=True)), np.zeros_like(v)),
+    )
+
+
+def taylor(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, Array]:
+    """The parabola with the old force for positions and velocities."""
+    return x + h * v + 0.5 * h * h * a(x), v + h * a(x)
+
+
+def one_after_another(kicks: tuple[float, float]) -> Row:
+    """Each atom is moved before the force on the next one is computed: kick, drift, kick, with weights of the kicks."""
+
+    def step(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, Array]:
+        x, v = x.copy(), v.copy()
+        for i in range(len(x) if x.ndim else 0):
+            v[i] += kicks[0] * h * a(x)[i]
+            x[i] += h * v[i]
+            v[i] += kicks[1] * h * a(x)[i] if kicks[1] else 0.0
+        return x, v
+
+    return step
+
+
+def tableau(stages: list[list[float]], weights: list[float]) -> Row:
+    """A row of the table."""
+    return lambda x, v, a, h: runge_kutta(x, v, a, h, stages, weights)
+
+
+def drift_with_new_force(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, Array]:
+    """Velocity Verlet that keeps no old force."""
+    x1 = x + h * v + 0.5 * h * h * a(x)
+    return x1, v + h * a(x1)
+
+
+def mixed_drift(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, Array]:
+    """Positions by explicit Euler, velocities by the trapezoidal rule."""
+    x1 = x + h * v
+    return x1, v + 0.5 * h * (a(x) + a(x1))
+
+
+VARIANTS: dict[str, tuple[Row, str]] = {  # name: the step, and what is wrong with it; "" if nothing is
+    "explicit Euler": (explicit_euler, ""),
+    "Taylor's parabola with the old force": (taylor, ""),
+    "velocity Verlet with the new force alone": (drift_with_new_force, ""),
+    "explicit Euler for positions, trapezoidal rule for velocities": (mixed_drift, ""),
+    "RK2, midpoint": (tableau([[], [0.5]], [0.0, 1.0]), NOT_SYMPLECTIC),
+    "RK2, Heun": (tableau([[], [1.0]], [0.5, 0.5]), NOT_SYMPLECTIC),
+    "RK2, Ralston": (tableau([[], [2 / 3]], [0.25, 0.75]), NOT_SYMPLECTIC),
+    "RK3, Kutta": (tableau([[], [0.5], [-1.0, 2.0]], [1 / 6, 2 / 3, 1 / 6]), NOT_SYMPLECTIC),
+    "RK4, the classical Runge-Kutta method": (tableau([[], [0.5], [0.0, 0.5], [0.0, 0.0, 1.0]], [1 / 6, 1 / 3, 1 / 3, 1 / 6]), NOT_SYMPLECTIC),
+    "symplectic Euler, atom after atom": (
+        one_after_another((1.0, 0.0)),
+        "atoms are moved one after another: the force on each is computed when those "
+        "before it have moved already. Compute all forces first, then move all atoms",
+    ),
+    "velocity Verlet, atom after atom": (
+        one_after_another((0.5, 0.5)),
+        "atoms are moved one after another, each with its own force computation: "
+        "an atom sees others that have moved already, and action is no longer reaction",
+    ),
+}
+
+
+def rows() -> Iterator[tuple[str, Row, str]]:
+    """All rows: minimd's splittings first."""
+    from minimd.integrators.methods import SPLITTINGS
+    from minimd.integrators.splitting.substeps import Kick, Substeps
+
+    def split(substeps: Substeps) -> Row:
+        def step(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, Array]:
+            for substep in substeps:
+                if isinstance(substep, Kick):
+                    v = v + substep.coefficient * h * a(x)
+                else:
+                    x = x + substep.coefficient * h * v
+            return x, v
+
+        return step
+
+    for name, method in SPLITTINGS.items():
+        yield name, split(method.substeps), ""
+    for name, (row, wrong) in VARIANTS.items():
+        yield name, row, wrong
+
+
+def recognized(end: tuple[Array, Array], where: Problem, h: float, accuracy: float) -> tuple[str, str]:
+    """Name of the row that makes the same step, and what is wrong with it; both empty if there is none."""
+    for name, row, wrong in rows():
+        x, v = row(where.x, where.v, lambda x: where.force(x) / where.mass, h)
+        if max(np.abs(x - end[0]).max(), np.abs(v - end[1]).max()) < accuracy:
+            return name.replace("leapfrog", "symplectic-euler-1"), wrong
+    return "", ""

@@ -1,0 +1,138 @@
+"""md.grade: right steps and forces pass, wrong ones are told what is wrong with them, and what does not fit is refused in a sentence."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from wrong_functions import RIGHT_FORCES, RIGHT_STEPS, WRONG_FORCES, WRONG_STEPS, explicit_euler, kick_first, runge_kutta_4, velocity_verlet
+
+import minimd as md
+
+QUICK = ("kick_first", "aliased", "no_mass_in_one_half", "stale", "hidden_noise", "last_atom_forgotten", "atom_after_atom", "own_spring")
+
+
+def slow_unless(is_quick, value, name):
+    return pytest.param(value, id=name, marks=() if is_quick else pytest.mark.slow)
+
+
+@pytest.mark.parametrize("step", [slow_unless(k in (0, 4, 6), step, step.__name__) for k, step in enumerate(RIGHT_STEPS)])
+def test_a_right_step_passes_in_every_shape(step):
+    grade = md.grade(step)
+    assert grade.passed, str(grade)
+    assert grade["order"].value == pytest.approx(2.0, abs=0.1)  # truncation
+    assert grade["oscillator"].value == pytest.approx(2.0, abs=0.01)  # the limit ωΔt = 2
+
+
+@pytest.mark.parametrize(("step", "words"), [
+    pytest.param(step, words, id=step.__name__, marks=() if step.__name__ in QUICK else pytest.mark.slow) for step, words in WRONG_STEPS.items()
+])  # fmt: skip
+def test_a_wrong_step_is_told_its_fault(step, words):
+    grade = md.grade(step)
+    assert not grade.passed
+    assert any(words in fault for fault in grade.faults), str(grade)
+
+
+def test_figures_of_a_grade_are_those_of_theory():
+    euler = md.grade(explicit_euler)
+    assert euler["oscillator"].value == pytest.approx(0.25)  # the energy grows by 1 + (ωΔt)²
+    assert euler["order"].value == pytest.approx(1.0, abs=0.1)
+    assert not euler["volume"].passed
+    runge_kutta = md.grade(runge_kutta_4, order=4)
+    assert runge_kutta["order"].value == pytest.approx(4.0, abs=0.1)
+    assert runge_kutta["cost"].value == 4
+    assert not runge_kutta["energy"].passed
+    symplectic = md.grade(kick_first, order=1)
+    assert symplectic["symplectic"].passed
+    assert symplectic["reversible"].passed is False
+
+
+def test_wrong_weights_of_a_composition_are_named():
+    def forest_ruth(x, v, force, dt, sign=-1.0):
+        w = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
+        for a, b in ((w / 2, w), ((1 - w) / 2, sign * (2 * w - 1)), ((1 - w) / 2, w), (w / 2, 0.0)):
+            x = x + a * dt * v
+            v = v + b * dt * force(x)
+        return x, v
+
+    assert md.grade(forest_ruth, order=4).method == "candy-rozmus-4"
+    grade = md.grade(lambda x, v, force, dt: forest_ruth(x, v, force, dt, 1.0), order=4)
+    assert any("nearly candy-rozmus-4, but substep 4, a kick, is 1.702" in fault for fault in grade.faults), str(grade)
+
+
+@pytest.mark.parametrize("force", RIGHT_FORCES)
+def test_right_forces_pass(force):
+    grade = md.grade(force)
+    assert not grade.faults, str(grade)
+    assert all(finding.passed is not False for finding in grade.findings)
+
+
+@pytest.mark.parametrize(("force", "options", "words"), WRONG_FORCES.values(), ids=list(WRONG_FORCES))
+def test_wrong_forces_are_told_their_fault(force, options, words):
+    grade = md.grade(force, **options)
+    assert not grade.passed
+    assert any(words in fault for fault in grade.faults), str(grade)
+
+
+def test_forces_are_compared_with_those_of_a_potential():
+    law = md.LennardJones(1.0, 1.0, 2.5)
+
+    def forces(x, scale=1.0):
+        answer = md.evaluate(md.System(x, cell=[8.0] * 3), law)
+        return scale * answer.forces, answer.potential_energy
+
+    assert md.grade(forces, law, cell=8.0).passed
+    grade = md.grade(lambda x: (forces(x)[0] * 3.0, forces(x)[1]), law, cell=8.0)
+    assert any("3 times" in fault for fault in grade.faults), str(grade)
+
+
+def no_return(x, v, force, m, dt):
+    x = x + dt * v
+
+
+def wrong_shape(x, v, force, m, dt):
+    return x[0], v[0]
+
+
+@pytest.mark.parametrize(("call", "error", "words"), [
+    (lambda: md.grade(7), TypeError, "takes a function"),
+    (lambda: md.grade(no_return), ValueError, "returns None and leaves x and v as they were"),
+    (lambda: md.grade(wrong_shape), ValueError, "in the shape"),
+    (lambda: md.grade(lambda x, v, force, m, dt: (x / 0.0, v)), ValueError, "not finite"),
+    (lambda: md.grade(lambda state, dt: state), TypeError, "step(x, v, force, m, dt)"),
+    (lambda: md.grade(velocity_verlet, kind="Verlet"), ValueError, "kind must be one of"),
+    (lambda: md.grade(lambda x: None), ValueError, "returned None"),
+    (lambda: md.grade(lambda x: x[0]), ValueError, "shape of the positions"),
+    (lambda: md.grade(lambda x, charges: x), TypeError, "charges"),
+    (lambda: md.grade(lambda x: -x, cell=-1.0), ValueError, "cell must be"),
+])  # fmt: skip
+def test_what_cannot_be_graded_is_refused_in_a_sentence(call, error, words):
+    with pytest.raises(error) as caught:
+        call()
+    assert words in str(caught.value)
+
+
+def test_a_grade_shows_itself():
+    grade = md.grade(lambda r: 48 / r**13 - 24 / r**6)
+    assert "✗" in grade._repr_html_() or "?" in grade._repr_html_()
+    assert "fault" in str(grade)
+    with pytest.raises(KeyError, match="those that were"):
+        grade["order"]
+
+
+def test_the_state_of_the_random_numbers_is_not_changed():
+    np.random.seed(5)
+    expected = np.random.random()
+    np.random.seed(5)
+    md.grade(lambda x, v, force, dt: (x + dt * v, v + 0.0 * dt))
+    assert np.random.random() == expected
+
+
+def test_the_scripts_of_the_page_run():
+    page = (Path(__file__).parents[1] / "docs" / "grade.md").read_text(encoding="utf-8")
+    step, forces = re.findall(r"```python\n(.*?)```", page, re.S)
+    exec(step, {})
+    known = {}
+    exec(forces, known)
+    assert len(known["grade"].faults) == 1
+    assert "the energy jumps at the cutoff by +0.01632" in known["grade"].faults[0]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.engine.record import SERIES, Record
 from minimd.structure.display import Displayed
+from minimd.structure.statistics import FEW, block_means, mean_and_error, with_error
 
 BLOCKS = 40  # averages of the total energy between which the drift is fitted
 BLOCKS_OF_WALK = 20  # the same of a series that wanders
@@ -19,7 +20,6 @@ INDEPENDENT = 4.0  # entries, below which a series is too short to judge
 LARGEST_RANGE = 0.5  # of the kinetic energy
 RANGE_OF_ROUNDING = 1e-11  # of the potential energy
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
-FEW = 4  # frames below which nothing can be judged
 QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
@@ -136,11 +136,6 @@ def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks
     return Drift(float((y[-1] - y[0]) / (t[-1] - t[0])), float(np.sqrt(1.5 * (blocks - 1)) * np.diff(y).std(ddof=1) / (t[-1] - t[0])))
 
 
-def block_means(series: NDArray[np.float64], blocks: int) -> NDArray[np.float64]:
-    """Averages over so many parts of a series, as equal as its length allows."""
-    return np.array([part.mean() for part in np.array_split(series, blocks)])
-
-
 @dataclass(frozen=True)
 class Cost:
     """What a run cost: steps, seconds, list builds, force evaluations; in words, its lists, its constraints and what it had no need to pay for."""
@@ -172,7 +167,7 @@ class Report(Displayed):
     momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None where P is not a constant.
     angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None where L is not a constant.
     constraint_violation : largest |r² − d²|/d², or None without constraints.
-    mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
+    mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.  temperature_error : standard error of the mean.
     duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run, if known.
     kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
@@ -201,6 +196,7 @@ class Report(Displayed):
     energy_range: float = 0.0
     temperatures: tuple[float, float] = (0.0, 0.0)
     not_finite: str = ""
+    temperature_error: float = np.nan
 
     @property
     def energy_is_conserved(self) -> bool | None:
@@ -272,7 +268,7 @@ class Report(Displayed):
             tell("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
         lines.extend(map(str, self.lines))
         spread = "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {temperature}"
-        tell("temperature", f"{self.mean_temperature:.4g} {temperature} {spread}")
+        tell("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {temperature} {spread}")
         lines.extend(self.cost.lines() if self.cost is not None else ())
         tell("verdict", self.verdict)
         return "\n".join(lines)
@@ -343,6 +339,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         units=(units.energy, units.shown_time, units.temperature),
         temperatures=(float(record.temperature[:fifth].mean()), float(record.temperature[-fifth:].mean())),
         not_finite=_not_finite(record),
+        temperature_error=mean_and_error(record.temperature)[1],
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())),
     )
 

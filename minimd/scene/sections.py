@@ -12,6 +12,7 @@ from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, M
 from minimd.potentials import HarmonicAngle, HarmonicBond, LennardJones, Tabulated
 from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
 from minimd.potentials.truncation import TRUNCATIONS
+from minimd.scene.observer_section import ObserverSection
 from minimd.scene.section import Dimension, Section, one_of, reading_of
 from minimd.scene.tables import Numbers, TableSection
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
@@ -303,6 +304,7 @@ class SceneSections(Section):
     minimization: MinimizationSection | None = None
     equilibration: EquilibrationSection | None = None
     tables: dict[str, TableSection] = Field({})
+    observer: list[ObserverSection] = Field([])
     output: OutputSection = OutputSection.model_construct()
 
     @model_validator(mode="after")

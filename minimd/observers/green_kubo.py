@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from minimd.structure.statistics import spread
 
 Array = NDArray[np.float64]
+CHANGE = 2.0  # standard errors that an integral may change in a plateau
 OCTAVE = 2.0  # a plateau lasts from a time to this multiple of it
 LONGEST = 0.25  # of the duration: later lags have too few origins
 FEWEST_LAGS = 3  # in a plateau
@@ -31,7 +32,7 @@ def running_integral(times: Array, correlation: Array) -> Array:
 
 
 def plateau(times: Array, integral: Array, without: Array) -> Plateau:
-    """The earliest octave of times, t to 2t, in which the integral stays within one standard error of its change since t; its mean there.
+    """The earliest octave of times, t to 2t, in which the integral changes by no more than two standard errors of the change; its mean there.
 
     times, integral : (T,).  without : (K, T), replicas of the integral. If there is no such octave, that before the last time.
     The longer one integrates, the more noise is added, while the correlations that are left out become less.
@@ -42,7 +43,7 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
         if OCTAVE * times[i] > times[-1]:
             break
         change, error = integral[inside] - integral[i], spread(without[:, inside] - without[:, i : i + 1])
-        if inside.sum() >= FEWEST_LAGS and (np.abs(change) <= error)[1:].all():
+        if inside.sum() >= FEWEST_LAGS and (np.abs(change) <= CHANGE * error)[1:].all():
             return _mean_of(times, integral, without, inside, is_reached=True)
     return _mean_of(times, integral, without, times >= times[-1] / OCTAVE, is_reached=False)
 

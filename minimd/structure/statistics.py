@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 FEW = 4  # entries or blocks, below which no error can be told
 CHANCE = 0.01  # of taking uncorrelated blocks for correlated ones
+LEVEL, LINE = (1.0, 3.0), (2.0, 4.0)  # bias of a correlation where a mean, or a straight line, was fitted
 
 
 def mean_and_error(series: Any) -> tuple[float, float]:
@@ -19,22 +20,19 @@ def mean_and_error(series: Any) -> tuple[float, float]:
 
         σ_k², γ_k : variance of the n_k averages over 2ᵏ entries, and covariance of neighbors among them
         M_k = Σ n_j [((n_j − 1) σ_j² / n_j² + γ_j) / σ_j²]²,   j ≥ k
-        error² = σ_k² / (n_k − 1),   with the first k for which M_k is what uncorrelated averages explain: below χ² of 99 %
+        error² = σ_k² / (n − 1),   with the first k for which M_k is what uncorrelated averages explain: below χ² of 99 %
 
-    Exact for any correlation that is short beside the series. NaN with fewer than 4 entries.
+    n of these n_k averages are independent, see independent: some correlation is left that the test does not see. NaN with fewer than 4 entries.
     H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989), on blocks; M. Jonsson, Phys. Rev. E 98, 043304 (2018), on their length.
     """
     values = np.asarray(series, dtype=np.float64)
     if len(values) < FEW:
         return float(values.mean()) if len(values) else np.nan, np.nan
-    levels = []
-    blocks = values - values.mean()  # without the mean, whose rounding would hide small fluctuations
-    while len(blocks) > 1:
-        n, rest = len(blocks), blocks - blocks.mean()
-        variance = float(rest @ rest) / n
-        levels.append((n, variance, float(rest[1:] @ rest[:-1]) / n))
-        blocks = 0.5 * (blocks[0 : 2 * (n // 2) : 2] + blocks[1::2])
-    counts, variances, covariances = np.array(levels).T
+    levels = [values - values.mean()]  # without the mean, whose rounding would hide small fluctuations
+    while len(levels[-1]) > FEW:
+        levels.append(0.5 * (levels[-1][0 : 2 * (len(levels[-1]) // 2) : 2] + levels[-1][1::2]))
+    rests = [blocks - blocks.mean() for blocks in levels]
+    counts, variances, covariances = np.array([(len(one), one @ one / len(one), one[1:] @ one[:-1] / len(one)) for one in rests]).T
     with np.errstate(all="ignore"):
         terms = counts * (((counts - 1.0) * variances / counts**2 + covariances) / variances) ** 2
     remaining = np.cumsum(np.nan_to_num(terms)[::-1])[::-1]
@@ -42,7 +40,20 @@ def mean_and_error(series: Any) -> tuple[float, float]:
 
     is_explained = remaining < chdtri(np.arange(len(levels), 0, -1), CHANCE)
     k = int(np.argmax(is_explained)) if is_explained.any() else len(levels) - 1
-    return float(values.mean()), float(np.sqrt(variances[k] / (counts[k] - 1.0)))
+    n = max(independent(rests[k], LEVEL), 2.0)
+    return float(values.mean()), float(np.sqrt(variances[k] / (n - 1.0)))
+
+
+def independent(rest: Array, bias: tuple[float, float]) -> float:
+    """How many of n correlated numbers are independent: n (1 − ρ)/(1 + ρ), with the correlation ρ of neighbors.
+
+    rest : (n,), without what was fitted to them.  bias : (a, b), LEVEL or LINE: fitting makes ρ too small by (a + b ρ)/n, which is put right.
+    M. G. Kendall, Biometrika 41, 403 (1954), on the bias.
+    """
+    square, n = float(rest @ rest), len(rest)
+    alike = float(rest[1:] @ rest[:-1]) / square if square > 0.0 else 0.0
+    alike = min(max(0.0, alike + (bias[0] + bias[1] * alike) / n), 1.0 - 1.0 / n)
+    return n * (1.0 - alike) / (1.0 + alike)
 
 
 def statistical_inefficiency(series: Any) -> float:

@@ -13,7 +13,7 @@ from minimd.observers.correlator import MultipleTau, add_products, add_squared_d
 
 N_STEPS, EDGE = 1000, 10  # steps of a turn; unit cells along an edge: 4000 atoms
 TURNS = {
-    "nothing": lambda: [],
+    "nothing": list,
     "MeanSquareDisplacement(every=10)": lambda: [md.observers.MeanSquareDisplacement()],
     "VelocityAutocorrelation(every=10)": lambda: [md.observers.VelocityAutocorrelation()],
     "Viscosity(every=5)": lambda: [md.observers.Viscosity()],

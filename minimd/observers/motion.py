@@ -49,9 +49,12 @@ class _OfAtoms(Accumulator):
     def _settled(self) -> dict[str, Any]:
         return {"chosen": self.chosen, "is_cubic": self.is_cubic, "numbers": self.numbers}
 
+    _volume_of: Cell | None
+
     def _laid_out(self, scene: Scene) -> None:
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
-        self._order = np.array(self.chosen)
+        self._order, self._volume_of, self._volume = np.array(self.chosen), None, np.nan
+        self._takes_all = np.array_equal(self._order, np.arange(scene.n_atoms))
         self._correlator = MultipleTau(type(self).law, starts, 3, POINTS, self.n_levels, averages=False)
         self.sums = BlockedSums(HEAD + self._correlator.size)
 
@@ -63,8 +66,11 @@ class _OfAtoms(Accumulator):
     def _look(self, engine: Engine) -> None:
         sums, system = self.sums.total, engine.system
         kinetic = kinetic_energy(system.velocities, system.masses)
-        sums[:HEAD] += 1.0, temperature(kinetic, engine.n_dof, system.units.k_B), system.volume or np.nan
-        self._correlator.add(np.take(self._vectors(engine), self._order, axis=0).T, sums[HEAD:])
+        if self._volume_of is not system.cell:  # its determinant takes as long as a lag of the correlator
+            self._volume_of, self._volume = system.cell, system.volume or np.nan
+        sums[:HEAD] += 1.0, temperature(kinetic, engine.n_dof, system.units.k_B), self._volume
+        vectors = self._vectors(engine)
+        self._correlator.add((vectors if self._takes_all else np.take(vectors, self._order, axis=0)).T, sums[HEAD:])
 
     @abstractmethod
     def _vectors(self, engine: Engine) -> Array:
@@ -122,7 +128,10 @@ class MeanSquareDisplacement(_OfAtoms):
             was, old = self._before
             carried = old @ np.linalg.solve(_spanning(was), _spanning(cell)) - old
             self._carried = carried if self._carried is None else self._carried + carried
-        self._before = cell, positions.copy()
+        if self._before is None:
+            self._before = cell, np.empty_like(positions)
+        self._before[1][:] = positions
+        self._before = cell, self._before[1]
         return positions if self._carried is None else positions - self._carried
 
     def _arrays(self) -> dict[str, NDArray[Any]]:

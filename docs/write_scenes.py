@@ -14,6 +14,7 @@ from pathlib import Path
 from annotated_types import Ge, Gt, MaxLen
 from pydantic_core import PydanticUndefined
 
+from minimd.observers import KINDS
 from minimd.potentials.pair import MIXING
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.scene.section import KEY_UNITS, Dimension, Section
@@ -29,7 +30,7 @@ REDUCED = {
     "length": "σ", "time": "τ", "temperature": "ε/k_B", "energy": "ε", "force": "ε/σ", "density": "1/σ³", "stiffness": "ε/σ²",
     "angular stiffness": "ε/rad²", "angle": "°", "inverse length": "1/σ", "velocity": "σ/τ", "acceleration": "σ/τ²",
 }  # fmt: skip
-CHOICES = {"lattice": BASES, "mixing": MIXING, "truncation": TRUNCATIONS, "method": METHODS}
+CHOICES = {"lattice": BASES, "mixing": MIXING, "truncation": TRUNCATIONS, "method": METHODS, "kind": KINDS, "axis": "abc"}
 MEANINGS = {
     "": {
         "title": "a line for reports and files",
@@ -201,6 +202,17 @@ MEANINGS = {
         "temperature": "to which velocities are rescaled; that of `[dynamics]` if not given",
         "rescale_every": "steps between two rescalings",
     },
+    "observer": {
+        "kind": "what is measured while the run goes on, see [observers](observers.md)",
+        "every": "steps between two looks",
+        "name": "under which files hold it; the kind if not given",
+        "r_max": "of `radial-distribution`; half the height of the cell if not given",
+        "n_bins": "of `radial-distribution` and `profile`",
+        "n_levels": "of the correlator, of `mean-square-displacement`, `velocity-autocorrelation` and `viscosity`",
+        "most_atoms": "at most, evenly chosen, of `mean-square-displacement` and `velocity-autocorrelation`",
+        "axis": "of `profile`: the lattice vector",
+        "extent": "of `profile` along an open axis: lower and upper end",
+    },
     "output": {
         "trajectory": "a file, or several, of the format that the suffix names; the name of the scene with `.h5md` if not given",
         "every": "steps between two observations",
@@ -243,6 +255,7 @@ temperature_K = 94.4
 HEADINGS = {
     "": "At the top of the file",
     "potential.pairs": "[[potential.pairs]]",
+    "observer": "[[observer]]",
 }
 NOTES = {
     "structure": "Either `file`, or `lattice` with `repeat` and `density` or `lattice_constant`, and `element` unless units are reduced.",
@@ -257,6 +270,7 @@ NOTES = {
     "tables": "A table `[tables.X]` is what a file named X would hold: a scene that is stored in the file of its run has its tables there.",
     "minimization": "Optional: before everything else atoms move to a minimum of the energy nearby. `[minimization]` alone is enough.",
     "equilibration": "Optional: steps before the run, with velocities rescaled.",
+    "observer": "Optional. Double brackets: a scene can have several. The defaults are those of the kind.",
     "output": "Optional.",
 }
 

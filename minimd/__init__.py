@@ -1,9 +1,10 @@
 """minimd: a molecular-dynamics mini-engine, fast and exact. Its modules are described in docs/architecture.md."""
 
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 
-from minimd import integrators
+from minimd import integrators, observers
 from minimd.compiled.machine import version
 from minimd.diagnosis.report import Report
 from minimd.diagnosis.reversibility import Reversibility
@@ -115,6 +116,8 @@ __all__ = [
     "lattice",
     "minimize",
     "neighbor_list",
+    "observers",
+    "read_observers",
     "replay",
     "shadow_energy",
     "units",
@@ -127,6 +130,16 @@ def __getattr__(name: str) -> ModuleType:
     if name == "lammps":
         return import_module("minimd.lammps")
     raise AttributeError(f"module 'minimd' has no attribute {name!r}")
+
+
+def read_observers(path: str | Path) -> dict[str, observers.Accumulator]:
+    """The observers in an H5MD file by name, as they stood at its restart: read_observers("run.h5md")["viscosity"].result().
+
+    Raises FileNotFoundError, OSError, ValueError for a file that is none of minimd, or is damaged.
+    """
+    from minimd.files.h5md_reader import read_file  # h5py takes its time to load
+
+    return read_file(path).observers
 
 
 def __dir__() -> list[str]:

@@ -28,6 +28,7 @@ FLOORS = [  # highest first; several on one floor do not know each other
     "minimd.simulation",
     "minimd.ase",
     "minimd.files",
+    "minimd.observers",
     "minimd.diagnosis",
     "minimd.engine",
     "minimd.minimization",

@@ -16,7 +16,7 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
     """Draw a minimd file and return the name of the picture.
 
     Four panels: change of the total energy per atom, temperature, change of the total momentum, and g(r) where the cell is
-    periodic in all directions, else the mean-square displacement.
+    periodic in all directions, else the mean-square displacement. And one for each observer of the run.
     out : the picture, in a format that matplotlib knows by its suffix; the name of the file with .png if not given.
 
     Raises FileNotFoundError, OSError, ValueError as universe, or if the picture cannot be written.
@@ -28,12 +28,15 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
 
 def drawn(made: RunUniverse) -> Figure:
     """The picture of plot_file, of a run whose universe is open, not yet written anywhere."""
-    figure, panels = four_panels()
     contents = made.contents
+    answers = [one.result() for one in contents.observers.values() if one.n_looks]
+    figure, panels = four_panels(len(answers))
     for draw, panel in zip((_energy, draw_temperature, draw_momentum), panels, strict=False):
         draw(panel, contents.record.time * contents.system.units.to_picosecond, contents.record)
         panel.set_xlabel(f"time  [{contents.system.units.shown_time}]")
     _structure(panels[3], made)
+    for panel, answer in zip(panels[4:], answers, strict=False):
+        answer.draw(panel)
     for panel in panels:
         panel.margins(x=0.01)
         panel.title.set_fontsize(10)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.engine.record import SERIES, Record
 from minimd.structure.display import Displayed
+from minimd.structure.statistics import FEW, LINE, block_means, independent, mean_and_error, with_error
 
 BLOCKS = 40  # averages of the total energy between which the drift is fitted
 BLOCKS_OF_WALK = 20  # the same of a series that wanders
@@ -19,7 +20,6 @@ INDEPENDENT = 4.0  # entries, below which a series is too short to judge
 LARGEST_RANGE = 0.5  # of the kinetic energy
 RANGE_OF_ROUNDING = 1e-11  # of the potential energy
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
-FEW = 4  # frames below which nothing can be judged
 QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
@@ -101,9 +101,9 @@ def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = 
         return Drift(float(slope), np.inf)
     t = block_means(time, blocks)
     slope, rest = _line(t, block_means(series, blocks))
-    own = least = _independent(rest)
+    own = least = independent(rest, LINE)
     if beside is not None:
-        least = min(own, _independent(_line(t, block_means(beside, blocks))[1]))
+        least = min(own, independent(_line(t, block_means(beside, blocks))[1], LINE))
     one, safe = (Drift(slope, float(np.sqrt(rest @ rest / blocks / max(1.0, n - 2.0) / t.var())), n) for n in (own, least))
     return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
 
@@ -112,14 +112,6 @@ def _line(t: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, NDArra
     """Slope of the line through points, and their distances from it."""
     slope, at_zero = np.polyfit(t, y, 1)
     return float(slope), y - slope * t - at_zero
-
-
-def _independent(rest: NDArray[np.float64]) -> float:
-    """How many numbers of a correlated series are independent, n in drift."""
-    square, n = float(rest @ rest), len(rest)
-    alike = float(rest[1:] @ rest[:-1]) / square if square > 0.0 else 0.0
-    alike = min(max(0.0, alike + (2.0 + 4.0 * alike) / n), 1.0 - 1.0 / n)
-    return n * (1.0 - alike) / (1.0 + alike)
 
 
 def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS_OF_WALK) -> Drift:
@@ -134,11 +126,6 @@ def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks
         return drift(time, series, blocks)
     t, y = block_means(time, blocks), block_means(series, blocks)
     return Drift(float((y[-1] - y[0]) / (t[-1] - t[0])), float(np.sqrt(1.5 * (blocks - 1)) * np.diff(y).std(ddof=1) / (t[-1] - t[0])))
-
-
-def block_means(series: NDArray[np.float64], blocks: int) -> NDArray[np.float64]:
-    """Averages over so many parts of a series, as equal as its length allows."""
-    return np.array([part.mean() for part in np.array_split(series, blocks)])
 
 
 @dataclass(frozen=True)
@@ -172,7 +159,7 @@ class Report(Displayed):
     momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None where P is not a constant.
     angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None where L is not a constant.
     constraint_violation : largest |r² − d²|/d², or None without constraints.
-    mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
+    mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.  temperature_error : standard error of the mean.
     duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run, if known.
     kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
@@ -202,6 +189,7 @@ class Report(Displayed):
     energy_range: float = 0.0
     temperatures: tuple[float, float] = (0.0, 0.0)
     not_finite: str = ""
+    temperature_error: float = np.nan
 
     @property
     def energy_is_conserved(self) -> bool | None:
@@ -274,7 +262,7 @@ class Report(Displayed):
             tell("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
         lines.extend(map(str, self.lines))
         spread = "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {temperature}"
-        tell("temperature", f"{self.mean_temperature:.4g} {temperature} {spread}")
+        tell("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {temperature} {spread}")
         lines.extend(self.cost.lines() if self.cost is not None else ())
         tell("verdict", self.verdict)
         return "\n".join(lines)
@@ -348,6 +336,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         units=(units.energy, units.shown_time, units.temperature),
         temperatures=(float(record.temperature[:fifth].mean()), float(record.temperature[-fifth:].mean())),
         not_finite=_not_finite(record),
+        temperature_error=mean_and_error(record.temperature)[1],
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())),
     )
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.structure.display import Displayed, Rows
+from minimd.structure.statistics import mean_and_error, with_error
 from minimd.structure.units import UnitSystem
 
 if TYPE_CHECKING:
@@ -152,7 +153,8 @@ class Record(Displayed):
             if series.ndim > 1:
                 told = f"change at most {np.abs(series - series[0]).max():.2g}"
             else:
-                told = f"first {series[0]:.8g}, last {series[-1]:.8g}, mean {series.mean():.8g}, standard deviation {series.std():.2g}"
+                mean = with_error(*mean_and_error(series)) if series.std() > 0.0 else f"{series.mean():.8g}"
+                told = f"first {series[0]:.8g}, last {series[-1]:.8g}, mean {mean}, standard deviation {series.std():.2g}"
             rows.append((name.replace("_", " "), f"{told} {self.unit(name)}".rstrip()))
         return rows
 

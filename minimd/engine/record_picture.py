@@ -39,10 +39,15 @@ class Picture(Figure):
         return stream.getvalue()
 
 
-def four_panels() -> tuple[Picture, list[Axes]]:
-    """An empty picture and its panels, row by row."""
-    figure = Picture(figsize=INCHES, dpi=DOTS_PER_INCH, layout="constrained")
-    panels = list(figure.subplots(2, 2).ravel())
+def four_panels(more: int = 0) -> tuple[Picture, list[Axes]]:
+    """An empty picture and its panels, row by row: four, and as many more as asked for."""
+    n_rows = 2 + (more + 1) // 2
+    figure = Picture(figsize=(INCHES[0], INCHES[1] / 2.0 * n_rows), dpi=DOTS_PER_INCH, layout="constrained")
+    *panels, last = figure.subplots(n_rows, 2).ravel()
+    if more % 2:
+        last.remove()
+    else:
+        panels.append(last)
     for panel in panels:
         panel.spines[["top", "right"]].set_visible(False)
         panel.grid(alpha=0.25, lw=0.6)

@@ -1,29 +1,15 @@
-"""Averages of a run, and their standard errors by blocks."""
+"""Averages of a run, and their standard errors; see structure.statistics."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from minimd.diagnosis.report import BLOCKS, FEW, block_means
 from minimd.engine.record import Record
 from minimd.structure.checks import shown
+from minimd.structure.statistics import mean_and_error
 
 Averages = dict[str, tuple[float, float]]  # name: mean, standard error
-
-
-def mean_and_error(series: Any) -> tuple[float, float]:
-    """Mean of a series, and the standard error of the mean from the scatter of 20 blocks: σ(block means) / √20.
-
-    The error is right where a block is much longer than the correlation time, and too small where it is not. With fewer than 20 entries
-    each is a block; with fewer than 4 the error is NaN.
-    H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989).
-    """
-    values = np.asarray(series, dtype=np.float64)
-    n = min(BLOCKS, len(values))
-    if n < FEW:
-        return float(values.mean()) if n else np.nan, np.nan
-    return float(values.mean()), float(block_means(values, n).std(ddof=1) / np.sqrt(n))
 
 
 def averages_of(result: Any) -> Averages:

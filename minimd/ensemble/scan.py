@@ -159,6 +159,8 @@ def scan_scene(
     _check_scene(place, scene.text, resume)
     replicas = checked_count("replicas", replicas)
     tell(f"scene          {path}" + (f": {scene.sections.title}" if scene.sections.title else ""))
+    if scene.sections.observer:
+        tell("NOTE           observers look at single runs of a scene only; the members of a scan go without them")
     for setting in settings:
         tell(f"set            {setting}")
     tell(f"members        {len(grid) * replicas}, {n_steps} steps each; {replicas} of each kind; files in {place}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import floor, isfinite, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from minimd.ensemble.table import EnsembleTable
 from minimd.structure.checks import listed, near
+from minimd.structure.statistics import with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,14 +19,6 @@ TOLD = ("temperature", "potential_energy", "pressure")  # observables of the tab
 DRAWN = ("pressure", "potential_energy")
 MOST_CURVES = 8
 MOST_LINES = 100
-
-
-def with_error(mean: float, error: float) -> str:
-    """A mean with two digits of its error, as 1.234 ± 0.056."""
-    if not (isfinite(error) and error > 0.0 and isfinite(mean)):
-        return f"{mean:.6g}"
-    digits = max(0, 1 - floor(log10(error)))
-    return f"{mean:.{digits}f} ± {error:.{digits}f}" if digits < 12 else f"{mean:.12g} ± {error:.1e}"
 
 
 def told_averages(table: EnsembleTable) -> Iterator[str]:

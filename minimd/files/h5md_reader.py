@@ -17,10 +17,12 @@ from minimd.engine.record import SERIES, Record
 from minimd.files.first_look import looked_at
 from minimd.files.h5md_constraints import read_constraints
 from minimd.files.h5md_digest import check_sizes, damaged_frames, is_signed, n_whole_frames
+from minimd.files.h5md_observers import observers_of
 from minimd.files.h5md_restart import damaged_restart, read_restart
 from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, opened
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
+from minimd.observers import Accumulator
 from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
 from minimd.structure.display import Displayed, Rows
@@ -37,6 +39,7 @@ class H5MDContents(Displayed):
     parameters : arguments that make the method again.  precision, skin : of the options.  potentials : in words.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
+    observers : those of minimd.observers in the file, by name, as they stood at the restart.
     repaired : a sentence, if the newest restart is damaged and this is the one before.
     """
 
@@ -58,6 +61,7 @@ class H5MDContents(Displayed):
     skin: float | None
     potentials: list[str]
     repaired: str
+    observers: dict[str, Accumulator]
 
     def __repr__(self) -> str:
         return f"H5MDContents({self.n_frames} frames of {len(self.system)} atoms, {self.method}, step {self.step})"
@@ -116,6 +120,7 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
             skin=None if np.isnan(at["skin"]) else float(at["skin"]),
             potentials=list(at["potentials"]),
             repaired=repaired,
+            observers=observers_of(h5),
         )
 
 

@@ -63,11 +63,11 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
     )
 
 
-def write_restart(h5: h5py.File, checkpoint: Checkpoint, n_frames: int) -> None:
-    """Make this the restart, and the one that was it the earlier one."""
+def write_restart(h5: h5py.File, checkpoint: Checkpoint, n_frames: int, beside: dict[str, np.ndarray] | None = None) -> None:
+    """Make this the restart, and the one that was it the earlier one.  beside : arrays that are kept with it."""
     older = EARLIER if EARLIER in h5 else SPARE
     arrays, numbers = flattened(checkpoint)
-    write_group(h5.require_group(older), arrays, numbers | {"n_frames": n_frames})
+    write_group(h5.require_group(older), arrays | (beside or {}), numbers | {"n_frames": n_frames})
     if older != SPARE:
         h5.move(older, SPARE)
     if RESTART in h5:
@@ -84,6 +84,12 @@ def read_restart(h5: h5py.File) -> tuple[Checkpoint, int, bool]:
         if (found := _whole(h5, name)) is not None:
             return *found, name == EARLIER
     raise ValueError("its restart is damaged")
+
+
+def arrays_of_restart(h5: h5py.File) -> dict[str, np.ndarray]:
+    """All arrays of the restart that read_restart finds, those that are kept beside it among them; none if no restart is whole."""
+    name = next((name for name in (RESTART, EARLIER) if _whole(h5, name) is not None), None)
+    return {} if name is None else read_group(h5[name])[0]
 
 
 def damaged_restart(h5: h5py.File) -> str:

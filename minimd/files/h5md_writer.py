@@ -7,7 +7,7 @@ frames up to a commit, and the restart of that commit.
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
@@ -24,10 +24,12 @@ from minimd.files.claim import Claim
 from minimd.files.frame_block import FrameBlock
 from minimd.files.h5md_constraints import difference
 from minimd.files.h5md_digest import add_block, drop_frames, sign
+from minimd.files.h5md_observers import describe_observers, restore_observers, states_of, write_answers
 from minimd.files.h5md_reader import H5MDContents, check_description, contents_of
 from minimd.files.h5md_restart import set_aside_damaged, write_restart
 from minimd.files.journaled_file import JournaledFile
 from minimd.files.rehearsal import rehearse
+from minimd.observers.accumulator import Accumulator
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 MOST_OFTEN = 50.0  # times as long as a flush takes, which then takes no more than 2 % of the time; sooner if there is no memory for more frames
@@ -39,6 +41,7 @@ class H5MDWriter:
     Its restart is the state of the engine at the last flush, checkpoint or close.
 
     claim : on the file.  engine : whose frames will come.  store_forces : also write forces.  every : steps between two frames.
+    observers : of the run, whose state is kept with each restart, and whose answers with the end of the run.
 
     Raises OSError if the file cannot be created or has no room.
     """
@@ -52,17 +55,21 @@ class H5MDWriter:
     _columns: list[layout.Column]
     _every: int | None  # None where a file that is continued does not hold it
 
-    def __init__(self, claim: Claim, engine: Engine, store_forces: bool, every: int = 1) -> None:
+    def __init__(self, claim: Claim, engine: Engine, store_forces: bool, every: int = 1, observers: Sequence[Accumulator] = ()) -> None:
         self._begin(claim, engine, store_forces, "w")
-        self._every = every
+        self._every, self._observers = every, observers
         with self._telling("begin"):
             layout.describe(self._h5, engine)
+            describe_observers(self._h5, observers)
 
     @classmethod
-    def append_to(cls, file: str | Path, engine: Engine, store_forces: bool = False, every: int = 1) -> "H5MDWriter":
+    def append_to(
+        cls, file: str | Path, engine: Engine, store_forces: bool = False, every: int = 1, observers: Sequence[Accumulator] = ()
+    ) -> "H5MDWriter":
         """A writer that continues a file from its restart; frames behind the restart are dropped.
 
-        Forces are written if the file has them. A frame at the step of the restart is not doubled.
+        Forces are written if the file has them. A frame at the step of the restart is not doubled. Observers that have not looked yet take the
+        state of those in the file with the same names.
 
         Raises ValueError if the file holds another system or other constraints, no forces although store_forces, or if the simulation does not
         stand at the step of the restart.  OSError if the file cannot be written, or is damaged.
@@ -75,22 +82,25 @@ class H5MDWriter:
             claim.release()
             raise
         try:
-            writer._continue(file, every)
+            writer._continue(file, every, observers)
         except BaseException:
             writer._give_up()
             raise
         return writer
 
-    def _continue(self, file: str | Path, every: int) -> None:
+    def _continue(self, file: str | Path, every: int, observers: Sequence[Accumulator]) -> None:
         """Take up the file where its restart is.  Raises as append_to."""
         contents = contents_of(self._h5, file)
         _check_continues(Path(file), contents, self._engine, self._store_forces)
+        restore_observers(self._h5, file, observers)
+        self._observers = observers
         self._store_forces, self._every = contents.has_forces, every if f"observables/{layout.SPACING}" in self._h5 else None
         with self._telling("be continued"):
             self._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
             self._last_step = int(contents.record.step[self._n_frames - 1])
             set_aside_damaged(self._h5)
             drop_frames(self._h5, self._n_frames)
+            describe_observers(self._h5, observers)
             self._describe_method()
 
     def write(self, frame: Frame) -> None:
@@ -124,7 +134,7 @@ class H5MDWriter:
             if self._method is not self._engine.method:
                 self._describe_method()
             if self._engine.is_whole or self._n_frames == 0:
-                write_restart(self._h5, self._engine.checkpoint(), n_frames)
+                write_restart(self._h5, self._engine.checkpoint(), n_frames, states_of(self._observers))
             self._commit()
             self._n_frames = n_frames
             if self._pending:
@@ -139,6 +149,11 @@ class H5MDWriter:
         """
         try:
             self.checkpoint()
+            if self._h5 and self._n_frames and self._observers:
+                with self._telling("take the answers of the observers"), uninterrupted():
+                    write_answers(self._h5, self._observers)
+                    sign(self._h5)
+                    self._commit()
         finally:
             self._shut()
 

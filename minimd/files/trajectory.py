@@ -6,11 +6,12 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.claim import Claim
+from minimd.observers.accumulator import Accumulator
 from minimd.structure.checks import shown
 
 
@@ -28,7 +29,7 @@ class Writer(Protocol):
 
 
 FORMATS = {  # suffix: module and class of its writer, loaded when needed, and the options that it takes beside claim and engine
-    ".h5md": ("minimd.files.h5md_writer", "H5MDWriter", ("store_forces", "every")),
+    ".h5md": ("minimd.files.h5md_writer", "H5MDWriter", ("store_forces", "every", "observers")),
     **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())),
     **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter", ("store_forces",))),
 }
@@ -36,11 +37,18 @@ FORMATS = {  # suffix: module and class of its writer, loaded when needed, and t
 
 @contextmanager
 def open_trajectories(
-    paths: str | Path | Sequence[str | Path], engine: Engine, *, store_forces: bool, overwrite: bool, append: bool = False, every: int = 1
+    paths: str | Path | Sequence[str | Path],
+    engine: Engine,
+    *,
+    store_forces: bool,
+    overwrite: bool,
+    append: bool = False,
+    every: int = 1,
+    observers: Sequence[Accumulator] = (),
 ) -> Iterator[list[Writer]]:
     """Writers for some files, all checked before the first is opened, all closed at the end; if one cannot be opened, none is left.
 
-    every : steps between two frames.
+    every : steps between two frames.  observers : whose state and answers files hold that can; those that have not looked yet go on from there.
     Raises ValueError for a suffix that no writer knows, a file that is named twice, or one that cannot be appended to.  FileExistsError for a
     file that exists, unless overwrite.  FileNotFoundError, PermissionError for a folder that does not exist or cannot be written.
     OSError if another run writes the file, or it is no regular file.
@@ -48,17 +56,17 @@ def open_trajectories(
     several = named_files("trajectory", paths)
     _check_are_different(several)
     files = [_appendable(path) if append else checked_output(path, overwrite) for path in several]
+    options = {"store_forces": store_forces, "every": every, "observers": observers}
     with ExitStack() as closing:
         writers: list[Writer] = []
         for file in files:
-            writers.append(_continued(file, engine, store_forces, every) if append else _new(file, engine, store_forces, every, overwrite))
+            writers.append(_continued(file, engine, options) if append else _new(file, engine, options, overwrite))
             closing.callback(writers[-1].close)
         yield writers
 
 
-def _new(file: Path, engine: Engine, store_forces: bool, every: int, overwrite: bool) -> Writer:
+def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -> Writer:
     module, name, takes = FORMATS[file.suffix.lower()]
-    options = {"store_forces": store_forces, "every": every}
     try:
         claim = Claim(file, overwrite=overwrite)
     except OSError as error:
@@ -71,10 +79,10 @@ def _new(file: Path, engine: Engine, store_forces: bool, every: int, overwrite: 
     return writer
 
 
-def _continued(file: Path, engine: Engine, store_forces: bool, every: int) -> Writer:
+def _continued(file: Path, engine: Engine, options: dict[str, Any]) -> Writer:
     from minimd.files.h5md_writer import H5MDWriter
 
-    return H5MDWriter.append_to(file, engine, store_forces, every)
+    return H5MDWriter.append_to(file, engine, **options)
 
 
 def _appendable(file: Path) -> Path:

@@ -305,8 +305,8 @@ class Job:
         theirs = {step: row[0] for step, row in zip(log.steps, log.rows, strict=True)}
         baths = {step: start - row[1] for step, row in zip(log.steps, log.rows, strict=True) if len(row) > 1}
         apart = []
-        options = {"store_forces": store_forces, "overwrite": False}
-        with self._titled(), open_trajectories(self.trajectory, self.engine, every=self.every, **options) as writers:
+        opened = open_trajectories(self.trajectory, self.engine, every=self.every, store_forces=store_forces, overwrite=False)
+        with self._titled(), opened as writers:
             for step, columns in chain([(self.first_step, None)], [first] if first else [], found):
                 if columns is not None:
                     self._stand(step, columns, baths.get(step, start))

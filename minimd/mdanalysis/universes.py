@@ -23,9 +23,11 @@ from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.mdanalysis_writer import quiet
 from minimd.mdanalysis.memory import Frames, RecordedReader
 from minimd.mdanalysis.topology import bare_universe
+from minimd.observers.diffusion import finite_size_correction, is_cubic
 from minimd.simulation.simulation import Simulation
 from minimd.structure.console import outside_minimd
 from minimd.structure.display import Displayed, Rows
+from minimd.structure.statistics import FEW, with_error
 from minimd.structure.system import System
 from minimd.structure.units import ASE
 
@@ -195,7 +197,9 @@ class Diffusion(Displayed):
 
     Attributes
     ----------
-    coefficient : D [Å²/ps, or σ²/τ].  cm2_per_s : the same in cm²/s, None in reduced units.
+    coefficient : D of this cell [Å²/ps, or σ²/τ].  cm2_per_s : the same in cm²/s, None in reduced units.
+    error : standard error of D, from the scatter of the slopes of the atoms; NaN of fewer than 4.
+    infinite : D of an infinite system, by the correction of Yeh and Hummer; None if no viscosity was given.
     window : lags of the straight-line fit [ps or τ].  lags, displacements : (T,) [ps or τ], (T,) mean squares [Å² or σ²].
     """
 
@@ -204,10 +208,16 @@ class Diffusion(Displayed):
     window: tuple[float, float]
     lags: Array
     displacements: Array
+    error: float = np.nan
+    infinite: float | None = None
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return [("diffusion", str(self)), ("lags", f"{len(self.lags)}, up to {self.lags[-1]:.4g} {'τ' if self.cm2_per_s is None else 'ps'}")]
+        unit, time = ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")
+        size = "that of a larger cell is larger: viscosity= corrects for it"
+        if self.infinite is not None:
+            size = f"D = {with_error(self.infinite, self.error)} {unit} in an infinite system, by Yeh and Hummer"
+        return [("diffusion", str(self)), ("", size), ("lags", f"{len(self.lags)}, up to {self.lags[-1]:.4g} {time}")]
 
     def __repr__(self) -> str:
         return f"Diffusion({self})"
@@ -215,7 +225,7 @@ class Diffusion(Displayed):
     def __str__(self) -> str:
         unit, time = ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")
         absolute = "" if self.cm2_per_s is None else f" = {self.cm2_per_s:.4g} cm²/s"
-        return f"D = {self.coefficient:.4g} {unit}{absolute}, from lags of {self.window[0]:.4g} to {self.window[1]:.4g} {time}"
+        return f"D = {with_error(self.coefficient, self.error)} {unit}{absolute}, from lags of {self.window[0]:.4g} to {self.window[1]:.4g} {time}"
 
 
 def mean_square_displacement(run: Run) -> tuple[Array, Array]:
@@ -227,27 +237,53 @@ def mean_square_displacement(run: Run) -> tuple[Array, Array]:
     ------
     ValueError : if there is only one frame.  And as universe.
     """
+    lags, of_atoms = _displacements(run)
+    return lags, of_atoms.mean(axis=1)
+
+
+def _displacements(run: Run) -> tuple[Array, Array]:
+    """Lags, (T,), and mean squares of each of n atoms, (T, n); see mean_square_displacement."""
     with universe_of(run) as made, quiet():
         if len(made.trajectory) < 2:
             raise ValueError(f"a displacement needs at least 2 frames; {_name(made)} holds {len(made.trajectory)}")
         result = EinsteinMSD(_every(made, MSD_ATOMS), fft=False).run(step=ceil(len(made.trajectory) / MSD_FRAMES)).results
-    return np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.timeseries)
+    return np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.msds_by_particle)
 
 
-def diffusion_coefficient(run: Run, window: tuple[float, float] | None = None) -> Diffusion:
-    """D from the mean-square displacement, a straight line fitted within a window of lags.
+def diffusion_coefficient(run: Run, window: tuple[float, float] | None = None, viscosity: float | None = None) -> Diffusion:
+    """D from the mean-square displacement, a straight line fitted within a window of lags, with its standard error.
+
+    The error is that of the mean over atoms, which move almost independently of each other.
 
     run : what universe takes, or a universe of it.  window : [ps, or τ]; from a tenth to half of the duration if not given.
+    viscosity : η [energy time/length³], for the correction of Yeh and Hummer for the size of a cubic cell; see observers.diffusion.
 
     Raises
     ------
-    ValueError : if the window holds fewer than three lags.  And as mean_square_displacement.
+    ValueError : if the window holds fewer than three lags; for a viscosity and a cell that is not cubic, or a run in memory.  And as
+        mean_square_displacement.
     """
     with universe_of(run) as made:
-        (lags, squares), units = mean_square_displacement(made), made.system.units
+        (lags, of_atoms), units = _displacements(made), made.system.units
+        squares, added = of_atoms.mean(axis=1), None if viscosity is None else _correction(made, viscosity)
     start, end = window or (FIT_FROM * lags[-1], FIT_TO * lags[-1])
     chosen = (lags >= start) & (lags <= end)
     if chosen.sum() < 3:
         raise ValueError(f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {chosen.sum()} of {len(lags)}")
     coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
-    return Diffusion(coefficient, coefficient * CM2_PER_S if units is ASE else None, (float(start), float(end)), lags, squares)
+    each = np.polyfit(lags[chosen], of_atoms[chosen], 1)[0] / 6.0
+    error = float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) >= FEW else np.nan
+    infinite, absolute = None if added is None else coefficient + added, coefficient * CM2_PER_S if units is ASE else None
+    return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares, error, infinite)
+
+
+def _correction(made: RunUniverse, viscosity: float) -> float:
+    """What an infinite system adds to D [Å²/ps, or σ²/τ]."""
+    cell, units = made.system.cell, made.system.units
+    if not is_cubic(cell) or not hasattr(made, "contents"):
+        raise ValueError(
+            "the correction of Yeh and Hummer is for files of runs in cubic cells that are periodic in all directions; leave viscosity out"
+        )
+    thermal_energy = units.k_B * float(made.contents.record.temperature.mean())
+    added = finite_size_correction(thermal_energy, viscosity, float(np.linalg.norm(cell.vectors[0])))
+    return added * units.to_angstrom**2 / units.to_picosecond

@@ -58,7 +58,7 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
                 own = (bin_x * counts[1] + bin_y) * counts[2] + bin_z
                 if bin_start[own] == bin_start[own + 1]:
                     continue
-                n_ranges = _atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges)
+                n_ranges = atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges)
                 for i in range(bin_start[own], bin_start[own + 1]):
                     pairs.start[i] = n_pairs
                     x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
@@ -85,7 +85,7 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
 
 
 @kernel
-def _atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges):
+def atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges):
     """Ranges of atoms in the bins ahead of one bin, as rows (first, last, image) of ranges; returns how many.
 
     The first row is the bin itself and what follows it without a gap. Neighboring bins of one image are one range.

@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from minimd.integrators import Splitting
+from minimd.observers import Accumulator
 from minimd.scene.problems import problems
 from minimd.scene.section import Reading
 from minimd.scene.sections import SceneSections, TabulatedSection
@@ -90,6 +91,13 @@ class Scene:
         if system is None and dynamics.temperature is not None:
             simulation.set_temperature(dynamics.temperature, dynamics.seed)
         return simulation
+
+    def observers(self) -> list[Accumulator]:
+        """New observers, as the scene asks for them.  Raises ValueError, naming the file, if two have the same name."""
+        made = [section.observer() for section in self.sections.observer]
+        if len({one.name for one in made}) < len(made):
+            raise ValueError(f"{self.path}: each observer needs a name of its own; give one to those of the same kind")
+        return made
 
     def trajectories(self, instead: Path | None = None) -> list[Path]:
         """The trajectory files, relative to the current folder.  instead : one file in place of those of the scene."""

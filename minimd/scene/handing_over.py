@@ -28,6 +28,8 @@ def hand_over_scene(
     for line in description(scene, simulation, n_steps):
         tell(line)
     check_hand_over(simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite)  # before anything is computed
+    if scene.sections.observer:
+        tell("NOTE           observers look at runs of minimd only; LAMMPS makes this one without them")
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell)
     done = hand_over(

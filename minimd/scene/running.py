@@ -1,6 +1,6 @@
 """Running a scene from start to report, with a line about each thing that is done."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from minimd.files.crash_file import crash_file_place
 from minimd.files.h5md_reader import read_file, verify_frames
 from minimd.files.trajectory import FORMATS, checked_output
+from minimd.observers import Accumulator
 from minimd.potentials import PairPotential
 from minimd.scene.document import Scene, h5md_files, parse_scene
 from minimd.scene.ending import kept
@@ -52,9 +53,19 @@ def run_scene(
         tell(line)
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell, crash_file_place(True, files))
+    observers = scene.observers()
     with kept(scene, files, n_steps):
-        simulation.run(n_steps, every=output.every, trajectory=files, store_forces=output.forces, overwrite=overwrite, progress=progress)
+        simulation.run(
+            n_steps,
+            every=output.every,
+            trajectory=files,
+            store_forces=output.forces,
+            overwrite=overwrite,
+            observers=observers,
+            progress=progress,
+        )
     tell(str(simulation.report()))
+    tell_answers(observers, tell)
     drawn = []
     if picture is not None and picture.exists() and not overwrite:
         tell(f"not drawn      {picture} exists and is kept; draw with: minimd plot")
@@ -111,11 +122,20 @@ def resume_run(
     tell(f"resumed        at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames")
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories of the scene stay as they are")
+    observers = scene.observers()
     with kept(scene, [path], end):
-        simulation.run(until_step=end, every=scene.sections.output.every, trajectory=path, append=True, progress=progress)
+        simulation.run(until_step=end, every=scene.sections.output.every, trajectory=path, append=True, observers=observers, progress=progress)
     tell(str(simulation.report()))
+    tell_answers(observers, tell)
     tell(f"written        {file}")
     return simulation
+
+
+def tell_answers(observers: Sequence[Accumulator], tell: Tell) -> None:
+    """What observers have found, a line or a few for each."""
+    for one in observers:
+        if one.n_looks:
+            tell(str(one.result()))
 
 
 def differences(one: Scene, other: Scene) -> list[str]:

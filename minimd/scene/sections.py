@@ -14,6 +14,7 @@ from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.scene.bonded_sections import BondedSection
 from minimd.scene.field_sections import FieldSection
+from minimd.scene.observer_section import ObserverSection
 from minimd.scene.section import Dimension, Section, one_of, reading_of
 from minimd.scene.tables import Numbers, TableSection
 from minimd.scene.values import NotNegative, PairOfAtoms, Positive, Three
@@ -274,6 +275,7 @@ class SceneSections(Section):
     minimization: MinimizationSection | None = None
     equilibration: EquilibrationSection | None = None
     tables: dict[str, TableSection] = Field({})
+    observer: list[ObserverSection] = Field([])
     output: OutputSection = OutputSection.model_construct()
 
     @model_validator(mode="after")

@@ -70,3 +70,12 @@ def go_to(simulation: Any, file: str | Path, contents: H5MDContents, frame: int)
     engine.restore(Snapshot(int(record.step[frame]), float(record.time[frame]), *frame_arrays(file, frame), reservoir))
     engine.is_whole = True
     engine.leave()
+
+
+def last_step(step: int, n_steps: int | None, until_step: int | None) -> int:
+    """The step at which a run ends.  Raises ValueError unless exactly one of the two says so."""
+    if (n_steps is None) == (until_step is None):
+        raise ValueError(f"a run needs either n_steps or until_step; n_steps = {n_steps!r}, until_step = {until_step!r}")
+    if n_steps is not None:
+        return step + checked_count("n_steps", n_steps, 0)
+    return checked_count("until_step", until_step, step)

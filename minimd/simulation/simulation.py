@@ -25,9 +25,11 @@ from minimd.forces.forces import Potential
 from minimd.forces.options import Options, Precision
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
+from minimd.observers.accumulator import Accumulator
+from minimd.observers.attached import Attached
 from minimd.simulation.engine_attribute import Closed, EngineAttribute, Measured
-from minimd.simulation.resuming import resumed
-from minimd.structure.checks import checked_count, checked_flag, checked_number, shown
+from minimd.simulation.resuming import last_step, resumed
+from minimd.structure.checks import checked_count, checked_flag, checked_number
 from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
 from minimd.structure.display import Displayed, Rows
@@ -37,7 +39,7 @@ from minimd.structure.system import AnySystem, System
 from minimd.structure.velocities import maxwell_boltzmann, rescaled
 
 SECONDS_BETWEEN_CHECKPOINTS = 5.0  # whatever every is: no more is lost when the process is killed
-Observer = Callable[["Simulation"], None]
+Observer = Callable[["Simulation"], None] | Accumulator
 
 
 class Simulation(Closed, Displayed):
@@ -165,7 +167,12 @@ class Simulation(Closed, Displayed):
         trajectory : a file or several, of the format that the suffix names: see minimd.files.trajectory.
         store_forces : write forces into formats that can hold them.
         overwrite : replace files that exist.  append : continue the trajectory, an H5MD file in whose restart this simulation stands.
-        observers : functions called with this simulation at each observation.
+        observers : functions called with this simulation at each observation; and those of minimd.observers, which look at steps of their own and
+            answer at the end. An H5MD file keeps them, and a run that continues it goes on with them.
+
+                stress = md.observers.Viscosity(every=5)
+                sim.run(100_000, observers=[stress])
+                print(stress.result())
         progress : show a progress bar; if not given, on a terminal and in a notebook.
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere
             (False). It holds the last good state and what minimd.replay needs; an existing file is kept unless overwrite, and the new one numbered.
@@ -178,31 +185,33 @@ class Simulation(Closed, Displayed):
         FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
         """
         engine, guard = self.engine, self.guard
-        every, end = checked_count("every", every), _end(engine.step, n_steps, until_step)
+        every, end = checked_count("every", every), last_step(engine.step, n_steps, until_step)
         files = {"store_forces": store_forces, "overwrite": overwrite, "append": append}
         files = {name: checked_flag(name, flag) for name, flag in files.items()}
-        if not isinstance(observers, list | tuple) or not all(map(callable, observers)):
-            raise TypeError(f"observers must be a list of functions of a simulation; observers = {shown(observers)}")
+        attached = Attached(observers, engine)
         check_extras(engine)
         place, start = crash_file_place(crash_report, trajectory), engine.step
         with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):  # the file is left after all others are closed
             guard.check_start()
             with (
                 stop_on_signals(engine.surroundings),
-                open_trajectories(trajectory, engine, every=every, **files) as writers,
+                open_trajectories(trajectory, engine, every=every, observers=attached.accumulators, **files) as writers,
                 progress_of(end - start, "running", progress) as tell,
             ):
                 self.record = record = Record(self.system.units, len(self.system), first_h5md(trajectory))
                 guard.begin_run()
-                self._observe([] if append and start % every else writers, observers)
+                attached.begin()
+                self._observe([] if append and start % every else writers, attached.functions)
                 checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
                 while engine.step < end:
                     next_look = engine.step + every - engine.step % every
-                    n_now = min(BLOCK, next_look - engine.step, end - engine.step)
-                    guard.advance(n_now, with_energy=engine.step + n_now in (next_look, end))
+                    n_now = int(min(BLOCK, next_look - engine.step, end - engine.step, attached.steps_to_next()))
+                    at = engine.step + n_now
+                    guard.advance(n_now, with_energy=at in (next_look, end) or attached.need_energy(at))
                     tell(engine.step - start)
+                    attached.look()
                     if engine.step == next_look:
-                        self._observe(writers, observers)
+                        self._observe(writers, attached.functions)
                     elif engine.step == end or guard.is_hot():
                         guard.observe()
                     if monotonic() > checkpoint_due:
@@ -212,7 +221,7 @@ class Simulation(Closed, Displayed):
                 engine.leave()
         return record
 
-    def _observe(self, writers: Sequence[Writer], observers: Sequence[Observer]) -> None:
+    def _observe(self, writers: Sequence[Writer], observers: Sequence[Callable]) -> None:
         engine, frame = self.engine, self.guard.observe()
         if self.record is not None:
             self.record.append(frame)
@@ -387,12 +396,3 @@ def _copied(
     simulation.guard.seconds, simulation.guard.n_steps = seconds, n_steps
     simulation.record, simulation.reversibility = copy.deepcopy(record), reversibility
     return simulation
-
-
-def _end(step: int, n_steps: int | None, until_step: int | None) -> int:
-    """The step at which a run ends.  Raises ValueError unless exactly one of the two says so."""
-    if (n_steps is None) == (until_step is None):
-        raise ValueError(f"a run needs either n_steps or until_step; n_steps = {n_steps!r}, until_step = {until_step!r}")
-    if n_steps is not None:
-        return step + checked_count("n_steps", n_steps, 0)
-    return checked_count("until_step", until_step, step)

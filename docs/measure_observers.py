@@ -1,0 +1,68 @@
+"""What observers cost: CPU time of a step of the Lennard-Jones melt without them and with each, interleaved; and of the correlator alone.
+
+python docs/measure_observers.py [N_ROUNDS]
+"""
+
+import sys
+from time import process_time
+
+import numpy as np
+
+import minimd as md
+from minimd.observers.correlator import MultipleTau, add_products, add_squared_differences
+
+N_STEPS, EDGE = 1000, 10  # steps of a turn; unit cells along an edge: 4000 atoms
+TURNS = {
+    "nothing": list,
+    "MeanSquareDisplacement(every=10)": lambda: [md.observers.MeanSquareDisplacement()],
+    "VelocityAutocorrelation(every=10)": lambda: [md.observers.VelocityAutocorrelation()],
+    "Viscosity(every=5)": lambda: [md.observers.Viscosity()],
+    "Fluctuations(every=20)": lambda: [md.observers.Fluctuations()],
+    "RadialDistribution(r_max=4, every=100)": lambda: [md.observers.RadialDistribution(r_max=4.0)],
+    "Profile(every=50)": lambda: [md.observers.Profile()],
+}
+
+
+def melt():
+    """4000 atoms at T* = 1.44, ρ* = 0.8442, on one thread."""
+    positions, edges = md.lattice.crystal("fcc", [EDGE] * 3, md.lattice.constant_from_density("fcc", 0.8442))
+    made = md.Simulation(md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002), threads=1)
+    made.set_temperature(1.44, seed=1)
+    made.run(500, every=500, progress=False)
+    return made
+
+
+def correlator_alone(law, n_looks=640):
+    """Seconds of CPU for a look."""
+    correlator = MultipleTau(law, np.array([0, 4 * EDGE**3]), 3, 16, 10, averages=False)
+    sums, entry = np.zeros(correlator.size), np.random.default_rng(1).normal(size=(3, 4 * EDGE**3))
+    for _ in range(64):
+        correlator.add(entry, sums)
+    began = process_time()
+    for _ in range(n_looks):
+        correlator.add(entry, sums)
+    return (process_time() - began) / n_looks
+
+
+def main(n_rounds):
+    """Print a table; medians over rounds."""
+    simulation, times = melt(), {name: [] for name in TURNS}
+    for one in TURNS.values():
+        simulation.run(20, every=20, observers=one(), progress=False)  # compiles
+    for _ in range(n_rounds):
+        for name, observers in TURNS.items():
+            looking, began = observers(), process_time()
+            simulation.run(N_STEPS, every=N_STEPS, observers=looking, progress=False)
+            times[name].append((process_time() - began) / N_STEPS)
+    plain = np.median(times["nothing"])
+    print(f"{'observers of 4000 atoms':<42} µs a step    of a step without")
+    for name, taken in times.items():
+        extra = np.median(np.array(taken) - np.array(times["nothing"]))
+        print(f"{name:<42} {np.median(taken) * 1e6:9.1f}    {100.0 * extra / plain:+6.1f} %")
+    for name, law in (("squared differences", add_squared_differences), ("products", add_products)):
+        look = np.median([correlator_alone(law) for _ in range(n_rounds)])
+        print(f"correlator alone, {name:<20} {look * 1e6:7.1f} µs a look, {100.0 * look / 10 / plain:.1f} % of a step with a look every 10 steps")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)

@@ -1,0 +1,91 @@
+"""Observers in a minimd file: what they were made with, their state at each restart, and their answers at the end of a run.
+
+minimd/observers/<name>             attributes kind and arguments (JSON); at the end of a run the answer: a dataset for each series, with its
+                                    standard error beside it, and single numbers as attributes, in the units of the simulation
+minimd/restart/observer.<name>.*    the arrays of its state, beside the restart that they belong to
+
+H5MD has a place for averages that do not depend on time, as groups in observables. MDAnalysis' reader takes all that lies there for series with an
+entry for each frame, and refuses a file where that is not so: hence this place.
+"""
+
+import json
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from minimd.files.h5md_restart import arrays_of_restart
+from minimd.observers import KINDS
+from minimd.observers.accumulator import Accumulator
+from minimd.structure.checks import listed
+from minimd.structure.console import outside_minimd
+
+GROUP, MARK = "minimd/observers", "observer."
+
+
+def describe_observers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
+    """Write what they are made with, over what is there under their names."""
+    for one in observers:
+        group = h5.require_group(f"{GROUP}/{one.name}")
+        group.attrs.update({"kind": one.kind, "arguments": json.dumps(one.made_with())})
+
+
+def states_of(observers: Sequence[Accumulator]) -> dict[str, np.ndarray]:
+    """Arrays that are to be kept beside a restart."""
+    return {f"{MARK}{one.name}.{key}": np.asarray(array) for one in observers for key, array in one.state().items()}
+
+
+def restore_observers(h5: h5py.File, file: str | Path, observers: Sequence[Accumulator]) -> None:
+    """Give observers that have not looked yet the state of those of the file.
+
+    Raises ValueError if one in the file with the same name was made with other arguments. Warns of those in the file that nobody goes on with.
+    """
+    known = h5.get(GROUP, {})
+    states = _states(arrays_of_restart(h5)) if len(known) else {}
+    for one in observers:
+        if one.name in known:
+            if (was := json.loads(known[one.name].attrs["arguments"])) != json.loads(json.dumps(one.made_with())):
+                raise ValueError(f"file {str(file)!r} holds {one.name} made with {was}; go on with the same arguments, or pass name= to it")
+            if not one.n_looks:
+                one.restore(states.get(one.name, {}))
+    if left := set(known) - {one.name for one in observers}:
+        warnings.warn(
+            f"file {str(file)!r} holds {listed(sorted(left))}, which this run does not go on with; pass observers=", stacklevel=outside_minimd()
+        )
+
+
+def _states(arrays: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
+    """The state of each observer, by its name."""
+    found: dict[str, dict[str, np.ndarray]] = {}
+    for name, array in arrays.items():
+        if name.startswith(MARK):
+            _, observer, key = name.split(".")
+            found.setdefault(observer, {})[key] = array
+    return found
+
+
+def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
+    """Write the answers of those that have looked, over those that are there."""
+    for one in observers:
+        group = h5[f"{GROUP}/{one.name}"]
+        for name in list(group):
+            del group[name]
+        if not one.n_looks:
+            continue
+        result = one.result()
+        group.attrs.update({"n_looks": one.n_looks, "last_step": one.last_step, **result.numbers()})
+        for name, series in result.columns().items():
+            group[name] = series
+
+
+def observers_of(h5: h5py.File) -> dict[str, Accumulator]:
+    """The observers in a file that is open, by name, as they stood at its restart."""
+    states, found = _states(arrays_of_restart(h5)) if GROUP in h5 else {}, {}
+    for name, group in h5.get(GROUP, {}).items():
+        arguments: dict[str, Any] = json.loads(group.attrs["arguments"])
+        found[name] = KINDS[group.attrs["kind"]](**arguments)
+        found[name].restore(states.get(name, {}))
+    return found

@@ -1,0 +1,25 @@
+"""Analysis while a run goes on: observers that keep sums instead of frames, and answer at the end with error bars."""
+
+from minimd.observers.accumulator import Accumulator, Result
+from minimd.observers.diffusion import finite_size_correction
+from minimd.observers.fluctuations import Fluctuations
+from minimd.observers.motion import MeanSquareDisplacement, VelocityAutocorrelation
+from minimd.observers.profile import Profile
+from minimd.observers.radial_distribution import RadialDistribution
+from minimd.observers.viscosity import Viscosity
+
+KINDS: dict[str, type[Accumulator]] = {
+    one.kind: one for one in (RadialDistribution, MeanSquareDisplacement, VelocityAutocorrelation, Viscosity, Fluctuations, Profile)
+}
+__all__ = [
+    "KINDS",
+    "Accumulator",
+    "Fluctuations",
+    "MeanSquareDisplacement",
+    "Profile",
+    "RadialDistribution",
+    "Result",
+    "VelocityAutocorrelation",
+    "Viscosity",
+    "finite_size_correction",
+]

@@ -1,0 +1,232 @@
+"""What all observers that answer at the end of a run have in common: when they look, what of, how they are kept and shown."""
+
+from __future__ import annotations
+
+import json
+from abc import ABC, abstractmethod
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.engine.engine import Engine
+from minimd.observers.blocked_sums import BlockedSums
+from minimd.structure.checks import checked_count, shown
+from minimd.structure.display import Displayed, Rows, call_of
+from minimd.structure.units import SYSTEMS, UnitSystem
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What results need to know of the run: the same from its first observation to its last.
+
+    units : name of the unit system.  species : labels.  numbers : atoms of each.  spacing : time between observations [time].
+    n_dof : degrees of freedom.  bath_temperature, bath_pressure : those that the method keeps; NaN where it keeps none.
+    """
+
+    units: str
+    species: list[str]
+    numbers: list[int]
+    spacing: float
+    n_dof: int
+    bath_temperature: float
+    bath_pressure: float
+
+    @classmethod
+    def of(cls, engine: Engine, every: int) -> Scene:
+        """The scene of an engine."""
+        system, parameters = engine.system, engine.method.parameters
+        baths = (float(parameters.get(name, np.nan)) for name in ("temperature", "pressure"))
+        numbers = np.bincount(system.species_index, minlength=len(system.species_names)).tolist()
+        return cls(system.units.name, [str(one) for one in system.species_names], numbers, every * engine.method.timestep, engine.n_dof, *baths)
+
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """What may not change between two runs."""
+        return self.units, tuple(self.species), tuple(self.numbers), self.spacing
+
+    @property
+    def unit_system(self) -> UnitSystem:
+        """The units of all numbers."""
+        return SYSTEMS[self.units]
+
+    @property
+    def n_atoms(self) -> int:
+        """N."""
+        return sum(self.numbers)
+
+
+class Result(Displayed):
+    """The answer of an observer. Its numbers are in the units of the simulation, see columns and unit."""
+
+    scene: Scene
+    title: ClassVar[str] = ""
+
+    @abstractmethod
+    def columns(self) -> dict[str, Array]:
+        """Its series by name, as long as each other, the abscissa first; empty if it has single numbers only."""
+
+    def numbers(self) -> dict[str, float]:
+        """Its single numbers by name."""
+        return {}
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A data frame of columns(), with the numbers in its attrs.  Raises ModuleNotFoundError if pandas is not installed."""
+        from pandas import DataFrame
+
+        table = DataFrame(self.columns())
+        table.attrs.update(self.numbers())
+        return table
+
+    @abstractmethod
+    def draw(self, panel: Axes) -> None:
+        """Draw it into axes of matplotlib."""
+
+    def plot(self) -> Figure:
+        """A picture, which a notebook shows; .savefig(path) writes it."""
+        from minimd.engine.record_picture import Picture  # matplotlib takes its time to load
+
+        figure = Picture(figsize=(6.0, 4.0), dpi=150, layout="constrained")
+        panel = figure.subplots()
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.grid(alpha=0.25, lw=0.6)
+        self.draw(panel)
+        return figure
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.display_rows()[0][1]})"
+
+
+class Accumulator(ABC, Displayed):
+    """An observer that looks at a run every so many steps, keeps sums, and answers at the end.
+
+        observer = md.observers.RadialDistribution(every=100)
+        sim.run(100_000, observers=[observer])
+        print(observer.result())
+
+    It looks at steps that are multiples of every, each once, and goes on over several runs of a simulation. What is correlated in time is
+    correlated anew where steps are missing between two looks, or where somebody has changed the state between two runs.
+
+    Attributes
+    ----------
+    every : steps between two looks.  name : under which files hold it.  scene : of the run; None before the first look.
+    n_looks : how often it has looked.  last_step : when it did so last, −1 if never.
+    """
+
+    kind: ClassVar[str]  # its name in scene files and H5MD files
+    arguments: ClassVar[tuple[str, ...]] = ("every",)  # that make it again, with its name
+    needs_energy: ClassVar[bool] = False  # whether it looks at energies or the virial
+    sums: BlockedSums
+
+    def __init__(self, every: int, name: str) -> None:
+        self.every, self.name = checked_count("every", every), name or self._own_name()
+        if not (isinstance(name, str) and self.name.isidentifier()):
+            raise ValueError(f"the name of an observer must be made of letters, digits and underscores; name = {shown(name)}")
+        self.scene: Scene | None = None
+        self.last_step = -1
+
+    def __repr__(self) -> str:
+        made = self.made_with()
+        return call_of(self, made if self.name != self._own_name() else {**made, "name": ""}, always=("every",))
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        return self.result().display_rows() if self.n_looks else [("observer", f"{self!r}, has not looked yet")]
+
+    @classmethod
+    def _own_name(cls) -> str:
+        return cls.kind.replace("-", "_")
+
+    @property
+    def n_looks(self) -> int:
+        """How often it has looked."""
+        return self.sums.n_entries if self.scene is not None else 0
+
+    def made_with(self) -> dict[str, Any]:
+        """Its arguments."""
+        return {name: getattr(self, name) for name in (*self.arguments, "name")}
+
+    def prepare(self, engine: Engine) -> None:
+        """Get ready for the run of an engine.  Raises ValueError if it cannot be observed, or is not the one that was observed before."""
+        scene = Scene.of(engine, self.every)
+        if self.scene is None:
+            self._begin(engine)
+            self._set_up(scene)
+        elif self.scene.identity != scene.identity:
+            raise ValueError(f"{self!r} has observed another system, or one with another time step; make a new one for this run")
+
+    def observe(self, engine: Engine) -> None:
+        """Look at the present state, unless it was the last one that was looked at."""
+        if engine.step == self.last_step:
+            return
+        if self.last_step >= 0 and engine.step != self.last_step + self.every:
+            self.interrupt()
+        self._look(engine)
+        self.sums.close_entry()
+        self.last_step = engine.step
+
+    def interrupt(self) -> None:
+        """What comes next is not correlated with what came before."""
+
+    def answered(self) -> Scene:
+        """The scene, for a result.  Raises ValueError before the first look."""
+        if self.scene is None or not self.n_looks:
+            raise ValueError(f"{self!r} has not looked yet; pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])")
+        return self.scene
+
+    def _begin(self, engine: Engine) -> None:
+        """Settle what the first run decides."""
+
+    @abstractmethod
+    def _laid_out(self, scene: Scene) -> None:
+        """Make the sums."""
+
+    @abstractmethod
+    def _look(self, engine: Engine) -> None:
+        """Add the present state to the sums."""
+
+    @abstractmethod
+    def result(self) -> Any:
+        """The answer.  Raises ValueError before the first look."""
+
+    def _set_up(self, scene: Scene) -> None:
+        self.scene = scene
+        self._laid_out(scene)
+
+    def _settled(self) -> dict[str, Any]:
+        """What _begin has settled, as numbers and lists for JSON; set again as attributes."""
+        return {}
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        """Arrays beside the sums that the next looks depend on."""
+        return {}
+
+    def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Those of _arrays."""
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All that decides what it answers after the looks to come, for restore; empty before the first run."""
+        if self.scene is None:
+            return {}
+        words = json.dumps({"scene": asdict(self.scene), "settled": self._settled(), "last_step": self.last_step})
+        return {"words": np.frombuffer(words.encode(), dtype=np.uint8), **self.sums.state(), **self._arrays()}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Go on as the observer of which this is the state would; it must have been made with the same arguments."""
+        if not state:
+            return
+        words = json.loads(bytes(state["words"]))
+        for name, value in words["settled"].items():
+            setattr(self, name, value)
+        self._set_up(Scene(**words["scene"]))
+        self.last_step = words["last_step"]
+        self.sums.restore(state)
+        self._take_arrays(state)

@@ -1,0 +1,131 @@
+"""The multiple-tau correlator: time correlations over many decades of lags while the run goes on, with little memory and work.
+
+Level k holds the last p entries of a series that is 2ᵏ times coarser than that of level 0, and correlates the newest with the others: lags
+0, 1, …, p − 1 at level 0, and from p/2 to p − 1 entries of their own at the others. Lags grow as a power of 2, their number as its exponent.
+
+    thinned   a level gets every second entry of the level below it: each lag is exact, of fewer origins
+    averaged  it gets the means of two entries: noise is averaged out, at lags of p/2 entries or more
+
+J. Ramírez, S. K. Sukumaran, B. Vorselaars, A. E. Likhtman, J. Chem. Phys. 133, 154103 (2010).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiled.kernels import kernel
+
+Array = NDArray[np.float64]
+RATIO = 2  # of the spacings of two levels
+summing = partial(kernel, fastmath={"reassoc", "nsz", "contract"})  # sums over atoms in any order: 5 times as fast
+
+
+@summing
+def add_products(ring, slot, first, n_kept, starts, sums):
+    """sums[j, g, c] += Σ a(t) a(t − j), over the particles of group g, for lags j from first to n_kept − 1.
+
+    ring : (p, C, n), the last p entries, the newest at slot.  starts : (G + 1,) int, first particle of each group.  sums : (p, G, C).
+    """
+    p = ring.shape[0]
+    for j in range(first, n_kept):
+        past = (slot + p - j) % p
+        for g in range(starts.size - 1):
+            for c in range(ring.shape[1]):
+                a, b = ring[slot, c, starts[g] : starts[g + 1]], ring[past, c, starts[g] : starts[g + 1]]
+                total = 0.0
+                for i in range(a.size):
+                    total += a[i] * b[i]
+                sums[j, g, c] += total
+
+
+@summing
+def add_squared_differences(ring, slot, first, n_kept, starts, sums):
+    """sums[j, g, c] += Σ [a(t) − a(t − j)]²; arguments as of add_products."""
+    p = ring.shape[0]
+    for j in range(first, n_kept):
+        past = (slot + p - j) % p
+        for g in range(starts.size - 1):
+            for c in range(ring.shape[1]):
+                a, b = ring[slot, c, starts[g] : starts[g + 1]], ring[past, c, starts[g] : starts[g + 1]]
+                total = 0.0
+                for i in range(a.size):
+                    total += (a[i] - b[i]) * (a[i] - b[i])
+                sums[j, g, c] += total
+
+
+class MultipleTau:
+    """Correlations of C components of n particles in G groups.
+
+    law : add_products or add_squared_differences.  starts : (G + 1,) int, first particle of each group.  n_components : C.
+    points : p, entries that a level holds, even.  n_levels : at most.  averages : whether levels are averaged, else they are thinned.
+
+    size : of the sums, which belong to the caller: counts (L, p), then sums (L, p, G, C).
+    lags : (T,) int, in entries, all that there can be, ascending.
+    """
+
+    def __init__(self, law: Callable, starts: NDArray[np.int64], n_components: int, points: int, n_levels: int, averages: bool) -> None:
+        self._law, self._starts, self._averages = law, starts, averages
+        self._points, self._n_levels, self._shape = points, n_levels, (points, n_components, int(starts[-1]))
+        self._n_counts, n_groups = n_levels * points, len(starts) - 1
+        self._sums_shape = (n_levels, points, n_groups, n_components)
+        self.size = self._n_counts * (1 + n_groups * n_components)
+        steps = np.arange(points) * RATIO ** np.arange(n_levels)[:, None]
+        self._places = np.flatnonzero(np.arange(points) >= np.where(np.arange(n_levels) > 0, points // RATIO, 0)[:, None])
+        self.lags = steps.ravel()[self._places]
+        self.interrupt()
+
+    def interrupt(self) -> None:
+        """What comes next is not correlated with what came before."""
+        self._rings: list[Array] = []
+        self._means: list[Array] = []
+        self._n_taken = np.zeros(self._n_levels, dtype=np.int64)
+
+    def add(self, entry: Array, sums: Array) -> None:
+        """Take the next entry, (C, n), and add its correlations to the sums, (size,)."""
+        counts, level = sums[: self._n_counts].reshape(self._n_levels, self._points), 0
+        products = sums[self._n_counts :].reshape(self._sums_shape)
+        while True:
+            if level == len(self._rings):
+                self._rings.append(np.zeros(self._shape))
+                self._means.append(np.zeros(self._shape[1:] if self._averages else (0, 0)))
+            n, ring = int(self._n_taken[level]), self._rings[level]
+            slot, first, n_kept = n % self._points, self._points // RATIO if level else 0, min(n + 1, self._points)
+            ring[slot] = entry
+            self._n_taken[level] = n + 1
+            if n_kept > first:
+                self._law(ring, slot, first, n_kept, self._starts, products[level])
+                counts[level, first:n_kept] += 1.0
+            if self._averages:
+                self._means[level] += entry / RATIO
+                if (n + 1) % RATIO:
+                    return
+                entry = self._means[level].copy()
+                self._means[level][:] = 0.0
+            elif n % RATIO:
+                return
+            level += 1
+            if level == self._n_levels:
+                return
+
+    def correlations(self, sums: Array) -> tuple[Array, Array]:
+        """Counts of origins, (T,), and mean products of each group, summed over its particles, (T, G, C); NaN where nothing was counted."""
+        counts = sums[: self._n_counts][self._places]
+        products = sums[self._n_counts :].reshape(self._n_counts, *self._sums_shape[2:])[self._places]
+        with np.errstate(all="ignore"):
+            return counts, products / counts[:, None, None]
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """For restore."""
+        n = len(self._rings)
+        rings, means = (np.array(one) if n else np.zeros(0) for one in (self._rings, self._means))
+        return {"rings": rings, "means": means, "taken": self._n_taken}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Take the place of the correlator whose state this is."""
+        self._rings, self._means = list(np.array(state["rings"])), list(np.array(state["means"]))
+        self._n_taken = np.array(state["taken"])

@@ -1,0 +1,146 @@
+"""Heat capacity and compressibility, from how much energy and volume fluctuate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.engine.engine import Engine
+from minimd.engine.observation import Look
+from minimd.observers.accumulator import Accumulator, Result, Scene
+from minimd.observers.blocked_sums import BlockedSums
+from minimd.structure.display import Rows
+from minimd.structure.statistics import with_error
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+N_SERIES = 3  # K, U, V
+KINETIC, POTENTIAL, VOLUME = range(N_SERIES)
+
+
+class Fluctuations(Accumulator):
+    """Heat capacity, compressibility and expansion from fluctuations, by the formulas of the ensemble that the method makes.
+
+        constant energy        C_V = (f k_B/2) / (1 − 2 ⟨δK²⟩ / (f k_B² T²))
+        constant temperature   C_V = ⟨δE²⟩ / (k_B T²)
+        constant pressure      C_P = ⟨δH²⟩ / (k_B T²),  κ_T = ⟨δV²⟩ / (k_B T V),  α_P = ⟨δV δH⟩ / (k_B T² V),   H = E + P V
+
+    f degrees of freedom share the kinetic energy K; T and P are those of the bath, T is the mean temperature where there is none. The
+    compressibility needs a volume that fluctuates.
+
+    J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967), on constant energy; M. P. Allen, D. J. Tildesley, Computer Simulation
+    of Liquids, 2nd ed. (2017), section 2.5.
+
+    Parameters
+    ----------
+    every : steps between two looks.  name : under which files hold it, "fluctuations" if not given.
+    """
+
+    kind = "fluctuations"
+    needs_energy = True
+
+    def __init__(self, every: int = 20, name: str = "") -> None:
+        super().__init__(every, name)
+        self.reference: list[float] = []
+
+    def _settled(self) -> dict[str, Any]:
+        return {"reference": self.reference}
+
+    def _laid_out(self, scene: Scene) -> None:
+        self.sums = BlockedSums(1 + N_SERIES + N_SERIES**2)  # number of looks, sums, sums of products
+
+    def _look(self, engine: Engine) -> None:
+        engine.evaluate()
+        look = Look(engine)
+        now = [look.kinetic_energy, look.potential_energy, engine.system.volume or 0.0]
+        self.reference = self.reference or now  # what is summed are differences from it, which are small
+        change = np.array(now) - self.reference
+        self.sums.total += np.concatenate([[1.0], change, np.outer(change, change).ravel()])
+
+    def result(self) -> FluctuationResult:
+        """The coefficients so far, with standard errors.  Raises ValueError before the first look."""
+        scene = self.answered()
+        values, errors = self.sums.estimate(lambda sums: _coefficients(sums, np.array(self.reference), scene))
+        volume_is_constant = self.sums.total[1 + VOLUME] == 0.0 and self.sums.total[-1] == 0.0
+        ensemble = "constant temperature" if np.isfinite(scene.bath_temperature) else "constant energy"
+        if not volume_is_constant:
+            ensemble = "constant pressure"
+        return FluctuationResult(scene, ensemble, values, errors, self.n_looks)
+
+
+def _coefficients(sums: Array, reference: Array, scene: Scene) -> Array:
+    """T, C_V, C_P, κ_T, α_P; NaN for those that the ensemble does not tell."""
+    means = sums[1 : 1 + N_SERIES] / sums[0]
+    covariance = sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)
+    means, k_B, f = means + reference, scene.unit_system.k_B, scene.n_dof  # noqa: N806 - the symbol of the constant
+    mean_temperature = 2.0 * means[KINETIC] / (f * k_B)
+    T = scene.bath_temperature if np.isfinite(scene.bath_temperature) else mean_temperature  # noqa: N806
+    energy, volume = np.array([1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    if covariance[VOLUME, VOLUME] > 0.0:
+        enthalpy = energy + scene.bath_pressure * volume  # NaN without a pressure of the bath
+        c_p = enthalpy @ covariance @ enthalpy / (k_B * T**2)
+        compressibility = covariance[VOLUME, VOLUME] / (k_B * T * means[VOLUME])
+        return np.array([mean_temperature, np.nan, c_p, compressibility, enthalpy @ covariance @ volume / (k_B * T**2 * means[VOLUME])])
+    if np.isfinite(scene.bath_temperature):
+        c_v = energy @ covariance @ energy / (k_B * T**2)
+    else:
+        c_v = 0.5 * f * k_B / (1.0 - 2.0 * covariance[KINETIC, KINETIC] / (f * k_B**2 * T**2))
+    return np.array([mean_temperature, c_v, np.nan, np.nan, np.nan])
+
+
+@dataclass(frozen=True, repr=False)
+class FluctuationResult(Result):
+    """Coefficients from fluctuations.
+
+    ensemble : in words.  values, errors : (5,) mean temperature, C_V and C_P of the whole system [energy/temperature], κ_T [length³/energy], α_P
+    [1/temperature], and their standard errors; NaN for those that the ensemble does not tell.  n_looks : looks.
+    """
+
+    scene: Scene
+    ensemble: str
+    values: Array
+    errors: Array
+    n_looks: int
+    title: ClassVar[str] = "fluctuations"
+    names: ClassVar[tuple[str, ...]] = ("temperature", "heat_capacity_v", "heat_capacity_p", "compressibility", "expansion")
+
+    def __getattr__(self, name: str) -> float:
+        names = type(self).names
+        if name in names:
+            return float(self.values[names.index(name)])
+        if name.removesuffix("_error") in names:
+            return float(self.errors[names.index(name.removesuffix("_error"))])
+        raise AttributeError(f"fluctuations have no {name!r}; they have {', '.join(names)}, each also with _error")
+
+    def columns(self) -> dict[str, Array]:
+        """See Result: there are none."""
+        return {}
+
+    def numbers(self) -> dict[str, float]:
+        """See Result."""
+        return {f"{name}{ending}": getattr(self, f"{name}{ending}") for name in self.names for ending in ("", "_error")}
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        units, n = self.scene.unit_system, self.scene.n_atoms
+        per_atom = {"heat_capacity_v": "C_V", "heat_capacity_p": "C_P"}
+        temperature = with_error(self.temperature, self.temperature_error)
+        rows = [("fluctuations", f"at {self.ensemble}, {self.n_looks} looks, T = {temperature} {units.temperature}")]
+        for name, symbol in per_atom.items():
+            if np.isfinite(value := getattr(self, name)):
+                rows.append(("", f"{symbol} = {with_error(value / (n * units.k_B), getattr(self, name + '_error') / (n * units.k_B))} k_B per atom"))
+        if np.isfinite(self.compressibility):
+            rows.append(("", f"κ_T = {with_error(self.compressibility, self.compressibility_error)} {units.length}³/{units.energy}"))
+        return rows
+
+    def draw(self, panel: Axes) -> None:
+        """See Result: words."""
+        panel.axis("off")
+        words = "\n".join(words for _, words in self.display_rows())
+        panel.text(0.0, 1.0, words, va="top", transform=panel.transAxes, fontsize=8, wrap=True)
+        panel.set_title("fluctuations")

@@ -1,0 +1,199 @@
+"""How atoms move: mean-square displacement and velocity autocorrelation, by species and direction."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from math import ceil
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.engine.engine import Engine
+from minimd.observers.accumulator import Accumulator, Scene
+from minimd.observers.blocked_sums import BlockedSums
+from minimd.observers.correlator import MultipleTau, add_products, add_squared_differences
+from minimd.observers.diffusion import is_cubic
+from minimd.observers.green_kubo import LONGEST, plateau, running_integral
+from minimd.observers.motion_results import DisplacementResult, VelocityResult
+from minimd.structure.cell import Cell
+from minimd.structure.checks import checked_count
+from minimd.structure.observables import kinetic_energy, temperature
+from minimd.structure.statistics import spread
+
+Array = NDArray[np.float64]
+POINTS = 16  # of each level of the correlator
+COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
+
+
+class _OfAtoms(Accumulator):
+    """A correlation of a vector that each atom has. Sums: number of looks, temperatures, volumes, correlator."""
+
+    arguments = ("every", "n_levels", "most_atoms")
+    law: ClassVar[Callable]
+
+    def __init__(self, every: int = 10, n_levels: int = 10, most_atoms: int = 4096, name: str = "") -> None:
+        super().__init__(every, name)
+        self.n_levels, self.most_atoms = checked_count("n_levels", n_levels, 1, 40), checked_count("most_atoms", most_atoms)
+        self.is_cubic, self.chosen = False, [0]
+
+    def _begin(self, engine: Engine) -> None:
+        system = engine.system
+        some = np.arange(0, len(system), ceil(len(system) / self.most_atoms))
+        self.chosen = some[np.argsort(system.species_index[some], kind="stable")].tolist()
+        self._groups = system.species_index[some]
+        self.is_cubic = is_cubic(system.cell)
+        self.numbers = np.bincount(self._groups, minlength=len(system.species_names)).tolist()
+
+    def _settled(self) -> dict[str, Any]:
+        return {"chosen": self.chosen, "is_cubic": self.is_cubic, "numbers": self.numbers}
+
+    _volume_of: Cell | None
+
+    def _laid_out(self, scene: Scene) -> None:
+        starts = np.concatenate([[0], np.cumsum(self.numbers)])
+        self._order, self._volume_of, self._volume = np.array(self.chosen), None, np.nan
+        self._takes_all = np.array_equal(self._order, np.arange(scene.n_atoms))
+        self._correlator = MultipleTau(type(self).law, starts, 3, POINTS, self.n_levels, averages=False)
+        self.sums = BlockedSums(HEAD + self._correlator.size)
+
+    def interrupt(self) -> None:
+        """See Accumulator."""
+        if self.scene is not None:
+            self._correlator.interrupt()
+
+    def _look(self, engine: Engine) -> None:
+        sums, system = self.sums.total, engine.system
+        kinetic = kinetic_energy(system.velocities, system.masses)
+        if self._volume_of is not system.cell:  # its determinant takes as long as a lag of the correlator
+            self._volume_of, self._volume = system.cell, system.volume or np.nan
+        sums[:HEAD] += 1.0, temperature(kinetic, engine.n_dof, system.units.k_B), self._volume
+        vectors = self._vectors(engine)
+        self._correlator.add((vectors if self._takes_all else np.take(vectors, self._order, axis=0)).T, sums[HEAD:])
+
+    @abstractmethod
+    def _vectors(self, engine: Engine) -> Array:
+        """(N, 3)."""
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return self._correlator.state()
+
+    def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
+        self._correlator.restore(arrays)
+
+    def _seen(self, scene: Scene) -> tuple[NDArray[np.bool_], Array, float]:
+        """Which lags were seen; these [time]; and the longest that is good for a fit [time]."""
+        counts, _ = self._correlator.correlations(self.sums.total[HEAD:])
+        seen = counts > 0.0
+        times: Array = self._correlator.lags[seen] * np.float64(scene.spacing)
+        return seen, times, LONGEST * (self.n_looks - 1) * scene.spacing
+
+    def _means(self, seen: NDArray[np.bool_]) -> Callable[[Array], Array]:
+        """The law that makes of the sums: means over all atoms, then over those of each species, then along x, y, z; (1 + S + 3, T)."""
+        numbers = np.maximum(1, np.array(self.numbers))
+
+        def law(sums: Array) -> Array:
+            found = self._correlator.correlations(sums[HEAD:])[1][seen]  # (T, S, 3)
+            along = found.sum(axis=1).T / numbers.sum()
+            return np.concatenate([along.sum(axis=0, keepdims=True), (found.sum(axis=2) / numbers).T, along])
+
+        return law
+
+
+class MeanSquareDisplacement(_OfAtoms):
+    """⟨|r(t₀ + t) − r(t₀)|²⟩ and the coefficient of self-diffusion, by a multiple-tau correlator: 16 · 2ᵏ⁻¹ · every steps in k levels.
+
+    Every lag is exact: levels are thinned, never averaged. Where the cell changes, as with a barostat, displacements are those beside the
+    motion of the cell: from one look to the next each atom is first carried along with the cell, and only the rest counts.
+    S. von Bülow, J. T. Bullerjahn, G. Hummer, J. Chem. Phys. 153, 021101 (2020), on why.
+
+    Parameters
+    ----------
+    every : steps between two looks.  n_levels : at most.  most_atoms : at most so many atoms, evenly chosen: time and memory grow with them.
+    name : under which files hold it, "mean_square_displacement" if not given.
+    """
+
+    kind = "mean-square-displacement"
+    law = add_squared_differences
+
+    def _laid_out(self, scene: Scene) -> None:
+        super()._laid_out(scene)
+        self._carried: Array | None = None  # what the cell has added to the positions
+        self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
+
+    def _vectors(self, engine: Engine) -> Array:
+        positions, cell = engine.positions, engine.system.cell
+        if self._before is not None and not cell.same_as(self._before[0]):
+            was, old = self._before
+            carried = old @ np.linalg.solve(_spanning(was), _spanning(cell)) - old
+            self._carried = carried if self._carried is None else self._carried + carried
+        if self._before is None:
+            self._before = cell, np.empty_like(positions)
+        self._before[1][:] = positions
+        self._before = cell, self._before[1]
+        return positions if self._carried is None else positions - self._carried
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        arrays = super()._arrays()
+        if self._before is not None:
+            arrays |= {"cell": self._before[0].vectors, "pbc": self._before[0].pbc.astype(np.int64), "positions": self._before[1]}
+        return arrays if self._carried is None else arrays | {"carried": self._carried}
+
+    def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
+        super()._take_arrays(arrays)
+        if "positions" in arrays:
+            self._before = Cell(np.array(arrays["cell"]), np.array(arrays["pbc"], dtype=bool)), np.array(arrays["positions"])
+        self._carried = np.array(arrays["carried"]) if "carried" in arrays else None
+
+    def result(self, window: tuple[float, float] | None = None, viscosity: float | None = None) -> DisplacementResult:
+        """The displacements so far, and D of the atoms, each with its standard error.
+
+        window : lags of the straight line [time]; if not given, from where atoms have left their places, by half the distance of neighbors, over
+            a decade, up to a quarter of the run.
+        viscosity : η [energy time/length³], for the finite-size correction of Yeh and Hummer, which needs a cubic cell.
+
+        Raises ValueError before the first look, for a window with fewer than 3 lags, or for a viscosity and a cell that is not cubic.
+        """
+        scene = self.answered()
+        seen, times, longest = self._seen(scene)
+        means, errors = self.sums.estimate(self._means(seen))
+        head = self.sums.total[:HEAD] / self.sums.total[COUNT]
+        found = DisplacementResult(scene, times, means, errors, self.is_cubic, float(head[TEMPERATURE]), float(head[VOLUME]), sum(self.numbers))
+        return found.fitted(self.sums.replicas(self._means(seen)), window, longest, viscosity)
+
+
+def _spanning(cell: Cell) -> Array:
+    """Three vectors that span space: those of the cell, and unit vectors in open directions."""
+    return np.where(cell.pbc[:, None], cell.vectors, cell.lattice)
+
+
+class VelocityAutocorrelation(_OfAtoms):
+    """⟨v(t₀) · v(t₀ + t)⟩, and the coefficient of self-diffusion as its integral, D = ⅓ ∫ ⟨v(0) · v(t)⟩ dt.
+
+    By a multiple-tau correlator, as MeanSquareDisplacement; its parameters are the same. Looks must be close beside the time in which velocities
+    change: some 20 fs, or 0.02 τ.
+    """
+
+    kind = "velocity-autocorrelation"
+    law = add_products
+
+    def _vectors(self, engine: Engine) -> Array:
+        return engine.velocities
+
+    def result(self) -> VelocityResult:
+        """The autocorrelation so far, its running integral, and D, each with its standard error.  Raises ValueError before the first look."""
+        scene = self.answered()
+        seen, times, longest = self._seen(scene)
+        law = self._means(seen)
+        means, errors = self.sums.estimate(law)
+        good = times <= max(longest, times[min(1, len(times) - 1)])
+
+        def integral(sums: Array) -> Array:
+            return running_integral(times, law(sums)[0]) / 3.0
+
+        without = self.sums.replicas(integral)
+        with np.errstate(all="ignore"):
+            integrated = integral(self.sums.total)
+        found = plateau(times[good], integrated[good], without[:, good] if len(without) else np.zeros((0, good.sum())))
+        return VelocityResult(scene, times, means, errors, integrated, spread(without), found, sum(self.numbers))

@@ -1,0 +1,167 @@
+"""The radial distribution functions of all pairs of species."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiled.kernels import kernel
+from minimd.engine.engine import Engine
+from minimd.neighbors.binning import make_grid, sort_into_bins
+from minimd.neighbors.search import atoms_in_reach, bins_of
+from minimd.observers.accumulator import Accumulator, Result, Scene
+from minimd.observers.blocked_sums import BlockedSums
+from minimd.structure.checks import checked_count, checked_number
+from minimd.structure.display import Rows
+from minimd.structure.statistics import with_error
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+FRAMES, HEAD = 0, 1  # places in the sums: number of frames, then V times the numbers of pairs
+
+
+@kernel
+def count_pairs(positions, species, bins, pair_of_species, width, r_max, counts):
+    """counts[p, k] += pairs, each once, of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width, all images within r_max.
+
+    positions : (N, 3) [length], in the order of the bins and inside the cell.  species : (N,) int, in the same order.  bins : see neighbors.search.
+    """
+    size, bin_start, translations, n_bins = bins.counts, bins.bin_start, bins.translations, counts.shape[1]
+    ranges = np.empty((bins.forward.shape[0] + 1, 3), dtype=np.int64)
+    for bin_x in range(size[0]):
+        for bin_y in range(size[1]):
+            for bin_z in range(size[2]):
+                own = (bin_x * size[1] + bin_y) * size[2] + bin_z
+                if bin_start[own] == bin_start[own + 1]:
+                    continue
+                n_ranges = atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges)
+                for i in range(bin_start[own], bin_start[own + 1]):
+                    kinds = pair_of_species[species[i]]
+                    for k in range(n_ranges):
+                        t = translations[ranges[k, 2]]
+                        x, y, z = positions[i, 0] - t[0], positions[i, 1] - t[1], positions[i, 2] - t[2]
+                        for j in range(i + 1 if k == 0 else ranges[k, 0], ranges[k, 1]):
+                            dx, dy, dz = positions[j, 0] - x, positions[j, 1] - y, positions[j, 2] - z
+                            r2 = dx * dx + dy * dy + dz * dz
+                            if r2 < r_max * r_max:
+                                counts[kinds[species[j]], min(n_bins - 1, int(np.sqrt(r2) / width))] += 1
+
+
+class RadialDistribution(Accumulator):
+    """g(r) of each pair of species, from all pairs and images within r_max.
+
+        g_ab(r) = ⟨V n_ab(r)⟩ / (N_ab · 4π/3 [(r + Δr/2)³ − (r − Δr/2)³])
+
+    n_ab(r) of the N_ab = N_a N_b, or N_a (N_a − 1)/2, pairs are as far apart. V is that of the cell at each look, which may change.
+    Bonded pairs count like all others.
+
+    Parameters
+    ----------
+    r_max : [length]; half the smallest height of the cell at the start if not given.  n_bins : B.  every : steps between two looks.
+    name : under which files hold it, "radial_distribution" if not given.
+
+    Raises
+    ------
+    ValueError : for arguments out of range; when a run begins, for a cell that is not periodic in all directions, or a single atom.
+    """
+
+    kind = "radial-distribution"
+    arguments = ("r_max", "n_bins", "every")
+
+    def __init__(self, r_max: float | None = None, n_bins: int = 200, every: int = 100, name: str = "") -> None:
+        super().__init__(every, name)
+        self.r_max = None if r_max is None else checked_number("r_max", r_max, "positive and finite")
+        self.n_bins = checked_count("n_bins", n_bins)
+        self.reach = 0.0  # r_max, or what the cell has decided
+
+    def _begin(self, engine: Engine) -> None:
+        system = engine.system
+        if system.volume is None or len(system) < 2:
+            raise ValueError(f"g(r) needs two atoms and a cell periodic in all directions; this run has {system!r}")
+        self.reach = self.r_max or float(system.cell.heights.min() / 2.0)
+
+    def _settled(self) -> dict[str, Any]:
+        return {"reach": self.reach}
+
+    def _laid_out(self, scene: Scene) -> None:
+        n = len(scene.numbers)
+        self._pairs = [(a, b) for a in range(n) for b in range(a, n)]
+        self._kinds = np.zeros((n, n), dtype=np.int64)
+        for p, (a, b) in enumerate(self._pairs):
+            self._kinds[a, b] = self._kinds[b, a] = p
+        self._counts = np.zeros((len(self._pairs), self.n_bins), dtype=np.int64)
+        self.sums = BlockedSums(HEAD + self._counts.size)
+
+    def _look(self, engine: Engine) -> None:
+        system, cell = engine.system, engine.system.cell
+        grid = make_grid(cell, system.positions, self.reach)
+        order, offsets, bin_start = sort_into_bins(system.positions, cell.lattice, cell.inverse, cell.pbc, grid)
+        local, bins = system.positions[order] + offsets, bins_of(cell, grid, bin_start)
+        self._counts[:] = 0
+        count_pairs(local, system.species_index[order], bins, self._kinds, self.reach / self.n_bins, self.reach, self._counts)
+        self.sums.total[FRAMES] += 1.0
+        self.sums.total[HEAD:] += float(system.volume or 0.0) * self._counts.ravel()
+
+    def result(self) -> RadialDistributionResult:
+        """g(r) so far, with standard errors.  Raises ValueError before the first look."""
+        scene = self.answered()
+        edges = np.linspace(0.0, self.reach, self.n_bins + 1)
+        shells = 4.0 / 3.0 * np.pi * np.diff(edges**3)
+        numbers = np.array([scene.numbers[a] * (scene.numbers[b] - (a == b)) / (1.0 + (a == b)) for a, b in self._pairs])
+        names = tuple(f"{scene.species[a]}-{scene.species[b]}" for a, b in self._pairs)
+
+        def law(sums: Array) -> Array:
+            found = sums[HEAD:].reshape(len(numbers), -1) / (sums[FRAMES] * shells)
+            return np.concatenate([found.sum(axis=0, keepdims=True) / numbers.sum(), found / numbers[:, None]])
+
+        (total, *g), (total_error, *errors) = self.sums.estimate(law)
+        r = 0.5 * (edges[1:] + edges[:-1])
+        return RadialDistributionResult(scene, r, total, total_error, names, np.array(g), np.array(errors), self.n_looks)
+
+
+@dataclass(frozen=True, repr=False)
+class RadialDistributionResult(Result):
+    """g(r).
+
+    r : (B,) [length], middles of the bins.  g, error : (B,) of all atoms, and its standard error.
+    pairs : names of the pairs of species, P of them.  g_of_pairs, errors_of_pairs : (P, B).  n_frames : looks.
+    """
+
+    scene: Scene
+    r: Array
+    g: Array
+    error: Array
+    pairs: tuple[str, ...]
+    g_of_pairs: Array
+    errors_of_pairs: Array
+    n_frames: int
+    title: ClassVar[str] = "radial distribution"
+
+    def columns(self) -> dict[str, Array]:
+        """See Result."""
+        made = {"r": self.r, "g": self.g, "g_error": self.error}
+        if len(self.pairs) > 1:
+            for name, g, error in zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True):
+                made |= {f"g_{name}": g, f"g_{name}_error": error}
+        return made
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        k, length = int(np.argmax(self.g)), self.scene.unit_system.length
+        highest = f"highest at {self.r[k]:.4g} {length}, {with_error(self.g[k], self.error[k])}"
+        return [("g(r)", f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} looks; {highest}")]
+
+    def draw(self, panel: Axes) -> None:
+        """See Result."""
+        panel.axhline(1.0, color="0.7", lw=0.8)
+        for name, g in zip(self.pairs, self.g_of_pairs, strict=True):
+            panel.plot(self.r, g, lw=1.1, label=name)
+        length = self.scene.unit_system.length
+        panel.set(xlabel=f"r  [{length}]", ylabel="g(r)", title=f"{self.title}, {self.n_frames} looks", xlim=(0.0, self.r[-1]), ylim=(0.0, None))
+        if len(self.pairs) > 1:
+            panel.legend(frameon=False, fontsize=8)

@@ -1,0 +1,171 @@
+"""The autocorrelation of the stress, and the shear viscosity that follows from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.engine.engine import Engine
+from minimd.engine.observation import Look, check_has_volume
+from minimd.observers.accumulator import Accumulator, Result, Scene
+from minimd.observers.blocked_sums import BlockedSums
+from minimd.observers.correlator import MultipleTau, add_products
+from minimd.observers.green_kubo import LONGEST, Plateau, plateau, running_integral
+from minimd.structure.checks import checked_count
+from minimd.structure.display import Rows
+from minimd.structure.observables import stress, temperature
+from minimd.structure.statistics import spread, with_error
+from minimd.structure.units import BAR, PICOSECOND
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+POINTS = 32  # of each level of the correlator: what is averaged there is at most a sixteenth of a lag
+COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
+WEIGHT = 10.0  # of the sum over all components of a symmetric tensor without trace
+MPA_S = 1e-4 / (BAR * PICOSECOND)  # per eV/Å³ Å √(u/eV): a bar times a picosecond is 1e-4 mPa s
+
+
+class Viscosity(Accumulator):
+    """Shear viscosity by Green and Kubo, from all components of the stress without its trace, by a multiple-tau correlator that averages.
+
+        C(t) = Σ_ab ⟨P_ab(0) P_ab(t)⟩ / 10,   P = −(σ + σᵀ)/2 + tr σ / 3
+        η = V / (k_B T) ∫ C(t) dt
+
+    Each look evaluates the virial with the forces of its step. Looks must be close beside the time in which the stress changes: some 20 fs, or
+    0.02 τ. A bath that acts on each atom, as Langevin's, changes the viscosity.
+
+    P. J. Daivis, D. J. Evans, J. Chem. Phys. 100, 541 (1994), on all components.
+
+    Parameters
+    ----------
+    every : steps between two looks.  n_levels : of the correlator, at most: the longest lag is 32 · 2ᵏ⁻¹ · every steps.
+    name : under which files hold it, "viscosity" if not given.
+
+    Raises
+    ------
+    ValueError : for arguments out of range; when a run begins, for a cell without a volume.
+    """
+
+    kind = "viscosity"
+    arguments = ("every", "n_levels")
+    needs_energy = True
+
+    def __init__(self, every: int = 5, n_levels: int = 10, name: str = "") -> None:
+        super().__init__(every, name)
+        self.n_levels = checked_count("n_levels", n_levels, 1, 40)
+
+    def _begin(self, engine: Engine) -> None:
+        check_has_volume(engine)
+
+    def _laid_out(self, scene: Scene) -> None:
+        self._correlator = MultipleTau(add_products, np.array([0, 1]), 6, POINTS, self.n_levels, averages=True)
+        self.sums = BlockedSums(HEAD + self._correlator.size)
+
+    def interrupt(self) -> None:
+        """See Accumulator."""
+        if self.scene is not None:
+            self._correlator.interrupt()
+
+    def _look(self, engine: Engine) -> None:
+        engine.evaluate()
+        look, sums = Look(engine), self.sums.total
+        tensor = -stress(*look.motion, look.virial, look.volume)
+        sums[:HEAD] += 1.0, temperature(look.kinetic_energy, engine.n_dof, look.system.units.k_B), look.volume
+        self._correlator.add(traceless(tensor)[:, None], sums[HEAD:])
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return self._correlator.state()
+
+    def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
+        self._correlator.restore(arrays)
+
+    def result(self) -> ViscosityResult:
+        """η so far, with its standard error.  Raises ValueError before the first look."""
+        scene = self.answered()
+        counts, _ = self._correlator.correlations(self.sums.total[HEAD:])
+        k_B, seen = scene.unit_system.k_B, counts > 0.0  # noqa: N806 - the symbol of the constant
+        times: Array = self._correlator.lags[seen] * np.float64(scene.spacing)
+
+        def correlation(sums: Array) -> Array:
+            found: Array = self._correlator.correlations(sums[HEAD:])[1][seen, 0].sum(axis=1) / WEIGHT
+            return found
+
+        def integral(sums: Array) -> Array:
+            mean_temperature, volume = sums[TEMPERATURE] / sums[COUNT], sums[VOLUME] / sums[COUNT]
+            return running_integral(times, correlation(sums)) * (volume / (k_B * mean_temperature))
+
+        (values, errors), without = self.sums.estimate(correlation), self.sums.replicas(integral)
+        with np.errstate(all="ignore"):
+            integrated = integral(self.sums.total)
+        good = times <= max(LONGEST * (self.n_looks - 1) * scene.spacing, times[min(1, len(times) - 1)])
+        found = plateau(times[good], integrated[good], without[:, good] if len(without) else np.zeros((0, good.sum())))
+        return ViscosityResult(scene, times, values, errors, integrated, spread(without), found)
+
+
+def traceless(tensor: Array) -> Array:
+    """(6,) numbers whose products add up to Σ_ab P_ab P_ab of the symmetric part of a tensor (3, 3) without its trace."""
+    p = 0.5 * (tensor + tensor.T) - np.eye(3) * np.trace(tensor) / 3.0
+    root = np.sqrt(2.0)
+    return np.array([p[0, 0], p[1, 1], p[2, 2], root * p[1, 2], root * p[0, 2], root * p[0, 1]])
+
+
+@dataclass(frozen=True, repr=False)
+class ViscosityResult(Result):
+    """A stress autocorrelation, its integral, and the viscosity.
+
+    times : (T,) lags [time].  autocorrelation, autocorrelation_error : C, (T,) [pressure²].
+    integral, integral_error : V/(k_B T) ∫₀ᵗ C, (T,) [pressure time].  plateau : where it stays, with η.
+    """
+
+    scene: Scene
+    times: Array
+    autocorrelation: Array
+    autocorrelation_error: Array
+    integral: Array
+    integral_error: Array
+    plateau: Plateau
+    title: ClassVar[str] = "viscosity"
+
+    @property
+    def viscosity(self) -> float:
+        """η [pressure time]."""
+        return self.plateau.value
+
+    @property
+    def viscosity_error(self) -> float:
+        """Its standard error."""
+        return self.plateau.error
+
+    def columns(self) -> dict[str, Array]:
+        """See Result."""
+        made = {"time": self.times, "autocorrelation": self.autocorrelation, "autocorrelation_error": self.autocorrelation_error}
+        return made | {"integral": self.integral, "integral_error": self.integral_error}
+
+    def numbers(self) -> dict[str, float]:
+        """See Result."""
+        return {"viscosity": self.viscosity, "viscosity_error": self.viscosity_error}
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        units, (start, end) = self.scene.unit_system, self.plateau.window
+        words = f"{with_error(self.viscosity, self.viscosity_error)} {units.pressure} {units.time}"
+        if units.name == "ASE":
+            words = f"{with_error(self.viscosity * MPA_S, self.viscosity_error * MPA_S)} mPa s"
+        where = f"{units.shown(start)} to {units.shown(end)}"
+        said = f"plateau of its integral, {where}" if self.plateau.is_reached else f"NO PLATEAU of its integral, taken from {where}"
+        return [("viscosity", f"η = {words}; {said}")]
+
+    def draw(self, panel: Axes) -> None:
+        """See Result."""
+        units, (start, end) = self.scene.unit_system, self.plateau.window
+        times = self.times * units.to_picosecond
+        panel.axvspan(start * units.to_picosecond, end * units.to_picosecond, color="0.93")
+        panel.axhline(self.viscosity, color="0.6", lw=0.8, ls="--")
+        panel.errorbar(times, self.integral, self.integral_error, lw=1.1, elinewidth=0.6)
+        panel.set(xlabel=f"t  [{units.shown_time}]", ylabel=f"η  [{units.pressure} {units.time}]", title="viscosity, running integral")
+        panel.set(xlim=(0.0, 2.0 * end * units.to_picosecond or None), ylim=(0.0, 2.0 * self.viscosity if self.viscosity > 0.0 else None))

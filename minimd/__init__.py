@@ -12,7 +12,7 @@ from minimd.diagnosis.timestep import StepAdvice, advise_timestep
 from minimd.engine.record import Record
 from minimd.ensemble import EnsembleTable, Member, ensemble
 from minimd.forces.forces import Evaluation, Forces, evaluate
-from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
+from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticCellRescaling, StochasticVelocityRescaling, VelocityVerlet
 from minimd.minimization.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
 from minimd.potentials import BondPotential, HarmonicAngle, HarmonicBond, LennardJones, PairPotential, Tabulated
@@ -61,6 +61,7 @@ __all__ = [
     "Reversibility",
     "Simulation",
     "StepAdvice",
+    "StochasticCellRescaling",
     "StochasticVelocityRescaling",
     "System",
     "Tabulated",

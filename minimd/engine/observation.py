@@ -97,7 +97,9 @@ for _observable in (
         lambda engine: engine.system.volume is not None,
     ),
     Observable("stress", "pressure", lambda look: observables.stress(*look.motion, look.virial, look.volume), demand=check_has_volume),
-    Observable("conserved_energy", "energy", lambda look: look.total_energy - look.engine.reservoir_energy, lambda one: one.method.is_thermostat),
+    Observable("conserved_energy", "energy", lambda look: look.total_energy - look.engine.reservoir_energy, lambda one: one.has_bath),
+    Observable("volume", "volume", lambda look: look.volume, lambda engine: engine.barostat is not None),
+    Observable("cell", "length", lambda look: look.system.cell.vectors, lambda engine: engine.barostat is not None),
     Observable("constraint_violation", "", lambda look: float(look.bonds.violation(look.path[0]).max()), lambda one: bool(one.constraint_set.bonds)),
 ):
     register(_observable)
@@ -108,7 +110,7 @@ def observe(engine: Engine) -> Frame:
     engine.evaluate()
     look = Look(engine)
     values = {one.name: one.measure(look) for one in OBSERVABLES.values() if one.is_recorded(engine)}
-    return Frame(engine.step, engine.time, engine.positions, engine.velocities, engine.forces, values, engine.reservoir_energy)
+    return Frame(engine.step, engine.time, engine.positions, engine.velocities, engine.forces, values, engine.reservoir_energy, engine.system.cell)
 
 
 def measure(engine: Engine, name: str) -> Any:

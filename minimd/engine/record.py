@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.structure.cell import Cell
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.units import UnitSystem
 
@@ -24,7 +25,7 @@ class Frame(NamedTuple):
     """The observed state of one step. Arrays are those of the running simulation; copy them to keep their values.
 
     step, time [time].  positions, velocities, forces : (N, 3).  observables : name in SERIES to number or (3,) array;
-    pressure is missing unless the cell has a volume.  reservoir_energy : given by a thermostat since the start [energy].
+    pressure is missing unless the cell has a volume.  reservoir_energy : given by thermostat and barostat since the start [energy].  cell : Cell.
     """
 
     step: int
@@ -34,6 +35,7 @@ class Frame(NamedTuple):
     forces: NDArray[np.float64]
     observables: dict[str, Any]
     reservoir_energy: float = 0.0
+    cell: Cell | None = None
 
 
 class Record(Displayed):
@@ -43,7 +45,8 @@ class Record(Displayed):
     ----------
     step : (T,) int.  time : (T,) [time].
     potential_energy, kinetic_energy, total_energy : (T,) [energy].  temperature : (T,).
-    conserved_energy : (T,) [energy], total energy minus reservoir energy, only with a thermostat.
+    conserved_energy : (T,) [energy], total energy minus reservoir energy, only with a thermostat or a barostat.
+    volume, cell : (T,) [length³], (T, 3, 3) lattice vectors as rows [length], only with a barostat.
     shadow_energy : (T,) [energy], only where asked for: see minimd.shadow_energy.
     constraint_violation : (T,) largest |r² − d²|/d², only with lengths held fixed.
     pressure : (T,) [energy/length³], only where the cell has a volume.

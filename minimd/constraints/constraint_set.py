@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.constraints.solver import ConstraintSolver
+from minimd.structure.cell import Cell
 from minimd.structure.checks import shown
 from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
@@ -77,6 +78,12 @@ class ConstraintSet:
             iterations = self.bonds.iterations
             self.bonds = ConstraintSolver(self.kept[-1], system.positions, self.inverse_masses, offsets, self._threads)
             self.bonds.iterations = iterations
+
+    def follow(self, before: Cell, cell: Cell) -> None:
+        """The cell was strained: images of bonds are the same multiples of its vectors."""
+        if self.bonds is not None:
+            self.bonds.follow(before, cell)
+        self._cell = cell
 
     def restore(self, system: System, offsets: NDArray[np.float64], tolerance: float) -> None:
         """The solver of another set with the same constraints: images of its bonds, (K, 3) [length], and its tolerance."""

@@ -96,6 +96,10 @@ class Networks:
         self.known: tuple = graph.components, self.bonds, self.memory
         self.check(positions)
 
+    def offsets(self) -> list[Floats]:
+        """All arrays (…, 3) of lattice translations that its solvers read."""
+        return [self.bonds.offsets, *(one.offsets for one in self.known if isinstance(one, Molecules))]
+
     def check(self, positions: Floats) -> None:
         """ValueError if a constraint depends on the others."""
         k = dependent_constraint(positions, self.graph.components, self.bonds, self.memory)

@@ -13,6 +13,7 @@ from minimd.compiled.machine import EPS
 from minimd.constraints.graph import Floats, Ints
 from minimd.constraints.groups import groups_of
 from minimd.constraints.vectors import drift_some
+from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.errors import ConstraintError
 
@@ -66,6 +67,11 @@ class ConstraintSolver:
     def summary(self) -> str:
         """The constraints, for a report."""
         return ", ".join(f"{len(group.order)} in {group.shape}" for group in self.groups)
+
+    def follow(self, before: Cell, cell: Cell) -> None:
+        """Offsets that are multiples of the vectors of a cell become those of another, in place."""
+        for offsets in (self.offsets, *(array for group in self.groups for array in group.offsets())):
+            before.follow(cell, offsets)
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> None:
         """positions += duration · velocities, projected along the old gradients; velocities changed accordingly. (N, 3) both.

@@ -55,9 +55,9 @@ def runaway(engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY,
     system, kinetic, potential = engine.system, engine.kinetic_energy, engine.interactions.potential_energy
     with np.errstate(over="ignore"):  # infinite for time steps that nobody needs
         rounding = system.masses.sum() * np.square(np.spacing(np.abs(system.positions).max()) / engine.method.timestep)
-    name = "conserved_energy" if engine.method.is_thermostat else "total_energy"
-    energy = kinetic + potential - engine.work - (engine.reservoir_energy if engine.method.is_thermostat else 0.0)
-    start = first[name] - (0.0 if engine.method.is_thermostat else first.get("work", 0.0))
+    name = "conserved_energy" if engine.has_bath else "total_energy"
+    energy = kinetic + potential - engine.work - (engine.reservoir_energy if engine.has_bath else 0.0)
+    start = first[name] - (0.0 if engine.has_bath else first.get("work", 0.0))
     before, now = first["kinetic_energy"] + abs(first["potential_energy"]), kinetic + abs(potential)
     if now > growth * (before + rounding) and abs(energy - start) > HALF * now:
         return f"the {name.replace('_', ' ')} has gone from {start:.3g} to {energy:.3g} {system.units.energy} since {since}"

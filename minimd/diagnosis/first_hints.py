@@ -15,6 +15,7 @@ from minimd.potentials.lennard_jones import curvature_at_minimum
 from minimd.potentials.pair import PairPotential
 
 CROWDED = 5.0  # ω of the stiffest mode of a liquid beside that of a pair at rest, by advise_timestep: 4.8 at T* 0.7, ρ* 0.85; 5.8 at 1.44, 0.8442
+QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then off by up to a tenth
 TOO_LONG = 3.3  # of the recommended step: six steps a period of that mode
 
 
@@ -23,6 +24,18 @@ def hints(engine: Engine) -> Iterator[str]:
     if hint := unstable_bond(engine) or _long_timestep(engine):
         yield hint
     yield from _no_pair_in_reach(engine)
+    yield from _quick_barostat(engine)
+
+
+def _quick_barostat(engine: Engine) -> Iterator[str]:
+    """That a barostat acts too seldom for its relaxation time."""
+    barostat, shown = engine.barostat, engine.system.units.shown
+    if barostat is not None and barostat.every * engine.method.timestep > QUICK * barostat.relaxation_time:
+        yield (
+            f"the barostat acts every {barostat.every} steps, {shown(barostat.every * engine.method.timestep)}, which is long beside its "
+            f"relaxation_time {shown(barostat.relaxation_time)}: volumes fluctuate too much; take at least {1.0 / QUICK:g} times as long a "
+            "relaxation_time, or a smaller every"
+        )
 
 
 def _long_timestep(engine: Engine) -> str | None:

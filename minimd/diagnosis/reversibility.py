@@ -95,8 +95,9 @@ def turn(engine: Engine) -> None:
 def probe(guard: RunGuard, n_steps: int) -> Reversibility:
     """See Simulation.probe_reversibility."""
     engine = guard.engine
-    if engine.method.is_thermostat:
-        raise ValueError(f"{engine.method.name} is a thermostat: its noise cannot be undone, so that no run of it is reversible")
+    if engine.has_bath:
+        bath = f"{engine.method.name} is a thermostat" if engine.method.is_thermostat else "there is a barostat"
+        raise ValueError(f"{bath}: its noise cannot be undone, so that no run of it is reversible")
     if engine.interactions.depend_on_time:
         raise ValueError("forces that depend on time have no run back: time goes on while atoms return; probe the scene without them")
     before = engine.snapshot()

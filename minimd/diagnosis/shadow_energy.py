@@ -67,6 +67,8 @@ def check_has_shadow(engine: Engine) -> None:
     method = engine.method
     if method.is_thermostat:
         raise ValueError(f"there is no shadow energy with a thermostat, which takes energy and gives it; the method is {method.name}")
+    if engine.barostat is not None:
+        raise ValueError("there is no shadow energy with a barostat, which takes energy and gives it")
     if method.sequence() not in COEFFICIENTS:
         raise ValueError(f"the shadow energy is known of velocity-verlet, leapfrog and position-verlet; the method is {method.name}")
     if engine.constraint_set.bonds is not None:

@@ -10,16 +10,18 @@ import numpy as np
 
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.graph import bodies_of
+from minimd.engine.arguments import checked_method, warn_of_dropped
+from minimd.engine.cell_rescaling import rescaling_of
 from minimd.engine.center import holds_center, refused
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import FIXED_POINT, Options
+from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath, GridState, OpenEnd, State, Surroundings
 from minimd.integrators.splitting.substeps import Kick
 from minimd.neighbors.verlet_list import Built
 from minimd.potentials.term import FORCES, TOTALS
-from minimd.structure.checks import shown
-from minimd.structure.console import outside_minimd
+from minimd.structure.cell import Cell
 from minimd.structure.constraints import Constraint
 from minimd.structure.grid import Grid
 from minimd.structure.observables import Array, kinetic_energy
@@ -30,6 +32,7 @@ class Snapshot(NamedTuple):
     """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy].  open_end : see Surroundings.
 
     clock : a step, and the time at it, from which the time of others is counted.  work : done by forces that depend on time [energy].
+    cell : with a barostat, else None.
     """
 
     step: int
@@ -40,6 +43,7 @@ class Snapshot(NamedTuple):
     open_end: OpenEnd | None = None
     clock: tuple[int, float] | None = None
     work: float = 0.0
+    cell: Cell | None = None
 
 
 class Checkpoint(NamedTuple):
@@ -67,6 +71,7 @@ class Engine:
     noise_shift : step n has the noise with number n + noise_shift.  extra_observables : names of additional observables.
     is_whole : whether a checkpoint has the bits of the run; false after a failure, when an earlier state was restored, but not its lists.
     holds_center : whether the center of mass must not move, because atoms with FixCom of ASE were given.
+    barostat : StochasticCellRescaling, or None.
     equilibrated : steps of equilibrations so far: none of them has the noise of another.  notes : title and scene, texts for files.
     """
 
@@ -77,15 +82,16 @@ class Engine:
         method: Splitting,
         constraints: Constraint | Sequence[Constraint] | None = None,
         options: Options | None = None,
+        barostat: StochasticCellRescaling | None = None,
     ) -> None:
-        self._method = _checked(method)
+        self._method = checked_method(method)
         self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
         self.holds_center = holds_center(system)
         self._step, self._clock, self.noise_shift = 0, (0, 0.0), 0
         self.equilibrated, self.notes = 0, {"title": "", "scene": ""}
         self.extra_observables: Sequence[str] = ()
         self.interactions = Forces(self.system, potentials, options)
-        _warn_of_dropped(self.system.constraints, constraints)
+        warn_of_dropped(self.system.constraints, constraints)
         held = self.system.constraints if constraints is None else constraints
         self.constraint_set = ConstraintSet(self.system, held, self.interactions.options.most_threads)
         self.system.constraints = self.constraint_set.kept
@@ -97,6 +103,7 @@ class Engine:
         self._left: tuple[int, ...] | None = None
         self.is_whole = True
         self._describe_bath()
+        self.barostat, self._rescaling = barostat, rescaling_of(barostat, self)
 
     def _laid_out(self) -> State:
         """The state; in fixed-point arithmetic on a grid."""
@@ -135,7 +142,13 @@ class Engine:
 
         Raises NonFiniteError, ConstraintError if a step fails; the state is then invalid, and a snapshot must be restored.
         """
-        self._bath.step, self._bath.contact = self.step + self.noise_shift, 0
+        if self._rescaling is not None:
+            return self._rescaling.advance(self, n_steps, with_energy)
+        return self.advance_in_cell(n_steps, with_energy)
+
+    def advance_in_cell(self, n_steps: int, with_energy: bool, done: int = 0) -> int:
+        """See advance; without the barostat.  done : steps made since step."""
+        self._bath.step, self._bath.contact = self.step + done + self.noise_shift, 0
         return self.method.advance(self._state, self._compute_forces, n_steps, with_energy, self.surroundings, self.interactions.march)
 
     def _compute_forces(self, state: State, with_energy: bool) -> None:
@@ -215,12 +228,16 @@ class Engine:
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""
         arrays, end = (self.positions.copy(), self.velocities.copy()), self.surroundings.open_end
-        return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, end, self._clock, self.work)
+        cell = None if self.barostat is None else self.system.cell
+        return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, end, self._clock, self.work, cell)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot."""
         self.moved()
-        self._step, time, self.positions[:], self.velocities[:], self.reservoir_energy, self.surroundings.open_end, clock, self.work = snapshot
+        self._step, time, self.positions[:], self.velocities[:], self.reservoir_energy, self.surroundings.open_end, clock, self.work, cell = snapshot
+        if cell is not None and cell is not self.system.cell:
+            self.constraint_set.follow(self.system.cell, cell)
+            self.system.cell = cell
         self._clock, self.is_whole = clock or (snapshot.step, time), False
         if self.time != time:  # counted with the time step of another method
             self.time = time
@@ -228,7 +245,7 @@ class Engine:
     def checkpoint(self) -> Checkpoint:
         """A copy of all that decides the bits of the steps to come, for go_on_from."""
         bonds, interactions = self.constraint_set.bonds, self.interactions
-        images = None if bonds is None else (bonds.offsets, bonds.tolerance)
+        images = None if bonds is None else (bonds.offsets.copy(), bonds.tolerance)
         return Checkpoint(self.snapshot(), interactions.displacement, interactions.lists_built(), images, self.equilibrated, interactions.grid)
 
     def go_on_from(self, checkpoint: Checkpoint) -> None:
@@ -244,7 +261,7 @@ class Engine:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For pickle and copy: a copy makes the steps that this engine would make, to the last bit."""
-        scene = self.system, self.interactions.potentials, self.method, self.constraints, self.interactions.options
+        scene = self.system, self.interactions.potentials, self.method, self.constraints, self.interactions.options, self.barostat
         more = {"noise_shift": self.noise_shift, "extra_observables": self.extra_observables, "notes": dict(self.notes), "is_whole": self.is_whole}
         more["holds_center"] = self.holds_center
         return _copied, (scene, self.checkpoint(), self.is_as_left, self.interactions.counts, more)
@@ -294,8 +311,10 @@ class Engine:
 
     @method.setter
     def method(self, method: Splitting) -> None:
-        self.constraint_set.degrees_of_freedom(_checked(method).conserves_momentum and not self.interactions.act_from_outside)
+        self.constraint_set.degrees_of_freedom(checked_method(method).conserves_momentum and not self.interactions.act_from_outside)
         self._check_center(method)
+        if self._rescaling is not None:
+            self._rescaling.temperature(method)
         if type(method) is not type(self._method) or method.parameters != self._method.parameters:
             self._clock = self.step, self.time
             self.turned()
@@ -313,6 +332,11 @@ class Engine:
         return self.constraint_set.degrees_of_freedom(self.conserves_momentum)
 
     @property
+    def has_bath(self) -> bool:
+        """Whether a thermostat or a barostat gives energy to the system."""
+        return self.method.is_thermostat or self.barostat is not None
+
+    @property
     def conserves_momentum(self) -> bool:
         """Whether the total momentum is a constant: nothing acts from outside, no atom is held fixed, and no bath acts on atoms one by one."""
         return self._is_still_under(self.method)
@@ -326,7 +350,7 @@ class Engine:
 
     @property
     def reservoir_energy(self) -> float:
-        """Energy given to the system by the thermostat since the start [energy]. It is set when a run is resumed."""
+        """Energy given to the system by thermostat and barostat since the start [energy]. It is set when a run is resumed."""
         return self._bath.energy
 
     @reservoir_energy.setter
@@ -379,19 +403,3 @@ def _copied(scene: tuple[Any, ...], checkpoint: Checkpoint, is_as_left: bool, co
     for name, value in more.items():
         setattr(engine, name, value)
     return engine
-
-
-def _checked(method: Splitting) -> Splitting:
-    if not isinstance(method, Splitting):
-        raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {shown(method)}")
-    return method
-
-
-def _warn_of_dropped(those_of_system: Sequence[Constraint], given: Constraint | Sequence[Constraint] | None) -> None:
-    """Warn if the given constraints replace those of the system and one kind of the latter is missing."""
-    if given is None:
-        return
-    kinds = {type(one) for one in (given if isinstance(given, Sequence) else [given])}
-    dropped = [repr(one) for one in those_of_system if type(one) not in kinds]
-    if kinds and dropped:
-        warnings.warn(f"{', '.join(dropped)} of the system are not kept: other constraints are given in their place", stacklevel=outside_minimd())

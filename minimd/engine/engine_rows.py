@@ -13,6 +13,7 @@ def simulation_rows(engine: Engine) -> Rows:
     rows = [("system", repr(engine.system))]
     rows += [("potential", repr(one)) for one in engine.interactions.potentials]
     rows += [("method", repr(engine.method)), *(("constraint", repr(one)) for one in engine.constraints)]
+    rows += [("barostat", repr(engine.barostat))] if engine.barostat is not None else []
     rows += [("observed too", ", ".join(engine.extra_observables))] if engine.extra_observables else []
     rows += [("options", ", ".join([described(options.precision), *words]))]
     rows += [("grid", f"{grid!r}: positions, lattice vectors and momenta are rounded to it")] if (grid := engine.interactions.grid) else []

@@ -101,9 +101,11 @@ for _observable in (
         "conserved_energy",
         "energy",
         lambda look: look.total_energy - look.engine.reservoir_energy - look.engine.work,
-        lambda engine: engine.method.is_thermostat,
+        lambda engine: engine.has_bath,
     ),
     Observable("work", "energy", lambda look: look.engine.work, lambda engine: engine.interactions.depend_on_time),
+    Observable("volume", "volume", lambda look: look.volume, lambda engine: engine.barostat is not None),
+    Observable("cell", "length", lambda look: look.system.cell.vectors, lambda engine: engine.barostat is not None),
     Observable("constraint_violation", "", lambda look: float(look.bonds.violation(look.path[0]).max()), lambda one: bool(one.constraint_set.bonds)),
 ):
     register(_observable)
@@ -114,7 +116,7 @@ def observe(engine: Engine) -> Frame:
     engine.evaluate()
     look = Look(engine)
     values = {one.name: one.measure(look) for one in OBSERVABLES.values() if one.is_recorded(engine)}
-    return Frame(engine.step, engine.time, engine.positions, engine.velocities, engine.forces, values, engine.reservoir_energy)
+    return Frame(engine.step, engine.time, engine.positions, engine.velocities, engine.forces, values, engine.reservoir_energy, engine.system.cell)
 
 
 def measure(engine: Engine, name: str) -> Any:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.structure.cell import Cell
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.statistics import mean_and_error, with_error
 from minimd.structure.units import UnitSystem
@@ -25,7 +26,7 @@ class Frame(NamedTuple):
     """The observed state of one step. Arrays are those of the running simulation; copy them to keep their values.
 
     step, time [time].  positions, velocities, forces : (N, 3).  observables : name in SERIES to number or (3,) array;
-    pressure is missing unless the cell has a volume.  reservoir_energy : given by a thermostat since the start [energy].
+    pressure is missing unless the cell has a volume.  reservoir_energy : given by thermostat and barostat since the start [energy].  cell : Cell.
     """
 
     step: int
@@ -35,6 +36,7 @@ class Frame(NamedTuple):
     forces: NDArray[np.float64]
     observables: dict[str, Any]
     reservoir_energy: float = 0.0
+    cell: Cell | None = None
 
 
 class Record(Displayed):
@@ -44,8 +46,9 @@ class Record(Displayed):
     ----------
     step : (T,) int.  time : (T,) [time].
     potential_energy, kinetic_energy, total_energy : (T,) [energy].  temperature : (T,).
-    conserved_energy : (T,) [energy], total energy minus reservoir energy and work, only with a thermostat.
+    conserved_energy : (T,) [energy], total energy minus reservoir energy and work, only with a thermostat or a barostat.
     work : (T,) [energy], done since the start by forces that depend on time, ∫ ∂U/∂t dt, only with such forces.
+    volume, cell : (T,) [length³], (T, 3, 3) lattice vectors as rows [length], only with a barostat.
     shadow_energy : (T,) [energy], only where asked for: see minimd.shadow_energy.
     constraint_violation : (T,) largest |r² − d²|/d², only with lengths held fixed.
     pressure : (T,) [energy/length³], only where the cell has a volume.

@@ -29,6 +29,8 @@ class ASEWriter:
         """Append one frame."""
         atoms = self._template.copy()
         atoms.positions[:] = frame.positions
+        if frame.cell is not None:
+            atoms.cell[:] = frame.cell.vectors
         atoms.set_momenta(frame.velocities * atoms.get_masses()[:, None], apply_constraint=False)
         atoms.info.update(step=frame.step, time=frame.time)
         forces = frame.forces if self._store_forces else None

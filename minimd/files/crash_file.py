@@ -21,6 +21,7 @@ from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Snapshot
 from minimd.engine.observation import observe
 from minimd.files.trajectory import named_files
+from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.neighbors.queries import ClosestPair
 from minimd.structure.errors import ConstraintError, NonFiniteError
@@ -34,7 +35,7 @@ class CrashFile(NamedTuple):
 
     findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.  method : as it was.
     precision, skin, noise_shift : of the engine.  judgment : of the guard.
-    potentials : in words.  scene : text, empty if the run came from a script.
+    potentials : in words.  scene : text, empty if the run came from a script.  barostat : StochasticCellRescaling, or None.
     """
 
     findings: CrashReport
@@ -47,6 +48,7 @@ class CrashFile(NamedTuple):
     judgment: tuple[dict[str, float] | None, float]
     potentials: list[str]
     scene: str
+    barostat: StochasticCellRescaling | None
 
 
 def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
@@ -152,5 +154,6 @@ def read_crash_report(path: str | Path) -> CrashFile:
     system.positions, system.velocities = start.positions, start.velocities
     found["pair"], found["closest"] = found["pair"] and Contact(**found["pair"]), found["closest"] and ClosestPair(*found["closest"])
     options: dict[str, Any] = {"precision": contents.precision, "skin": contents.skin, "potentials": contents.potentials, "scene": contents.scene}
+    options["barostat"] = contents.barostat
     options |= {"noise_shift": told["noise_shift"], "judgment": (told.get("first"), told.get("growth", RUNAWAY))}  # older files have no judgment
     return CrashFile(CrashReport(**found), system, start, contents.integrator(), **options)

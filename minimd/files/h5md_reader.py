@@ -21,6 +21,7 @@ from minimd.files.h5md_observers import observers_of
 from minimd.files.h5md_restart import damaged_restart, read_restart
 from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, opened
 from minimd.integrators.methods import METHODS
+from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.observers import Accumulator
 from minimd.structure.bond_graph import GROUPS
@@ -36,6 +37,7 @@ class H5MDContents(Displayed):
 
     record : Record, one entry for each frame.  system : System at the restart, to the last bit, with the constraints of the run.
     restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
+    barostat : StochasticCellRescaling, or None.
     parameters : arguments that make the method again.  precision, skin : of the options.  potentials : in words.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
@@ -62,6 +64,7 @@ class H5MDContents(Displayed):
     potentials: list[str]
     repaired: str
     observers: dict[str, Accumulator]
+    barostat: StochasticCellRescaling | None = None
 
     def __repr__(self) -> str:
         return f"H5MDContents({self.n_frames} frames of {len(self.system)} atoms, {self.method}, step {self.step})"
@@ -121,6 +124,7 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
             potentials=list(at["potentials"]),
             repaired=repaired,
             observers=observers_of(h5),
+            barostat=StochasticCellRescaling(**json.loads(words)) if (words := at.get("barostat", "")) else None,
         )
 
 
@@ -193,7 +197,7 @@ def _system(group: h5py.Group, restart: Checkpoint) -> System:
         restart.state.positions,
         masses=group["masses"][:],
         velocities=restart.state.velocities,
-        cell=Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
+        cell=restart.state.cell or Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
         species=np.array(labels.tolist())[group["species_index"][:]],
         **{name: group[name][:] for name in GROUPS if name in group},
         units=SYSTEMS[group.attrs["units"]],

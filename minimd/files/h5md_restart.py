@@ -15,6 +15,7 @@ import numpy as np
 from minimd.engine.engine import Checkpoint, Snapshot
 from minimd.integrators.splitting.state import OpenEnd
 from minimd.neighbors.verlet_list import Built
+from minimd.structure.cell import Cell
 from minimd.structure.grid import Grid
 
 RESTART, EARLIER, SPARE = "minimd/restart", "minimd/earlier_restart", "minimd/spare"
@@ -29,6 +30,8 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
         arrays |= {"open_positions": state.open_end.positions, "open_velocities": state.open_end.velocities}
     arrays["images"] = None if images is None else images[0]
     arrays |= {f"list_{k}": one.positions for k, one in enumerate(checkpoint.lists)}
+    for name, cell in [("cell", state.cell), *((f"cell_of_list_{k}", one.cell) for k, one in enumerate(checkpoint.lists))]:
+        arrays |= {} if cell is None else {name: cell.vectors, f"{name}_reduction": cell.reduction}
     numbers: dict[str, Any] = {
         "step": state.step,
         "time": state.time,
@@ -51,16 +54,20 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
     if "open_velocities" in arrays:
         end = OpenEnd(arrays["open_velocities"], arrays.get("open_positions"), bool(numbers["drifts_next"]), float(numbers.get("open_work", 0.0)))
     step, time, energy = int(numbers["step"]), float(numbers["time"]), float(numbers["reservoir_energy"])
-    lists = tuple(Built(float(skin), arrays.get(f"list_{k}")) for k, skin in enumerate(numbers["skins"]))
-    clock = int(numbers["clock_step"]), float(numbers["clock_time"])
+    lists = tuple(Built(float(skin), arrays.get(f"list_{k}"), _cell(arrays, f"cell_of_list_{k}")) for k, skin in enumerate(numbers["skins"]))
+    clock, moving = (int(numbers["clock_step"]), float(numbers["clock_time"])), (arrays["positions"], arrays["velocities"])
     return Checkpoint(
-        state=Snapshot(step, time, arrays["positions"], arrays["velocities"], energy, end, clock, float(numbers.get("work", 0.0))),
+        state=Snapshot(step, time, *moving, energy, end, clock, float(numbers.get("work", 0.0)), _cell(arrays, "cell")),
         displacement=float(numbers["displacement"]),
         lists=lists,
         images=(arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None,
         equilibrated=int(numbers["equilibrated"]),
         grid=Grid(*map(float, numbers["grid"])) if "grid" in numbers else None,
     )
+
+
+def _cell(arrays: dict[str, np.ndarray], name: str) -> Cell | None:
+    return Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"]) if name in arrays else None
 
 
 def write_restart(h5: h5py.File, checkpoint: Checkpoint, n_frames: int, beside: dict[str, np.ndarray] | None = None) -> None:

@@ -53,18 +53,22 @@ def columns(system: System, observables: list[str], store_forces: bool, spacing:
     """
     units = system.units
     per_time, force = units.to_angstrom / units.to_picosecond, units.to_kj_per_mol / units.to_angstrom
-    edges = system.cell.vectors * units.to_angstrom
     return [
         Column("minimd/time", units.time, lambda frame: frame.time),
         Column(STEPS, "", lambda frame: frame.step),
         Column(TIMES, "ps", lambda frame: frame.time * units.to_picosecond),
         *(Column(f"observables/{name}/value", getattr(units, SERIES.get(name) or "", ""), partial(observable, name)) for name in observables),
         *([Column(f"observables/{SPACING}/value", "ps", lambda _: spacing * units.to_picosecond)] if spacing is not None else []),
-        *([Column(f"{TRAJECTORY}/box/edges/value", "Angstrom", lambda _: edges)] if has_edges(system.cell) else []),
+        *([Column(f"{TRAJECTORY}/box/edges/value", "Angstrom", partial(_edges, system))] if has_edges(system.cell) else []),
         Column(f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda frame: frame.velocities * per_time),
         *([Column(f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", lambda frame: frame.forces * force)] if store_forces else []),
         Column(f"{TRAJECTORY}/position/value", "Angstrom", lambda frame: frame.positions * units.to_angstrom),
     ]
+
+
+def _edges(system: System, frame: Frame) -> Any:
+    """The lattice vectors of a frame, as rows [Å]."""
+    return (frame.cell or system.cell).vectors * system.units.to_angstrom
 
 
 def observable(name: str, frame: Frame) -> Any:
@@ -119,6 +123,7 @@ def describe_method(group: h5py.Group, engine: Engine) -> None:
     group.attrs.update({"method": engine.method.name, "conserves_momentum": engine.conserves_momentum})
     group.attrs.update({"precision": options.precision, "skin": np.nan if options.skin is None else options.skin})
     group.attrs["potentials"] = [f"{type(one).__name__}: {one!r}" for one in engine.interactions.potentials]
+    group.attrs["barostat"] = "" if engine.barostat is None else json.dumps(engine.barostat.parameters)
     group.attrs["parameters"] = json.dumps(engine.method.parameters)  # a seed may be larger than any number of HDF5
     group.attrs.update({name: value for name, value in engine.method.parameters.items() if isinstance(value, float)})
 

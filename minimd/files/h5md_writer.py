@@ -269,7 +269,11 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
         raise ValueError(f"trajectory {str(file)!r} holds a run with other constraints: {held}; go on with those of the file, or write to a new file")
     if engine.step != contents.step:
         raise ValueError(f"trajectory {str(file)!r} continues from step {contents.step}; the simulation stands at step {engine.step}")
-    if engine.method.is_thermostat != ("conserved_energy" in contents.record):
+    if engine.barostat != contents.barostat:
+        raise ValueError(
+            f"trajectory {str(file)!r} holds a run with barostat {contents.barostat}; the simulation has {engine.barostat}: write to a new file"
+        )
+    if engine.has_bath != ("conserved_energy" in contents.record):
         raise ValueError(
             f"trajectory {str(file)!r} was written {'without' if engine.method.is_thermostat else 'with'} a thermostat, "
             f"{engine.method.name} would continue it otherwise; write to a new file"

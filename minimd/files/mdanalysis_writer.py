@@ -41,7 +41,7 @@ class MDAnalysisWriter:
         self._claim, self._format = claim, FORMATS.get(file.suffix.lower(), file.suffix[1:].upper())
         self._angstrom, self._picosecond = system.units.to_angstrom, system.units.to_picosecond
         self._timestep = engine.method.timestep * self._picosecond
-        self._dimensions = cell_dimensions(system.cell, self._angstrom)
+        self._cell = system.cell
         self._waiting: list[Frame] = []
         self._writer: Any = None
         with quiet():
@@ -104,7 +104,7 @@ class MDAnalysisWriter:
         ts = self._universe.trajectory.ts
         ts.positions = frame.positions * self._angstrom
         ts.velocities = frame.velocities * (self._angstrom / self._picosecond)
-        ts.dimensions = self._dimensions
+        ts.dimensions = cell_dimensions(frame.cell or self._cell, self._angstrom)
         ts.time, ts.data["step"] = frame.time * self._picosecond, frame.step
 
 

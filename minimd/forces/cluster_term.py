@@ -58,6 +58,14 @@ class ClusterTerm(OwnTerm):
         self._arranged_for, self._prepared_for = cast(Any, None), (0, 0)  # which arrays of the list; which build, and how many layers
         self._memory = Buffers()
 
+    def follow(self, system: System) -> bool:
+        """See Term; a cell without room for the list needs another one."""
+        self.widest_skin = widest_skin(system, self._pair_laws)
+        if self.list.skin > self.widest_skin or system.cell.heights.min() < self.list.cutoff + self.list.skin:
+            return False
+        self.list.follow(system.cell)
+        return True
+
     def add_to(self, system: System, detail: int, sums: Any) -> None:
         """See Term."""
         self._update(system)

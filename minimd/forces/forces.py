@@ -125,6 +125,11 @@ class Forces:
             self.displacement = displacement
             self._plan(self._bound)
 
+    def follow(self) -> None:
+        """After atoms and cell were strained together: terms and lists go on in the new cell, if they can; if not, compute binds them again."""
+        if sum(not term.follow(self.system) for term in self.terms) == 0:
+            self._planned_for = self.system.cell
+
     def lists_built(self) -> tuple[Built, ...]:
         """What build_lists needs to make the lists that are in use."""
         return tuple(one.built() for one in _lists(self.terms))

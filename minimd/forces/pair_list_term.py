@@ -1,6 +1,7 @@
 """Pair laws on the plain pair list: one pair after the other, in any cell."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,9 +33,18 @@ class PairListTerm(OwnTerm):
         self._in_users_order = cutoff == np.inf
         self.summary = "all pairs" if self._in_users_order else f"pair list (skin {skin:.3g})"
         self.list, self.widest_skin = PairList(n, cutoff, skin, laws.excluded), widest_skin(system, laws)
+        self._options = replace(options, skin=skin)
         self._laws, self._loops = laws, [pair_loop_for(one.law) for one in laws.members]
         self._parameters_of = 0  # which build of the list
         self._positions, self._sums = np.empty((n, 3)), (np.empty((n, 3)), np.empty(n), np.empty((n, 6)))  # forces of floats or of whole numbers
+
+    def follow(self, system: System) -> bool:
+        """See Term; a cell that has room for clusters now, or none for the list, needs another one."""
+        self.widest_skin = widest_skin(system, self._laws)
+        if self.list.skin > self.widest_skin or self._laws.fit_clusters(system, self._options, 0.0):
+            return False
+        self.list.follow(system.cell)
+        return True
 
     def add_to(self, system: System, detail: int, sums: Any) -> None:
         """See Term."""

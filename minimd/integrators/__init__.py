@@ -17,6 +17,7 @@ from minimd.integrators.ode.problems import *
 from minimd.integrators.ode.reversible import *
 from minimd.integrators.ode.runge_kutta import *
 from minimd.integrators.ode.stormer import *
+from minimd.integrators.splitting.barostats import *
 from minimd.integrators.splitting.compositions import *
 from minimd.integrators.splitting.linear_stability import *
 from minimd.integrators.splitting.order_conditions import *

@@ -151,6 +151,8 @@ class Job:
         progress: bool | None = None,
         tell: Tell = lambda line: None,
     ) -> None:
+        if simulation.barostat is not None:
+            raise ValueError("a run at constant pressure is not handed over to LAMMPS, whose barostats are others; run it with minimd")
         self.simulation, self.engine, self.folder = simulation, simulation.engine, folder
         self.steps, self.every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
         self.processes = checked_count("processes", processes)

@@ -25,6 +25,7 @@ from minimd.mdanalysis.memory import Frames, RecordedReader
 from minimd.mdanalysis.topology import bare_universe
 from minimd.observers.diffusion import finite_size_correction, is_cubic
 from minimd.simulation.simulation import Simulation
+from minimd.structure.cell import Cell
 from minimd.structure.console import outside_minimd
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.statistics import FEW, with_error
@@ -171,11 +172,16 @@ class _TurnedRDF(InterRDF):
 
     def _prepare(self) -> None:
         super()._prepare()
-        system = self.g2.universe.system
-        self._dimensions = triclinic_box(*(system.cell.lattice * system.units.to_angstrom))
-        self._vectors, self._inverse = triclinic_vectors(self._dimensions, dtype=np.float64), system.cell.inverse / system.units.to_angstrom
+        self._turn_to(self.g2.universe.system.cell)
+
+    def _turn_to(self, cell: Cell) -> None:
+        to_angstrom = self.g2.universe.system.units.to_angstrom
+        self._dimensions = triclinic_box(*(cell.lattice * to_angstrom))
+        self._vectors, self._inverse = triclinic_vectors(self._dimensions, dtype=np.float64), cell.inverse / to_angstrom
 
     def _single_frame(self) -> None:
+        if "cell" in self._ts.data:
+            self._turn_to(self.g2.universe.system.cell.strained(self._ts.data["cell"]))
         fractions = self._ts.positions.astype(np.float64) @ self._inverse
         self._ts.positions = (fractions - np.floor(fractions)) @ self._vectors
         self._ts.dimensions = self._dimensions

@@ -57,8 +57,10 @@ class ClusterList(VerletList):
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool) -> None:
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
+        self._widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS  # how much farther than the cutoff the layers reach
         self._n_atoms, self._pool, self._is_mixed, self._is_fixed = n_atoms, pool, precision == "mixed", precision == "fixed-point"
         self._columns_of: Cell | None = None
+        self._original: NDArray[np.float64] | None = None  # positions of the clusters at the last build, if the cell was strained since
         self._calls = DirectCalls()
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
         self._room_for_ghosts, self._entry_start, self._entries = 0, np.zeros(1, dtype=np.int64), np.empty(AHEAD, dtype=np.uint32)
@@ -78,9 +80,13 @@ class ClusterList(VerletList):
     def _built_at(self) -> NDArray[np.float64]:
         clusters, n_lanes, n = self.clusters, self.lanes.size, self.n_clusters
         positions, real = np.empty((self._n_atoms, DIMENSIONS)), np.arange(n_lanes) < clusters.filled[:n, None]
-        at = clusters.positions.reshape(-1, DIMENSIONS, n_lanes)[:n].transpose(0, 2, 1)
-        positions[clusters.atom[: n * n_lanes][real.ravel()]] = at[real]
+        blocks = self._blocks(clusters.positions) if self._original is None else self._original
+        positions[clusters.atom[: n * n_lanes][real.ravel()]] = blocks.transpose(0, 2, 1)[real]
         return positions
+
+    def _blocks(self, flat: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The numbers of the atoms of all clusters, (C, 3, n), a view."""
+        return flat.reshape(-1, DIMENSIONS, self.lanes.size)[: self.n_clusters]
 
     @property
     def n_clusters(self) -> int:
@@ -94,8 +100,10 @@ class ClusterList(VerletList):
 
     @property
     def can_be_renewed(self) -> bool:
-        """Whether a kernel can do what update does: on one thread, with columns that stay, and nothing that a build does after build_clusters."""
-        stays = self._columns_of is not None and bool(self._columns_of.pbc.all())
+        """Whether a kernel can do what update does: on one thread, in a cell in which columns stay and that was not strained since the last build,
+        and with nothing that a build does after build_clusters.
+        """
+        stays = self._columns_of is not None and bool(self._columns_of.pbc.all()) and self._original is None
         return stays and self._pool.n_threads == 1 and self._excluded is None and not self._is_mixed
 
     def renewed(self, n: int) -> None:
@@ -104,7 +112,21 @@ class ClusterList(VerletList):
         if self.rows.layers[0] == 0:
             self._cell = None
 
+    def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
+        positions, shifts = self._blocks(self.clusters.positions), self.ghosts.shift[: self.n_ghosts]
+        self._original = positions.copy() if self._original is None else self._original
+        positions[:] = np.einsum("kil,ij->kjl", self._original, strain)
+        before.follow(cell, self._blocks(self.clusters.offsets).transpose(0, 2, 1))
+        before.follow(cell, shifts)
+        if self._is_mixed:
+            self.memory.shift[: self.n_ghosts] = np.rint(shifts / self.memory.unit)
+        self._set_limits()
+
+    def _set_limits(self) -> None:
+        self.rows.limits2[:] = [self._limit2(width) for width in self._widths]
+
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
+        self._original = None
         if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
             self._columns, self._columns_of = make_columns(cell, positions, self.cutoff + self.skin, self.lanes), cell
             self._make_clusters()
@@ -112,6 +134,7 @@ class ClusterList(VerletList):
             self._make_room()
         if self._is_mixed:
             self._lay_grid()
+        self._set_limits()
         if self._excluded is not None:
             slot_of, image = self._memory.array("slot of", np.int64, len(positions)), (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
             self._pool.run(exclude_pairs, self.building.layout, image, self._excluded, slot_of, self.rows, calls=self._calls)
@@ -153,8 +176,8 @@ class ClusterList(VerletList):
         layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, exact)
         start = self._memory.array("row start", np.int32, len(self.clusters.atom))
         stops = self._memory.array("row stops", np.int32, LAYERS * len(start)).reshape(LAYERS, -1)
-        widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS
-        self.rows = Rows(start, stops, self._entries, (self.cutoff + widths) ** 2, (0.5 * widths) ** 2, np.zeros(1, dtype=np.int64))
+        self.rows = Rows(start, stops, self._entries, (self.cutoff + self._widths) ** 2, np.zeros(LAYERS), np.zeros(1, dtype=np.int64))
+        self._set_limits()
         self.building = Building(bins, layout, self.rows, self._entry_start, self._needed)
         number = np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64
         (forces,) = self._memory.carve("scratch", (number, (len(exact),)), in_page=HALF_A_PAGE)  # sorting is over where forces are summed

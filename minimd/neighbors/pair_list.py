@@ -39,15 +39,23 @@ class PairList(VerletList):
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
         super().__init__(cutoff, skin)
         self._excluded, self._reference = partners(excluded, n_atoms), np.empty((n_atoms, 3))
+        self._original: NDArray[np.float64] | None = None  # positions at the last build, if the cell was strained since
 
     def _has_moved(self, positions: NDArray[np.float64]) -> bool:
         return any_moved(positions, self._reference, self.limit2)
 
     def _built_at(self) -> NDArray[np.float64]:
-        return self._reference.copy()
+        return self._reference.copy() if self._original is None else self._original.copy()
+
+    def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
+        self._original = self._reference.copy() if self._original is None else self._original
+        self._reference[:] = np.einsum("ij,jk->ik", self._original, strain)
+        before.follow(cell, self.offsets)
+        before.follow(cell, self.pairs.translations)
+        self.limit2 = self._limit2(self.skin)
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        self._reference[:] = positions
+        self._reference[:], self._original, self.limit2 = positions, None, self._limit2(self.skin)
         if self.cutoff == np.inf:
             return self._list_all_pairs(positions)
         reach = self.cutoff + self.skin

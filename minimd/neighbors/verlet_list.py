@@ -42,10 +42,12 @@ class Built(NamedTuple):
     """What decides the order of a list, and so the rounding of its sums.
 
     skin : [length].  positions : (N, 3) when it was built [length], a copy; None if there is no list that can be used.
+    cell : Cell in which it was built, if that has been strained since.
     """
 
     skin: float
     positions: NDArray[np.float64] | None
+    cell: Cell | None = None
 
 
 class VerletList(ABC):
@@ -54,14 +56,27 @@ class VerletList(ABC):
     Until then no pair that is not listed can have come within the cutoff: two atoms approach each other by at most the skin.
     Displacements are true ones: an atom moved by a lattice vector has moved.  L. Verlet, Phys. Rev. 159, 98 (1967).
 
+    A list can follow a homogeneous strain F of cell and atoms, r → r F. Pairs that are not listed were farther apart than the reach R, so that
+    they are now farther apart than s R, s being the smallest singular value of F. So the list holds until an atom has moved, beside the strain,
+    by more than (s R − r_c)/2.
+
     cutoff : [length].  skin : [length], ≥ 0.  n_builds : how often it was built.
     limit2 : square of the distance that an atom may move before the list is outdated [length²].
     """
 
     def __init__(self, cutoff: float, skin: float) -> None:
         self.cutoff, self.skin, self.n_builds = cutoff, skin, 0
-        self.limit2 = 0.25 * skin**2 if cutoff < np.inf else np.finfo(float).max  # without a cutoff: until a position is not finite
         self._cell: Cell | None = None
+        self._built_in: Cell | None = None
+        self._stretch = 1.0  # s
+        self.limit2 = self._limit2(skin)
+
+    def _limit2(self, margin: float) -> float:
+        """The square of (s R − r_c)/2, with R = r_c + margin; negative if no displacement is allowed."""
+        if self.cutoff == np.inf:
+            return float(np.finfo(float).max)  # until a position is not finite
+        limit = 0.5 * margin * self._stretch - 0.5 * (1.0 - self._stretch) * self.cutoff
+        return limit * limit if limit >= 0.0 else -1.0
 
     @abstractmethod
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
@@ -75,16 +90,38 @@ class VerletList(ABC):
     def _built_at(self) -> NDArray[np.float64]:
         """Positions at the last build, (N, 3), a copy."""
 
+    @abstractmethod
+    def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
+        """Positions of the last build become r F, with F = strain (3, 3), lattice vectors of the cell before those of a cell; then limit2 is set."""
+
+    def follow(self, cell: Cell) -> None:
+        """The list in a cell that was strained, together with the positions of all atoms. What comes of it depends on the cell alone."""
+        if self._cell is None or self._built_in is None:
+            return
+        if not np.array_equal(cell.reduction, self._cell.reduction):
+            self._cell = None  # other lattice vectors: a new list
+            return
+        strain = self._built_in.inverse @ cell.lattice
+        self._stretch = float(np.linalg.svd(strain, compute_uv=False)[-1])
+        self._strain(strain, self._cell, cell)
+        self._cell = cell
+
     def built(self) -> Built:
         """What build_again needs to make the same list."""
-        return Built(self.skin, None if self._cell is None else self._built_at())
+        return Built(self.skin, None if self._cell is None else self._built_at(), None if self._cell is self._built_in else self._built_in)
 
     def build_again(self, built: Built, cell: Cell) -> None:
         """The list that was built, of the same skin."""
         self._cell = None
         if built.positions is not None:
-            self._build(built.positions, cell)
-            self._cell, self.n_builds = cell, self.n_builds + 1
+            self._build_in(cell if built.cell is None else built.cell, built.positions)
+            if built.cell is not None:
+                self.follow(cell)
+
+    def _build_in(self, cell: Cell, positions: NDArray[np.float64]) -> None:
+        self._stretch = 1.0
+        self._build(positions, cell)
+        self._cell, self._built_in, self.n_builds = cell, cell, self.n_builds + 1
 
     def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
         """Build the list anew if it may miss a pair; True if it was built.
@@ -98,8 +135,7 @@ class VerletList(ABC):
         n_bad, first = count_not_finite(positions)
         if n_bad:
             raise NonFiniteError(f"positions of {n_bad} atoms are not finite, the first is atom {first}")
-        self._build(positions, cell)
-        self._cell, self.n_builds = cell, self.n_builds + 1
+        self._build_in(cell, positions)
         return True
 
 

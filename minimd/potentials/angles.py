@@ -123,6 +123,11 @@ class AngleTerm(OwnTerm):
         translations = np.zeros((2, len(triples), 3))
         self._angles = Angles(first, middle, last, translations[0], translations[1], k, angle)
 
+    def follow(self, system: System) -> bool:
+        """See Term; images are looked for again."""
+        self._angles.first_translations[:], self._angles.last_translations[:] = 0.0, 0.0
+        return True
+
     def add_to(self, system: System, detail: int, sums: Any) -> None:
         """See Term."""
         cell, angles = system.cell, self._angles

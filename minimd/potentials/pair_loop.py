@@ -141,6 +141,11 @@ class FixedPairs(OwnTerm):
         self._law, self._loop = law, pair_loop_for(law)
         self._parameters = ByPair(from_table(table[order]))
 
+    def follow(self, system: System) -> bool:
+        """See Term; images are looked for again."""
+        self._pairs.translations[:] = 0.0
+        return True
+
     def add_to(self, system: System, detail: int, sums: Any) -> None:
         """See Term."""
         cell = system.cell

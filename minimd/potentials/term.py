@@ -98,6 +98,10 @@ class Term:
     def prepare(self, system: System, forces: NDArray, steps: Any = ()) -> None:
         """After add: compile what steps need and looks do not, kernels of add with FORCES and of march. Nothing is added, no list built."""
 
+    def follow(self, system: System) -> bool:
+        """After atoms and cell were strained together: True if the term now stands for the strained system, False if it must be bound again."""
+        return False
+
     def march(self, system: System, state: Any, cycle: Any, n: int) -> int:
         """What a March does, see integrators.splitting, for a term that is the only one of its scene."""
         return 0
@@ -127,6 +131,10 @@ class OwnTerm(Term):
 
 class NoTerm(OwnTerm):
     """The term of a potential in a system where it has nothing to act on."""
+
+    def follow(self, system: System) -> bool:
+        """See Term."""
+        return True
 
     def __init__(self, warning: str = "") -> None:
         self.warning = warning

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from minimd.integrators import Splitting
+from minimd.integrators import Splitting, StochasticCellRescaling
 from minimd.observers import Accumulator
 from minimd.scene.problems import problems
 from minimd.scene.section import Reading
@@ -74,6 +74,11 @@ class Scene:
         with _blamed_on(f"{self.path}: dynamics"):
             return self.sections.dynamics.integrator()
 
+    def barostat(self) -> StochasticCellRescaling | None:
+        """The barostat, if the scene has one."""
+        section, temperature = self.sections.barostat, self.sections.dynamics.temperature
+        return None if section is None or temperature is None else section.barostat(temperature)
+
     def simulation(self, system: System | None = None) -> Simulation:
         """The simulation at its start, with velocities drawn at the temperature of the scene, if it names one.
 
@@ -83,7 +88,8 @@ class Scene:
         dynamics, start = self.sections.dynamics, self.system() if system is None else self._constrained(system.copy())
         potentials, method = self.potentials(), self.method()
         with _blamed_on(str(self.path)):
-            simulation = Simulation(start, potentials, method, threads=dynamics.threads, precision=dynamics.precision)
+            options: dict[str, Any] = {"threads": dynamics.threads, "precision": dynamics.precision, "barostat": self.barostat()}
+            simulation = Simulation(start, potentials, method, **options)
         simulation.engine.notes.update(title=self.sections.title or "", scene=self.whole_text())
         for name in self.sections.output.extra_observables:
             with _blamed_on(f"{self.path}: output.{name}"):

@@ -8,6 +8,7 @@ import numpy as np
 from minimd.files.crash_file import crash_file_place
 from minimd.files.h5md_reader import read_file, verify_frames
 from minimd.files.trajectory import FORMATS, checked_output
+from minimd.integrators import StochasticCellRescaling
 from minimd.observers import Accumulator
 from minimd.potentials import PairPotential
 from minimd.scene.document import Scene, h5md_files, parse_scene
@@ -141,6 +142,7 @@ def tell_answers(observers: Sequence[Accumulator], tell: Tell) -> None:
 def differences(one: Scene, other: Scene) -> list[str]:
     """Keys that have different values in two scenes, of those that determine forces and steps."""
     keys = [f"dynamics.{key}" for key in ("method", "timestep") if getattr(one.sections.dynamics, key) != getattr(other.sections.dynamics, key)]
+    keys += ["barostat"] * (one.sections.barostat != other.sections.barostat)
     return keys + ["potential"] * ((one.sections.potential, one.tables()) != (other.sections.potential, other.tables()))
 
 
@@ -181,6 +183,7 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
         *([f"constraints    {_constraints(simulation)}"] if simulation.constraints else []),
         *(f"potential      {_potential(potential, units)}" for potential in scene.potentials()),
         f"method         {dynamics.method}, timestep {units.shown(dynamics.timestep)}{bath}",
+        *([f"barostat       {_barostat(simulation.barostat, units)}"] if simulation.barostat is not None else []),
         f"run            {n_steps} steps = {units.shown(n_steps * dynamics.timestep)}, observed every {scene.sections.output.every}",
     ]
 
@@ -189,6 +192,11 @@ def _constraints(simulation: Simulation) -> str:
     fixed = [f"atoms fixed: {len(one.atoms)}" for one in simulation.constraints if isinstance(one, FixedAtoms)]
     lengths = [f"lengths kept: {len(one.pairs)}" for one in simulation.constraints if not isinstance(one, FixedAtoms)]
     return f"{', '.join(lengths + fixed)}; {simulation.n_dof} degrees of freedom"
+
+
+def _barostat(barostat: StochasticCellRescaling, units: UnitSystem) -> str:
+    relaxation = f"relaxation time {units.shown(barostat.relaxation_time)}"
+    return f"stochastic cell rescaling, {barostat.coupling}, {barostat.pressure:.6g} {units.pressure}, {relaxation}, every {barostat.every} steps"
 
 
 def _cell(system: System) -> str:

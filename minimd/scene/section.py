@@ -11,7 +11,7 @@ from typing import Any, cast
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationInfo, model_validator
 
 from minimd.structure.checks import LARGEST
-from minimd.structure.units import BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3, PICOSECOND
+from minimd.structure.units import BAR, BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3, PICOSECOND
 
 KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension: ending of the key: size of that unit
     "ASE": {
@@ -21,6 +21,8 @@ KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension:
         "energy": {"_K": BOLTZMANN_EV_PER_K, "_eV": 1.0},
         "force": {"_eV_A": 1.0},
         "density": {"_g_cm3": GRAM_PER_CM3},
+        "pressure": {"_bar": BAR, "_GPa": 1e4 * BAR},
+        "compressibility": {"_per_bar": 1.0 / BAR, "_per_GPa": 1e-4 / BAR},
         "stiffness": {"_eV_A2": 1.0},
         "angle": {"_degree": DEGREE},
         "angular stiffness": {"_eV_rad2": 1.0},

@@ -7,7 +7,8 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
 from minimd.forces.options import Precision
-from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting
+from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting, StochasticCellRescaling
+from minimd.integrators.splitting.barostats import COUPLINGS
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.potentials import LennardJones, Tabulated
 from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
@@ -219,6 +220,21 @@ class DynamicsSection(Section):
         return SPLITTINGS[self.method](self.timestep)
 
 
+class BarostatSection(Section):
+    """[barostat]: constant pressure by stochastic cell rescaling, at the temperature of the dynamics."""
+
+    pressure: Annotated[FiniteFloat, Dimension("pressure")]
+    compressibility: Annotated[Positive, Dimension("compressibility")]
+    relaxation_time: Annotated[Positive, Dimension("time")]
+    coupling: Annotated[str, one_of(COUPLINGS)] = "isotropic"
+    every: PositiveInt = 20
+    seed: NonNegativeInt = 1
+
+    def barostat(self, temperature: float) -> StochasticCellRescaling:
+        """The barostat that the section describes."""
+        return StochasticCellRescaling(**self.model_dump(), temperature=temperature)
+
+
 class MinimizationSection(Section):
     """[minimization]: before everything else, atoms move to a minimum of the potential energy nearby; also as an empty table."""
 
@@ -272,6 +288,7 @@ class SceneSections(Section):
     constraints: ConstraintsSection | None = None
     potential: Annotated[list[PotentialSection], Field(min_length=1)]
     dynamics: DynamicsSection
+    barostat: BarostatSection | None = None
     minimization: MinimizationSection | None = None
     equilibration: EquilibrationSection | None = None
     tables: dict[str, TableSection] = Field({})
@@ -282,6 +299,8 @@ class SceneSections(Section):
     def _fits_together(self, info: ValidationInfo) -> Self:
         if self.equilibration is not None and self.dynamics.temperature is None:
             raise ValueError(f"equilibration needs dynamics.{DynamicsSection.key('temperature', info)}, the temperature of the first velocities")
+        if self.barostat is not None and self.dynamics.temperature is None:
+            raise ValueError(f"barostat needs dynamics.{DynamicsSection.key('temperature', info)}, the temperature of its noise")
         if self.constraints is not None and self.constraints.pairs == "bonds" and not self.structure.bonds:
             raise ValueError('constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs')
         named = {name for one in self.potential if isinstance(one, TabulatedSection) for name in one.files}

@@ -28,7 +28,8 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     contents = read_file(file)
     if potentials is None:
         potentials = kind.potentials_of_scene(contents.scene, contents.potentials, Path(file))
-    simulation = kind(contents.system, potentials, contents.integrator(), threads=threads, precision=contents.precision, skin=contents.skin)
+    options = {"threads": threads, "precision": contents.precision, "skin": contents.skin, "barostat": contents.barostat}
+    simulation = kind(contents.system, potentials, contents.integrator(), **options)
     simulation.extra_observables = extras_in(contents.record)
     simulation.engine.notes.update(title=contents.title, scene=contents.scene)
     simulation.engine.go_on_from(contents.restart)

@@ -23,6 +23,7 @@ from minimd.files.crash_file import crash_file_left, crash_file_place
 from minimd.files.trajectory import Writer, first_h5md, open_trajectories
 from minimd.forces.forces import Potential
 from minimd.forces.options import Options, Precision
+from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
 from minimd.observers.accumulator import Accumulator
@@ -54,6 +55,7 @@ class Simulation(Closed, Displayed):
     threads : at most so many; all cores of the process if not given. The bits are the same for any number.
     precision : "double"; "mixed": pairs in float32, their sums in float64; or "fixed-point": all sums exact, see docs/fixed-point.md.
     skin : of neighbor lists [length]; the best one if not given.  grid : Grid of fixed-point arithmetic; a good one if not given.
+    barostat : StochasticCellRescaling, which keeps the pressure; None for a constant cell.
 
     Attributes
     ----------
@@ -88,6 +90,7 @@ class Simulation(Closed, Displayed):
     pressure = Measured[float]("P [energy/length³]; ValueError without a volume.")
     stress = Measured[Array]("σ [energy/length³], (3, 3), kinetic part included, positive under tension: P = −tr σ / 3; ValueError without a volume.")
     potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.", "interactions.potentials")
+    barostat = EngineAttribute[StochasticCellRescaling | None]("What keeps the pressure, or None.", "barostat")
     options = EngineAttribute[Options]("Threads, precision and skin, as they were asked for.", "interactions.options")
     skins = EngineAttribute[list[float]]("Of all lists that have one [length].", "interactions.skins")
 
@@ -102,8 +105,9 @@ class Simulation(Closed, Displayed):
         precision: Precision = "double",
         skin: float | None = None,
         grid: Grid | None = None,
+        barostat: StochasticCellRescaling | None = None,
     ) -> None:
-        self._hold(Engine(system, potentials, method, constraints, Options(threads, precision, skin, grid)))
+        self._hold(Engine(system, potentials, method, constraints, Options(threads, precision, skin, grid), barostat))
 
     def _hold(self, engine: Engine) -> None:
         self.engine, self.guard, self._is_running = engine, RunGuard(engine), False
@@ -235,7 +239,7 @@ class Simulation(Closed, Displayed):
             finally:
                 if not engine.is_as_left:
                     engine.moved()
-            if self.record is not None and ("conserved_energy" in self.record) != engine.method.is_thermostat:
+            if self.record is not None and ("conserved_energy" in self.record) != engine.has_bath:
                 raise ValueError(f"a run has a bath from its first step to its last, or none; {engine.method.name} can only take over in a new run")
             if not engine.is_as_left:
                 self.guard.forget()

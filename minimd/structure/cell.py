@@ -14,6 +14,7 @@ from minimd.structure.display import Displayed, Rows, as_text
 
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
+COMBINED = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])  # of three vectors: sums that could be shorter
 
 
 @dataclass(frozen=True, repr=False)
@@ -41,7 +42,9 @@ class Cell(Displayed):
     def __post_init__(self) -> None:
         self.__dict__.update(vectors=_as_matrix(self.vectors), pbc=_as_flags(self.pbc))
         _check_independent(self.vectors, self.pbc)
-        lattice, reduction = _reduced(self.vectors, self.pbc)
+        self._complete(*_reduced(self.vectors, self.pbc))
+
+    def _complete(self, lattice: NDArray[np.float64], reduction: NDArray[np.int64]) -> None:
         inverse = np.linalg.inv(lattice)
         made = {"lattice": lattice, "reduction": reduction, "inverse": inverse, "heights": 1.0 / np.linalg.norm(inverse, axis=0)}
         self.__dict__.update({name: np.ascontiguousarray(array) for name, array in made.items()})
@@ -60,6 +63,21 @@ class Cell(Displayed):
         matrix = _as_matrix(vectors)
         given = np.any(matrix != 0.0, axis=1)
         return cls(matrix, given if pbc is None else _as_flags(pbc))
+
+    @classmethod
+    def of_reduction(cls, vectors: NDArray[np.float64], reduction: NDArray[np.int64]) -> Cell:
+        """A cell periodic in all directions whose reduced lattice is known: reduction @ vectors."""
+        cell = object.__new__(cls)
+        cell.__dict__.update(vectors=np.array(vectors), pbc=np.ones(3, dtype=bool))
+        cell._complete(reduction @ cell.vectors, np.array(reduction))
+        return cell
+
+    def strained(self, vectors: NDArray[np.float64]) -> Cell:
+        """The cell after its vectors, periodic in all directions, have changed a little: with the same reduction as long as it reduces them."""
+        cell = Cell.of_reduction(vectors, self.reduction)
+        length2, combined = (cell.lattice**2).sum(axis=1), ((COMBINED @ cell.lattice) ** 2).sum(axis=1)
+        is_reduced = (combined[:, None] >= SHORTER * length2)[COMBINED != 0].all()
+        return cell if is_reduced else Cell(vectors, self.pbc)
 
     def __repr__(self) -> str:
         return f"Cell({self.vectors.tolist()}, pbc={self.pbc.tolist()})"
@@ -92,6 +110,11 @@ class Cell(Displayed):
         full = np.where(self.pbc[:, None], self.vectors, self.lattice)
         cells = np.floor(positions @ np.linalg.inv(full))
         return positions - np.where(self.pbc, cells, 0.0) @ full
+
+    def follow(self, cell: Cell, translations: NDArray[np.float64]) -> None:
+        """Lattice vectors (…, 3) of this cell become, in place, the same multiples of the vectors of another cell."""
+        counts = np.rint(np.einsum("...i,ij->...j", translations, np.linalg.inv(self.vectors)))
+        translations[:] = np.einsum("...i,ij->...j", counts, cell.vectors)
 
     def same_as(self, other: Cell) -> bool:
         """True if vectors and periodicity are equal to the last bit."""

@@ -27,7 +27,7 @@ class UnitSystem:
         unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), the convention of most tools.
     shown_time : name of the unit of time · to_picosecond, as it is shown.  small_time : the same for time steps, of which
         shown_small_time make one.
-    length, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files, plots and reports.
+    length, volume, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files, plots and reports.
     """
 
     name: str = "LJ"
@@ -45,6 +45,7 @@ class UnitSystem:
     pressure: str = "ε/σ³"
     momentum: str = "√(m ε)"
     angular_momentum: str = "σ √(m ε)"
+    volume: str = "σ³"
 
     def __repr__(self) -> str:
         if SYSTEMS.get(self.name) == self:
@@ -80,6 +81,7 @@ ASE = UnitSystem(
     pressure="eV/Å³",
     momentum="√(u eV)",
     angular_momentum="Å √(u eV)",
+    volume="Å³",
 )
 
 fs = FEMTOSECOND

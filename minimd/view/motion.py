@@ -65,7 +65,9 @@ def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: 
     contents, system = made.contents, made.contents.system
     cell, record, atoms = system.cell, contents.record, chosen_atoms(len(system), marked)
     frames = chosen_frames(contents.n_frames, min(most, max(2, BYTES // (6 * len(atoms)))), latest)
-    fractions = np.array([made.trajectory[int(k)].positions[atoms] / np.float64(system.units.to_angstrom) @ cell.inverse for k in frames])
+    inverses = np.linalg.inv(cell.reduction @ record.cell[frames]) if "cell" in record else [cell.inverse] * len(frames)
+    places = (made.trajectory[int(k)].positions[atoms] / np.float64(system.units.to_angstrom) for k in frames)
+    fractions = np.array([place @ inverse for place, inverse in zip(places, inverses, strict=True)])
     if marked:
         middle = 0.5 * cell.vectors.sum(axis=0) @ cell.inverse
         fractions += np.where(cell.pbc, middle - fractions[-1, np.searchsorted(atoms, marked[0])], 0.0)

@@ -1,0 +1,218 @@
+"""A barostat at work on an engine: it strains cell, positions and velocities every few steps, and counts what it gives."""
+
+from typing import Any
+
+import numpy as np
+
+from minimd.constraints.constraint_set import ConstraintSet
+from minimd.constraints.graph import bodies_of
+from minimd.forces.forces import Forces
+from minimd.forces.options import FIXED_POINT
+from minimd.integrators.splitting.barostats import Scene, StochasticCellRescaling, exponential, turned_back
+from minimd.integrators.splitting.splitting import Splitting
+from minimd.integrators.splitting.state import Bath
+from minimd.structure.cell import Cell
+from minimd.structure.checks import shown
+from minimd.structure.errors import RangeError
+from minimd.structure.observables import Array, kinetic_energy
+from minimd.structure.system import System
+
+LARGEST_STRAIN = 0.2  # of the cell at once: what strains it more is no slow bath
+
+
+class Molecules:
+    """What moves as a whole when the cell is strained: atoms that rigid lengths tie together, and single atoms.
+
+    bodies : Bodies.  masses : (B,) of the bodies [mass].
+    """
+
+    def __init__(self, system: System, constraints: ConstraintSet) -> None:
+        self.bodies = bodies_of(constraints.kept[-1].pairs, constraints.inverse_masses)
+        self._system = system
+        self.masses = self._sums(system.masses)
+        self._translations, self._of = np.zeros_like(system.positions), None
+
+    def _sums(self, values: Array) -> Array:
+        return np.asarray(np.bincount(self.bodies.label, values), dtype=np.float64)
+
+    def centers(self, vectors: Array) -> Array:
+        """Mean of (N, 3), weighted with masses, over each body: (B, 3)."""
+        weighted = self._system.masses[:, None] * vectors
+        return np.column_stack([self._sums(weighted[:, c]) for c in range(3)]) / self.masses[:, None]
+
+    def whole(self, bonds: Any) -> Array:
+        """Lattice translations, (N, 3) [length], that join the atoms of each body as its rigid bonds do. They are to follow the cell."""
+        if bonds is not self._of:
+            self._translations, self._of = self._joined(bonds), bonds
+            self._system.cell.follow(self._system.cell, self._translations)
+        return self._translations
+
+    def _joined(self, bonds: Any) -> Array:
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import breadth_first_order
+
+        translations = np.zeros_like(self._system.positions)
+        if not bonds.offsets.any():
+            return translations
+        n, (first, second) = len(translations), bonds.pairs.T
+        number = np.arange(1, len(first) + 1)
+        graph = coo_array(
+            (np.concatenate([number, -number]), (np.concatenate([first, second]), np.concatenate([second, first]))), shape=(n, n)
+        ).tocsr()
+        for body in np.unique(self.bodies.label[bonds.pairs[bonds.offsets.any(axis=1), 0]]):
+            order, parent = breadth_first_order(graph, int(self.bodies.last[body]), directed=True)
+            for atom in order[1:]:
+                k = int(graph[parent[atom], atom])
+                translations[atom] = translations[parent[atom]] + np.sign(k) * bonds.offsets[abs(k) - 1]
+        return translations
+
+
+class CellRescaling:
+    """A barostat and the parts of an engine on which it works.
+
+    Raises ValueError for a scene that cannot be at constant pressure, see check.
+    """
+
+    def __init__(
+        self, barostat: StochasticCellRescaling, system: System, interactions: Forces, constraints: ConstraintSet, method: Splitting
+    ) -> None:
+        self.barostat, self._system, self._interactions, self._constraints = barostat, system, interactions, constraints
+        check(system, interactions, constraints)
+        self.temperature(method)
+        self._molecules = None if constraints.bonds is None else Molecules(system, constraints)
+
+    def temperature(self, method: Splitting) -> float:
+        """T of the bath.  Raises ValueError if neither barostat nor thermostat has one, both have another, or time runs backwards."""
+        own, theirs = self.barostat.temperature, getattr(method, "temperature", None) if method.is_thermostat else None
+        if method.timestep < 0.0:
+            raise ValueError(f"time cannot run backwards with a barostat; timestep = {method.timestep!r}")
+        if own is None and theirs is None:
+            raise ValueError(f"a barostat beside {method.name}, which has no temperature, needs temperature=..., that of its noise")
+        if own is not None and theirs is not None and own != theirs:
+            raise ValueError(f"barostat and thermostat must have one temperature; they have {own} and {theirs}: leave out that of the barostat")
+        found: Any = theirs if own is None else own
+        return float(found)
+
+    def advance(self, engine: Any, n_steps: int, with_energy: bool) -> int:
+        """See Engine.advance.  engine : it has advance_in_cell, which makes steps in a constant cell."""
+        done, every = 0, self.barostat.every
+        while done < n_steps:
+            wanted = min(n_steps - done, every - (engine.step + done) % every)
+            is_due = (engine.step + done + wanted) % every == 0
+            made = engine.advance_in_cell(wanted, is_due or (with_energy and done + wanted == n_steps), done)
+            done += made
+            if is_due and made == wanted:
+                self.apply(engine, engine.step + done + engine.noise_shift)
+            if engine.surroundings.stop_requested:
+                break
+        return done
+
+    def apply(self, engine: Any, number: int) -> None:
+        """One strain of the whole scene.  number : of the step, which chooses the noise.
+
+        Raises RangeError if the strain is too large.  ValueError if there is no virial.
+        """
+        duration, thermal = self.barostat.every * engine.method.timestep, self._system.units.k_B * self.temperature(engine.method)
+        bath = engine.surroundings.bath
+        engine.turned()
+        engine.evaluate()
+        before = self._scene(thermal, bath)
+        strain = self.barostat.strain(before, duration, number)
+        largest = float(np.abs(strain).max())
+        if not largest <= LARGEST_STRAIN:
+            why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {self.barostat.pressure:.3g}"
+            raise RangeError(
+                f"the barostat would strain the cell by {largest:.1e} at once ({why}): take a longer relaxation_time, or equilibrate first"
+            )
+        back = self._move(exponential(strain), bath)
+        engine.moved()
+        self._interactions.follow()
+        engine.evaluate()
+        after = self._scene(thermal, bath, back)
+        bath.energy += after.energy - before.energy - self.barostat.change_of_conserved(before, after, strain, duration)
+
+    def _scene(self, thermal: float, bath: Bath, back: Array | None = None) -> Scene:
+        """The present state.  back : (3, 3) rotation that turns its tensors.
+
+        Where the total momentum is a constant it is no part of the thermal motion, and its degrees of freedom count as k_B T/V of the pressure.
+        """
+        system, volume = self._system, float(self._system.volume or 0.0)
+        moving, masses = system.velocities, system.masses
+        virial = self._interactions.virial
+        if not np.isfinite(virial).all() and np.isfinite(self._interactions.forces).all():
+            raise ValueError("a barostat needs the virial, and a potential gives none: take one that does, such as a calculator with a stress")
+        if self._molecules is not None:
+            virial = virial - self._inner_virial()
+            moving, masses = self._molecules.centers(moving), self._molecules.masses
+        if bath.conserves_momentum:
+            moving = moving - np.einsum("i,ia->a", masses, moving) / masses.sum()
+        tensor = np.einsum("ia,ib->ab", masses[:, None] * moving, moving) + 0.5 * (virial + virial.T)
+        if bath.conserves_momentum:
+            tensor = tensor + thermal * np.eye(3)
+        tensor = tensor if back is None else back @ tensor @ back.T
+        energy = kinetic_energy(system.velocities, system.masses) + self._interactions.potential_energy
+        return Scene(tensor / volume, volume, energy, thermal)
+
+    def _inner_virial(self) -> Array:
+        """Σ (r − R) ⊗ F [energy], (3, 3): what the virial of atoms has more than that of molecules, whose rigid bonds do not matter."""
+        molecules: Any = self._molecules
+        whole = self._system.positions + molecules.whole(self._constraints.bonds)
+        inner = whole - molecules.centers(whole)[molecules.bodies.label]
+        return np.einsum("ia,ib->ab", inner, self._interactions.forces)
+
+    def _move(self, stretch: Array, bath: Bath) -> Array | None:
+        """Cell, positions and velocities strained by a symmetric (3, 3) matrix; returns the rotation that came after, or None."""
+        system, before, rotation = self._system, self._system.cell, None
+        vectors = before.vectors @ stretch
+        if self.barostat.coupling == "triclinic":
+            vectors, rotation = turned_back(before.vectors, vectors)
+        cell = before.strained(vectors)
+        drift = np.einsum("i,ia->a", system.masses, system.velocities) / system.masses.sum() if bath.conserves_momentum else np.zeros(3)
+        velocities, inverse = system.velocities - drift, np.asarray(np.linalg.inv(stretch))
+        if self._molecules is None:
+            positions, velocities = np.einsum("ij,jk->ik", system.positions, stretch), np.einsum("ij,jk->ik", velocities, inverse)
+        else:
+            positions, velocities = self._moved_molecules(stretch, velocities, inverse, cell, rotation)
+        if rotation is not None and self._molecules is None:
+            positions, velocities = np.einsum("ij,jk->ik", positions, rotation), np.einsum("ij,jk->ik", velocities, rotation)
+        system.positions[:], system.velocities[:], system.cell = positions, velocities + drift, cell
+        self._constraints.follow(before, cell)
+        return rotation
+
+    def _moved_molecules(self, stretch: Array, velocities: Array, inverse: Array, cell: Cell, rotation: Array | None) -> tuple[Array, Array]:
+        """Positions and velocities, (N, 3): the centers of molecules are strained, then all is rotated."""
+        molecules: Any = self._molecules
+        label, translations = molecules.bodies.label, molecules.whole(self._constraints.bonds)
+        whole = self._system.positions + translations
+        shifts = [np.einsum("ij,jk->ik", centers, matrix - np.eye(3)) for centers, matrix in (
+            (molecules.centers(whole), stretch), (molecules.centers(velocities), inverse))]  # fmt: skip
+        whole, velocities = whole + shifts[0][label], velocities + shifts[1][label]
+        if rotation is not None:
+            whole, velocities = np.einsum("ij,jk->ik", whole, rotation), np.einsum("ij,jk->ik", velocities, rotation)
+        self._system.cell.follow(cell, translations)
+        return whole - translations, velocities
+
+
+def rescaling_of(barostat: StochasticCellRescaling | None, engine: Any) -> CellRescaling | None:
+    """The barostat of an engine at work, if it has one.  Raises TypeError for anything else, and ValueError as CellRescaling."""
+    if barostat is None:
+        return None
+    if not isinstance(barostat, StochasticCellRescaling):
+        raise TypeError(f"barostat must be a StochasticCellRescaling; got {shown(barostat)}")
+    if engine.holds_center:
+        raise ValueError("atoms.constraints holds FixCom, but a barostat moves the center of mass with the cell: remove FixCom")
+    return CellRescaling(barostat, engine.system, engine.interactions, engine.constraint_set, engine.method)
+
+
+def check(system: System, interactions: Forces, constraints: ConstraintSet) -> None:
+    """Raise ValueError for a scene that cannot be at constant pressure."""
+    if system.volume is None:
+        raise ValueError(
+            f"a barostat needs a cell that is periodic in all three directions, a slab too: give it an empty space; pbc = {system.cell.pbc.tolist()}"
+        )
+    if constraints.n_fixed:
+        raise ValueError(f"a barostat moves all atoms, and {constraints.n_fixed} are held fixed: hold them with springs instead")
+    if interactions.act_from_outside:
+        raise ValueError("a barostat needs the virial of all forces, and forces from outside, such as fields and walls, have none")
+    if interactions.options.precision == FIXED_POINT:
+        raise ValueError("precision='fixed-point' is for a constant cell, whose vectors lie on its grid; with a barostat take precision='double'")

@@ -1,0 +1,165 @@
+"""Stochastic cell rescaling: a bath of constant pressure, which strains the cell and all that is in it.
+
+It acts every few steps, on the state between two steps: a splitting of the whole evolution in which each part is reversible. What it
+gives to the system is counted as the heat of thermostats is, so that total energy minus reservoir energy changes by errors of the time step only.
+"""
+
+from dataclasses import dataclass, field
+from math import inf, log, sqrt
+
+import numpy as np
+
+from minimd.integrators.method import Array
+from minimd.structure.checks import checked_count, checked_number, shown
+from minimd.structure.display import Displayed, Rows, as_text
+
+__all__ = ["StochasticCellRescaling"]
+
+SEEDS = 2**128  # keys of numpy's Philox
+STEPS = 2**64  # numbers of steps are taken modulo this
+AXES = "xyz"
+COUPLINGS = ("isotropic", "triclinic", "x", "y", "z", "xy", "xz", "yz", "xyz")
+OWN_STREAM = 1  # of random numbers: those of thermostats have 0 in its place
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a barostat needs to know of a state.
+
+    pressure : P, (3, 3) [energy/length³], kinetic part included.  volume : V [length³].  energy : E = K + U [energy].  thermal : k_B T [energy].
+    """
+
+    pressure: Array
+    volume: float
+    energy: float
+    thermal: float
+
+
+@dataclass(frozen=True, repr=False)
+class StochasticCellRescaling(Displayed):
+    """Constant pressure by stochastic cell rescaling: a first-order bath with the fluctuations of the isothermal-isobaric ensemble.
+
+        dλ = −(βλ/2τ) (P₀ − P − k_B T/2V) dt + √(k_B T β/2τ) dW,  λ = √V              isotropic: Bernetti and Bussi, eq. 7
+        dε = −(β/3τ) 𝒫[P₀ 1 − P] dt + √(2 k_B T β/3Vτ) 𝒫[dW]                          anisotropic: Del Tatto et al.
+        r ← r e^ε,  v ← v e^(−ε),  cell ← cell e^ε;  isotropic e^ε = (V′/V)^(1/3)
+
+    P is the pressure, isotropic its trace/3; ε is the strain and W a symmetric matrix of white noise. 𝒫 keeps the strains that the coupling
+    allows: along some axes, each by itself, or all of them ("triclinic"), followed by the rotation that keeps the direction of the first lattice
+    vector and the plane of the first two. ε is symmetric, and its trace is d ln V, as in eq. 4 of the first paper.
+    Lengths that are held fixed belong to molecules, whose centers move as above, with the pressure of molecules.
+
+    The bath acts at every n-th step, over h = nΔt, by one step of Euler's, with the drift b = −(βλh/2τ)(…) or m = −(βh/3τ) 𝒫[…]. It changes
+
+        H = E − reservoir energy
+
+    by ΔE + P₀ΔV − ½ k_B T ln(V′/V) + (τ/βh) [(λ′ − λ + b′)² − (λ′ − λ − b)²], or, with d free strains,
+    by ΔE + P₀ΔV − (1 + d/2) k_B T ln(V′/V) + (3τ/4βh) [V′|ε + m′|² − V|ε − m|²], where ′ means afterwards: zero up to errors of the finite h, as
+    for thermostats. All else that it gives to the system, heat and work, is counted in the reservoir energy. Fluctuations of V are too large by a
+    fraction of the order h/τ.
+
+    With a thermostat this gives the isothermal-isobaric (NPT) ensemble. Without one the noise of the cell alone brings the temperature to T, and
+    slowly: it is neither the isobaric-isenthalpic nor any other ensemble before that.
+
+    Parameters
+    ----------
+    pressure : P₀ [energy/length³].
+    compressibility : β, isothermal [length³/energy]; roughly known is enough, since only β/τ counts: 4.6e-5 bar⁻¹ for water.
+    relaxation_time : τ of the volume, > 0 [time]; at least 10 nΔt.
+    seed : int ≥ 0 of the noise, below 2¹²⁸.
+    temperature : T ≥ 0; that of the thermostat if not given.
+    coupling : "isotropic", "triclinic", or axes that change each by itself, such as "z" or "xy".
+    every : n, the number of steps between two strains. Each of them costs about 1.5 steps.
+
+    Raises
+    ------
+    ValueError : for a number out of range or an unknown coupling.
+
+    M. Bernetti, G. Bussi, J. Chem. Phys. 153, 114107 (2020); V. Del Tatto, P. Raiteri, M. Bernetti, G. Bussi, Appl. Sci. 12, 1139 (2022).
+    """
+
+    pressure: float
+    compressibility: float
+    relaxation_time: float
+    seed: int
+    temperature: float | None = None
+    coupling: str = "isotropic"
+    every: int = 20
+    mask: Array = field(init=False, compare=False)  # of the strains that 𝒫 keeps
+
+    def __post_init__(self) -> None:
+        checked_number("pressure", self.pressure, "finite")
+        checked_number("compressibility", self.compressibility, "positive and finite")
+        checked_number("relaxation_time", self.relaxation_time, "positive and finite")
+        checked_count("seed", self.seed, 0, SEEDS)
+        checked_count("every", self.every)
+        if self.temperature is not None:
+            checked_number("temperature", self.temperature, "finite and not negative")
+        if self.coupling not in COUPLINGS:
+            raise ValueError(f"coupling must be one of {', '.join(map(repr, COUPLINGS))}; coupling = {shown(self.coupling)}")
+        axes = np.array([axis in self.coupling for axis in AXES], dtype=np.float64)
+        object.__setattr__(self, "mask", np.ones((3, 3)) if self.coupling == "triclinic" else np.diag(axes))
+
+    def __repr__(self) -> str:
+        return f"StochasticCellRescaling({', '.join(f'{name}={value!r}' for name, value in self.parameters.items() if value is not None)})"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        return [("barostat", "stochastic cell rescaling"), *((name, as_text(value)) for name, value in self.parameters.items() if value is not None)]
+
+    @property
+    def parameters(self) -> dict[str, float | int | str | None]:
+        """The arguments that make this barostat again, by name."""
+        names = ("pressure", "compressibility", "relaxation_time", "seed", "temperature", "coupling", "every")
+        return {name: getattr(self, name) for name in names}
+
+    def strain(self, scene: Scene, duration: float, number: int) -> Array:
+        """ε, (3, 3).  duration : h [time].  number : of the step, which chooses the noise."""
+        noise = np.random.Generator(np.random.Philox(key=self.seed, counter=np.array([0, OWN_STREAM, 0, number % STEPS], dtype=np.uint64)))
+        white = noise.standard_normal((3, 3))
+        if self.coupling == "isotropic":
+            spread = sqrt(0.5 * scene.thermal * self.compressibility * duration / self.relaxation_time)
+            larger = 1.0 + (self._drift_of_root(scene, duration) + spread * white[0, 0]) / sqrt(scene.volume)  # λ′/λ
+            return np.eye(3) * (2.0 / 3.0 * log(larger) if larger > 0.0 else -inf)
+        spread = sqrt(2.0 * scene.thermal * self.compressibility * duration / (3.0 * scene.volume * self.relaxation_time))
+        return self._drift_of_strain(scene, duration) + spread * self.mask * 0.5 * (white + white.T)
+
+    def change_of_conserved(self, before: Scene, after: Scene, strain: Array, duration: float) -> float:
+        """ΔH [energy] of one strain, as above.
+
+        It is k_B T ln of the probability of the strain and of its way back, each times that of the state from which it starts.
+        """
+        work = after.energy - before.energy + self.pressure * (after.volume - before.volume)
+        entropy, rate = before.thermal * log(after.volume / before.volume), self.relaxation_time / (self.compressibility * duration)
+        if self.coupling == "isotropic":
+            change = sqrt(after.volume) - sqrt(before.volume)
+            back, there = change + self._drift_of_root(after, duration), change - self._drift_of_root(before, duration)
+            return work - 0.5 * entropy + rate * (back**2 - there**2)
+        returned, gone = strain + self._drift_of_strain(after, duration), strain - self._drift_of_strain(before, duration)
+        n_free = 6 if self.coupling == "triclinic" else len(self.coupling)
+        gaussian = after.volume * np.square(returned).sum() - before.volume * np.square(gone).sum()
+        return float(work - (1.0 + 0.5 * n_free) * entropy + 0.75 * rate * gaussian)
+
+    def _drift_of_root(self, scene: Scene, duration: float) -> float:
+        """b = −(βλh/2τ) (P₀ − P − k_B T/2V) [√volume]."""
+        excess = float(np.trace(scene.pressure)) / 3.0 - self.pressure + 0.5 * scene.thermal / scene.volume
+        return 0.5 * self.compressibility * sqrt(scene.volume) * duration / self.relaxation_time * excess
+
+    def _drift_of_strain(self, scene: Scene, duration: float) -> Array:
+        """m = −(βh/3τ) 𝒫[P₀ 1 − P], (3, 3)."""
+        return self.compressibility * duration / (3.0 * self.relaxation_time) * self.mask * (scene.pressure - self.pressure * np.eye(3))
+
+
+def exponential(strain: Array) -> Array:
+    """e^ε of a symmetric (3, 3) matrix."""
+    if np.count_nonzero(strain) == np.count_nonzero(np.diag(strain)):
+        return np.diag(np.exp(np.diag(strain)))
+    values, vectors = np.linalg.eigh(strain)
+    return np.asarray((vectors * np.exp(values)) @ vectors.T)
+
+
+def turned_back(before: Array, strained: Array) -> tuple[Array, Array]:
+    """Lattice vectors (3, 3), rows, rotated so that the first has the direction, and the first two the plane, that they had before; the rotation."""
+    (frame, _), (own, triangle) = (np.linalg.qr(vectors.T) for vectors in (before, strained))
+    signs = np.sign(np.einsum("ij,ij->j", frame, own))  # of the axes: a strain turns them by little
+    own, triangle = own * signs, triangle * signs[:, None]
+    return triangle.T @ frame.T, own @ frame.T

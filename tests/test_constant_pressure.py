@@ -1,0 +1,175 @@
+"""Stochastic cell rescaling: its equations, and what follows the cell."""
+
+import pickle
+
+import numpy as np
+import pytest
+import step_scenes
+from scipy.optimize import minimize_scalar
+
+import minimd as md
+from minimd.integrators.splitting.barostats import Scene
+
+COUPLINGS = ["isotropic", "z", "xy", "triclinic"]
+
+
+def barostat(**changes):
+    return md.StochasticCellRescaling(**{"pressure": 1.0, "compressibility": 0.05, "relaxation_time": 0.5, "seed": 3, "every": 5} | changes)
+
+
+def wrapped_dumbbells():
+    """Rigid dumbbells, many of which lie across the boundary."""
+    system, laws, constraints = step_scenes.rigid_dumbbells()
+    positions = system.cell.wrapped(system.positions + 0.9)
+    return md.System(positions, cell=system.cell, masses=system.masses, bonds=system.bonds), laws, constraints
+
+
+SCENES = {"pair list": lambda: step_scenes.fcc(1.7), "bonds": step_scenes.bead_melt, "dumbbells": wrapped_dumbbells}
+
+
+def at_pressure(scene, method=None, temperature=0.8, **changes):
+    system, laws, constraints = SCENES[scene]()
+    simulation = md.Simulation(
+        system, laws, method or md.LangevinBAOAB(0.003, temperature, 1.0, 2), constraints, barostat=barostat(**{"temperature": temperature} | changes)
+    )
+    simulation.set_temperature(temperature, 1)
+    return simulation
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_strain_and_its_conserved_energy_obey_the_fluctuation_theorem(coupling):
+    """⟨e^(−ΔH/kT)⟩ = 1 over the isothermal-isobaric ensemble, here of an ideal gas, at any time step: exactly, without an integrator."""
+    n, pressure, thermal, duration = 12, 0.7, 1.3, 0.15
+    bath = barostat(pressure=pressure, coupling=coupling, compressibility=1.0 / pressure, relaxation_time=1.0)
+    rng, weights = np.random.default_rng(5), []
+    for number in range(8000):
+        volume, momenta = rng.gamma(n + 1) * thermal / pressure, rng.normal(scale=thermal**0.5, size=(n, 3))
+        before = Scene(momenta.T @ momenta / volume, volume, 0.5 * np.square(momenta).sum(), thermal)
+        strain = bath.strain(before, duration, number)
+        values, axes = np.linalg.eigh(strain)
+        momenta = momenta @ (axes * np.exp(-values)) @ axes.T
+        larger = volume * np.exp(values.sum())
+        after = Scene(momenta.T @ momenta / larger, larger, 0.5 * np.square(momenta).sum(), thermal)
+        weights.append(np.exp(-bath.change_of_conserved(before, after, strain, duration) / thermal))
+    assert np.std(weights) > 0.02  # the step is long
+    assert np.mean(weights) == pytest.approx(1.0, abs=4.0 * np.std(weights) / len(weights) ** 0.5)  # statistics
+
+
+@pytest.mark.parametrize("coupling", ["isotropic", "triclinic"])
+@pytest.mark.parametrize("scene", SCENES)
+def test_forces_in_a_strained_cell_are_those_of_new_lists(scene, coupling):
+    simulation = at_pressure(scene, coupling=coupling)
+    volume = simulation.system.volume
+    simulation.run(100, every=50, progress=False)
+    assert abs(simulation.system.volume / volume - 1.0) > 1e-4
+    if scene != "dumbbells":  # whose cell has no room for a skin
+        assert simulation.engine.interactions.n_builds < 20  # of 20 strains
+    fresh = md.evaluate(simulation.system, simulation.potentials)
+    simulation.frame()
+    scale = np.abs(fresh.forces).max()
+    assert simulation.forces == pytest.approx(fresh.forces, abs=1e-12 * scale)  # rounding
+    assert simulation.potential_energy == pytest.approx(fresh.potential_energy, rel=1e-12)
+
+
+@pytest.mark.parametrize("coupling", ["isotropic", "z", "triclinic"])
+@pytest.mark.parametrize("scene", SCENES)
+def test_what_the_barostat_gives_is_what_the_energy_gains(scene, coupling):
+    """Without noise and far from the pressure, H is kept while E changes: the virial, of molecules too, is the derivative of the energy."""
+    simulation = at_pressure(scene, md.VelocityVerlet(0.0005), 0.5, pressure=30.0, relaxation_time=0.25, coupling=coupling, every=2)
+    record = simulation.run(60, every=2, progress=False)
+    enthalpy = record.total_energy + 30.0 * record.volume
+    assert np.ptp(record.volume) > 0.002 * record.volume[0]
+    assert np.ptp(record.conserved_energy) < 0.02 * np.ptp(enthalpy) + 0.02 * np.ptp(record.total_energy)
+    if scene == "dumbbells":
+        assert record.constraint_violation.max() < 1e-12
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_run_goes_on_with_the_same_bits(scene, tmp_path):
+    def made():
+        return at_pressure(scene, coupling="triclinic")
+
+    whole = made()
+    record = whole.run(80, every=10, progress=False)
+    parts, file = made(), tmp_path / "run.h5md"
+    parts.run(33, every=10, progress=False, trajectory=file)
+    copy = pickle.loads(pickle.dumps(parts))
+    resumed = md.Simulation.resume(file, parts.potentials)
+    assert resumed.barostat == whole.barostat
+    for other in (parts, copy, resumed):
+        other.run(until_step=80, every=20, progress=False)
+        for name in ("positions", "velocities", "reservoir_energy"):
+            assert np.array_equal(getattr(other, name), getattr(whole, name)), name
+        assert np.array_equal(other.system.cell.vectors, record.cell[-1])
+
+
+def test_every_file_has_the_cell_of_every_frame(tmp_path):
+    import ase.io
+    import MDAnalysis
+
+    import minimd.mdanalysis
+
+    simulation = at_pressure("dumbbells", coupling="triclinic")
+    names = [f"run.{suffix}" for suffix in ("h5md", "extxyz", "traj", "xtc", "dcd", "trr", "ncdf")]
+    record = simulation.run(40, every=10, progress=False, trajectory=[tmp_path / name for name in names])
+    assert np.ptp(record.volume) > 0.0
+    for name in names[:3]:
+        frames = ase.io.read(tmp_path / name, ":")
+        cells = np.array([frame.cell.array for frame in frames])
+        assert cells == pytest.approx(record.cell, rel=0.0, abs=1e-7 if name.endswith("xyz") else 0.0)
+    topology = MDAnalysis.Universe.empty(len(simulation.system), trajectory=False)
+    for name in ["run.h5md", *names[3:]]:
+        universe = (
+            minimd.mdanalysis.universe(tmp_path / name) if name.endswith("h5md") else MDAnalysis.Universe(topology._topology, str(tmp_path / name))
+        )
+        volumes = [float(ts.volume) for ts in universe.trajectory]
+        assert volumes == pytest.approx(record.volume, rel=1e-4 if name.endswith("xtc") else 1e-6)  # float32
+
+
+@pytest.mark.filterwarnings("ignore:the barostat acts")
+def test_a_sheared_crystal_without_heat_finds_the_lattice_constant_of_least_energy():
+    positions, edges = md.lattice.crystal("fcc", [3, 3, 3], 1.6)
+    shear = np.array([[1.0, 0.0, 0.0], [0.05, 1.02, 0.0], [-0.03, 0.02, 0.99]])
+    law = md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="switched")
+    slow = barostat(pressure=0.0, temperature=0.0, coupling="triclinic", compressibility=0.02, relaxation_time=0.003, every=1)
+    simulation = md.Simulation(md.System(positions @ shear, cell=np.diag(edges) @ shear), law, md.VelocityVerlet(0.001), barostat=slow)
+    simulation.run(150, every=150, progress=False)
+
+    def energy(constant):
+        at, box = md.lattice.crystal("fcc", [3, 3, 3], constant)
+        return md.evaluate(md.System(at, cell=box), law).potential_energy
+
+    least = minimize_scalar(energy, bounds=(1.4, 1.7), method="bounded", options={"xatol": 1e-9}).x
+    assert simulation.system.cell.vectors / 3.0 == pytest.approx(least * np.eye(3), abs=1e-6)
+    assert simulation.system.cell.vectors[np.triu_indices(3, 1)].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_one_axis_alone_changes():
+    record = at_pressure("pair list", coupling="z").run(40, every=40, progress=False)
+    first, last = record.cell[0], record.cell[-1]
+    assert np.array_equal(first[:2], last[:2])
+    assert last[2, 2] != first[2, 2]
+
+
+def test_what_cannot_be_at_constant_pressure_is_refused():
+    system, law, _ = step_scenes.fcc(1.7)
+    verlet, bath = md.VelocityVerlet(0.003), barostat(temperature=1.0)
+    flat = md.System(system.positions, cell=system.cell.vectors, pbc=[True, True, False])
+    for arguments, options, words in [
+        ((flat, law, verlet), {"barostat": bath}, "periodic in all three directions"),
+        ((system, law, verlet, md.FixedAtoms([3])), {"barostat": bath}, "held fixed"),
+        ((system, law, verlet), {"barostat": barostat()}, "needs temperature"),
+        ((system, law, md.LangevinBAOAB(0.003, 0.5, 1.0, 1)), {"barostat": bath}, "one temperature"),
+        ((system, law, verlet), {"barostat": bath, "precision": "fixed-point"}, "constant cell"),
+        ((system, law, md.VelocityVerlet(-0.003)), {"barostat": bath}, "backwards"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            md.Simulation(*arguments, **options)
+    with pytest.raises(ValueError, match="coupling"):
+        barostat(coupling="sideways")
+    with pytest.raises(TypeError, match="StochasticCellRescaling"):
+        md.Simulation(system, law, verlet, barostat=1.0)
+    with pytest.raises(ValueError, match="there is a barostat"):
+        md.Simulation(system, law, verlet, barostat=bath).probe_reversibility(10)
+    with pytest.warns(UserWarning, match="acts every 5 steps"):
+        md.Simulation(system, law, verlet, barostat=barostat(temperature=1.0, relaxation_time=0.02)).run(5, progress=False)

@@ -226,7 +226,7 @@ class Simulation(Closed, Displayed):
                 if not engine.is_as_left:
                     engine.moved()
             if self.record is not None and ("conserved_energy" in self.record) != engine.method.is_thermostat:
-                raise ValueError(f"a run has a bath from its first step to its last, or none; {engine.method.name} can only take over in a new run")
+                raise ValueError(f"a heat bath cannot be switched on or off within a run; {engine.method.name} can only take over in a new run")
             if not engine.is_as_left:
                 self.guard.forget()
                 engine.begin()

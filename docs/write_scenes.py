@@ -222,11 +222,10 @@ MEANINGS = {
         "plot": "draw the run beside the trajectory, or in a file that ends in " + ", ".join(PLOT_SUFFIXES),
     },
 }
-INTRODUCTION = """# Scene files
+INTRODUCTION = """# What can stand in a scene file?
 
-`minimd run scene.toml` runs a scene: a file in [TOML](https://toml.io), here with every key that it may have. A key that holds a quantity ends in its
-unit, as `timestep_fs` does; with `units = "LJ"` numbers are reduced, and keys have no ending (`timestep`), but for angles. Unknown keys are refused,
-and the message names those that there are. This page is written by `docs/write_scenes.py` from the code that reads scenes.
+A scene file describes a run: atoms, potentials, method, steps and output. Write one in [TOML](https://toml.io), and run it with
+`minimd run scene.toml`.
 
 ```toml
 title = "liquid argon"
@@ -251,6 +250,10 @@ timestep_fs = 4.0
 steps = 20
 temperature_K = 94.4
 ```
+
+A key that holds a quantity ends in its unit, as `timestep_fs` does. With `units = "LJ"` numbers are reduced and keys have no ending (`timestep`), but
+for angles. An unknown key is refused, and the message names those that there are. The tables below have every key. (This page is written by
+`docs/write_scenes.py` from the code that reads scenes.)
 """
 HEADINGS = {
     "": "At the top of the file",

@@ -1,7 +1,7 @@
 """The equation of state of the Lennard-Jones liquid: pressure and energy at twenty temperatures, on all cores, with error bars.
 
 NIST's Monte Carlo results at ρ* = 0.776, of 500 atoms: https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm. With 256 atoms the pressure is
-0.02 lower. Twenty files of 12 MB; if it is stopped, it goes on when it is called again.
+0.02 lower. Twenty files of 6 MB; if it is stopped, it goes on when it is called again.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 import minimd as md
 
 density, friction, timestep, n_cells = 0.776, 0.5, 0.004, 4
-n_equilibration, n_steps, every = 10_000, 50_000, 50
+n_equilibration, n_steps, every = 4000, 25_000, 50
 nist = {0.85: (-5.5121, 0.0067714), 0.90: (-5.4689, 0.24056)}  # T*: U*/N, p*
 temperatures = np.round(np.arange(0.70, 1.69, 0.05), 2)
 

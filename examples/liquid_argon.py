@@ -3,6 +3,7 @@
 A. Rahman, Phys. Rev. 136, A405 (1964): 864 atoms, 94.4 K, 1.374 g/cm³.
 """
 
+import matplotlib.pyplot as plt
 import numpy as np
 from ase.build import bulk
 
@@ -41,6 +42,14 @@ for frame in positions[::10]:
     counts += np.histogram(md.neighbor_list("d", scene, edges[-1]), edges)[0]
 ideal = len(atoms) ** 2 / simulation.system.volume * 4.0 * np.pi * radii**2 * 0.05 * len(positions[::10])
 g = counts / ideal
+
+figure, (shells, paths) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
+shells.plot(radii, g)
+shells.set(xlabel="distance / Å", ylabel="g(r)", title="neighbors")
+paths.plot(time, squares)
+paths.plot(time, np.polyval(np.polyfit(time[late], squares[late], 1), time), "k:")
+paths.set(xlabel="time / ps", ylabel="mean-square displacement / Å²", title="diffusion, and its slope")
+figure.savefig("liquid_argon.png", dpi=150)
 
 print(f"temperature        {record.temperature.mean():.1f} K          (asked for: {temperature})")
 print(f"diffusion          {diffusion:.2e} cm²/s   (Rahman: 2.43e-05)")

@@ -4,6 +4,7 @@ Lorentz-Berthelot: σ₁₂ = (σ₁ + σ₂)/2, ε₁₂ = √(ε₁ ε₂). Ne
 pair potential, 2^(1/6) σ₁₂, because the others press them together.
 """
 
+import matplotlib.pyplot as plt
 import numpy as np
 from ase.build import bulk
 
@@ -37,8 +38,13 @@ def count_neighbors(run):
 
 simulation.run(n_steps, every=50, observers=[count_neighbors])
 radii = 0.5 * (edges[1:] + edges[:-1])
+figure, panel = plt.subplots(figsize=(7, 4), layout="constrained")
 for (a, b), found in counts.items():
     peak = radii[np.argmax(found / radii**2)]
     minimum = 2 ** (1 / 6) * (parameters[a][1] + parameters[b][1]) / 2
+    panel.plot(radii, found / radii**2 / (found / radii**2).max(), label=f"{a}-{b}")
     print(f"{a}-{b}: neighbors at {peak:.2f} Å   (minimum of the pair potential: {minimum:.2f} Å)")
+panel.set(xlabel="distance / Å", ylabel="neighbors per volume, highest = 1")
+panel.legend()
+figure.savefig("mixture.png", dpi=150)
 print(simulation.report())

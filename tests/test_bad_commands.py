@@ -28,7 +28,7 @@ def folder(tmp_path, monkeypatch):
 WRONG_COMMANDS = {
     "missing scene": (None, ["run", "none.toml"], 2, ["scene file 'none.toml' does not exist"]),
     "folder in place of a scene": (None, ["run", "."], 2, ["scene file '.' cannot be read"]),
-    "broken TOML": ("a = [", ["run"], 2, ["bad.toml: this is no TOML"]),
+    "broken TOML": ("a = [", ["run"], 2, ["bad.toml: this is not valid TOML"]),
     "empty structure file": (SCENE_OF_A_FILE.replace("atoms.xyz", "empty.xyz"), ["run"], 2, ["structure: file 'empty.xyz' cannot be read"]),
     "structure file that is none": (SCENE_OF_A_FILE.replace("atoms.xyz", "good.toml"), ["run"], 2, ["structure: file 'good.toml' cannot be read"]),
     "missing structure file": (SCENE_OF_A_FILE.replace("atoms.xyz", "b.xyz"), ["run"], 2, ["structure: file 'b.xyz' does not exist"]),

@@ -174,9 +174,23 @@ def test_picture_of_peers_is_drawn_without_warnings(fakes):
     outcome = run_peers(PeersOptions(cells=(4, 5), threads=(1, 2), repeats=2))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        panel = outcome.figure().axes[0]
-    assert [line.get_linestyle() for line in panel.lines] == ["-", "-", "--", "--", "--"]
-    assert [line.get_marker() for line in panel.lines] == list("os^vD")
+        one, two = outcome.figure().axes
+    assert [line.get_linestyle() for line in one.lines] == ["-", "--", "--"]
+    assert [line.get_marker() for line in two.lines] == list("os")
+    assert [name.get_text() for name in one.texts] == ["slow (serial)", "fast", "minimd"]  # from below
+    assert all(name.get_color() in {line.get_color() for line in one.lines} for name in one.texts)
+
+
+def test_names_of_curves_do_not_overlap():
+    from minimd.bench.pictures import End, name_curves, new_figure
+
+    panel = new_figure(4.0).subplots()
+    panel.plot([0.0, 1.0], [0.0, 1.0])
+    name_curves(panel, {"a": End(1.0, 0.5, "C0"), "b": End(0.4, 0.5, "C1"), "c": End(1.0, 0.51, "C2"), "d": End(1.0, 0.95, "C3")})
+    heights = {name.get_text(): name.xyann[1] for name in panel.texts}
+    assert list(heights) == ["a", "c", "b", "d"]
+    assert min(b - a for a, b in zip(heights.values(), list(heights.values())[1:], strict=False)) > 0.05
+    assert heights["d"] < 1.0
 
 
 def test_peer_with_another_time_step_is_refused(monkeypatch):

@@ -1,4 +1,4 @@
-"""The road of one step is as short as docs/architecture.md and the README say."""
+"""The road of one step is as short as docs/architecture.md says."""
 
 import re
 import sys
@@ -36,8 +36,8 @@ def steady_steps():
 
 
 def files_of_the_road():
-    """The files that the README lists as those of a step, and the number of lines it gives them."""
-    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    """The files that docs/architecture.md lists as those of a step, and the number of lines it gives them."""
+    text = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
     listed = re.search(r"A step of a liquid is these (\d+) files, ([\d ]+) lines in all:\n\n```\n(.*?)```", text, re.S)
     return int(listed[1]), int(listed[2].replace(" ", "")), re.findall(r"^(minimd/\S+\.py)", listed[3], re.M)
 
@@ -52,7 +52,7 @@ def test_from_run_to_the_kernel_there_are_eight_functions():
         assert re.search(rf"`\w+\.{name}` \| `{Path(file).relative_to(PACKAGE).as_posix()}`", architecture), name
 
 
-def test_the_readme_lists_the_files_of_a_step_and_counts_their_lines():
+def test_the_page_lists_the_files_of_a_step_and_counts_their_lines():
     n_files, n_lines, files = files_of_the_road()
     visited = {f"minimd/{Path(chain[-1][0]).relative_to(PACKAGE).as_posix()}" for chain in steady_steps()}
     assert visited

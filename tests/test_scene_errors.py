@@ -105,10 +105,10 @@ def test_equilibration_needs_a_temperature_to_start_from():
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("a = [", "this is no TOML"),
-        ("[b]\nkey = 1\nkey = 2", "this is no TOML: Cannot overwrite a value .*, in 'key = 2'$"),
+        ("a = [", "this is not valid TOML"),
+        ("[b]\nkey = 1\nkey = 2", "this is not valid TOML: Cannot overwrite a value .*, in 'key = 2'$"),
         ("b = 1\nb = 2\nc = 3\n", r"Cannot overwrite a value \(at line 2, column 6\), in 'b = 2'$"),
-        ("\ufeff", "this is no TOML"),
+        ("\ufeff", "this is not valid TOML"),
         (b"\xff\xfe", "must be UTF-8 text"),
     ],
 )

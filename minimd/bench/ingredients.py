@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 
 import minimd as md
 from minimd.bench.engines import Minimd
-from minimd.bench.outcome import new_figure, spread, summary, table, tell
+from minimd.bench.outcome import spread, summary, table, tell
+from minimd.bench.pictures import new_figure
 from minimd.bench.scenes import CUTOFF, MELT_TEMPERATURE, SCENES, TIMESTEP, BenchScene, equilibrated, melt, pairs_in_range
 from minimd.bench.turns import take_turns, warm_up
 from minimd.potentials.pair import Label
@@ -57,7 +58,7 @@ class IngredientCosts:
             by_pair = ratio * (base.n_pairs / base.n_atoms) / pairs
             times = [spread(1e6 * cost.seconds), spread(ratio)]
             cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", spread(by_pair)])
-        head = f"One thread, double precision, velocity Verlet; in turns, median of {self.repeats} (least to most); pairs are those in range."
+        head = f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); pairs are those in range."
         return [head, "", *table(titles, cells)]
 
     def content(self) -> dict[str, Any]:
@@ -67,7 +68,7 @@ class IngredientCosts:
 
     def figure(self) -> "Figure":
         """Times beside that of the melt."""
-        figure = new_figure(9.0, 4.5)
+        figure = new_figure(4.5)
         axes = figure.subplots()
         ratios = [self.ratio(cost) for cost in self.costs]
         middle = np.array([np.median(ratio) for ratio in ratios])
@@ -75,12 +76,12 @@ class IngredientCosts:
         axes.barh([cost.name for cost in self.costs], middle, xerr=ends, color="tab:blue", ecolor="gray")
         axes.axvline(1.0, color="black", lw=0.8)
         axes.invert_yaxis()
-        axes.set(xlabel="time of a step per atom, beside the melt", title=f"median and range of {self.repeats} turns")
+        axes.set(xlabel="time of a step per atom, beside the melt", title=f"median and range of {self.repeats} rounds")
         return figure
 
 
 def run_ingredients(n: int, repeats: int) -> IngredientCosts:
-    """Time the melt of 4 n³ atoms plain and with one ingredient more, or less, in turns."""
+    """Time the melt of 4 n³ atoms plain and with one ingredient more, or less, one after the other in each round."""
     with tempfile.TemporaryDirectory() as folder:
         loaded = {name: make() for name, make in _ingredients(equilibrated(melt(n)), n, Path(folder)).items()}
         engines = [engine for _, engine in loaded.values()]

@@ -17,7 +17,7 @@ from minimd.compiled.machine import available_cores, processor_name, version
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DIGITS = 3  # of a median: turns differ by a percent or more
+DIGITS = 3  # of a median: rounds differ by a percent or more
 ALIGN = {str: ":---", float: "---:"}
 DPI = 150
 
@@ -43,7 +43,7 @@ class Outcome(Protocol):
         """What was measured, as lines of Markdown."""
 
     def content(self) -> dict[str, Any]:
-        """Everything measured, every turn."""
+        """Everything measured, in every round."""
 
     def figure(self) -> "Figure":
         """A picture of it."""
@@ -67,13 +67,6 @@ def write(outcome: Outcome, folder: Path) -> None:
     stem.with_suffix(".md").write_text(markdown(outcome) + "\n", encoding="utf-8")
     stem.with_suffix(".json").write_text(as_json(outcome) + "\n", encoding="utf-8")
     outcome.figure().savefig(stem.with_suffix(".png"), dpi=DPI)
-
-
-def new_figure(width: float, height: float) -> "Figure":
-    """An empty figure without a window."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
 
 
 def versions(packages: Sequence[str]) -> dict[str, str]:
@@ -115,5 +108,5 @@ def spread(values: Ratios) -> str:
 
 
 def summary(values: Ratios) -> dict[str, Any] | None:
-    """Median and the values of all turns, for programs."""
+    """Median and the values of all rounds, for programs."""
     return None if values is None else {"median": float(np.median(values)), "turns": values.tolist()}

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from minimd.bench.engines import PEERS, Minimd, Precision, TimedEngine
 from minimd.bench.memory import FROM_ATOMS, bytes_per_atom
-from minimd.bench.outcome import new_figure, spread, summary, table, tell, threads_text
+from minimd.bench.outcome import spread, summary, table, tell, threads_text
+from minimd.bench.pictures import MOST_CURVES, End, name_curves, new_figure
 from minimd.bench.scenes import CUTOFF, MELT, SCENES, TIMESTEP, BenchScene, equilibrated
 from minimd.bench.turns import check_agreement, take_turns, warm_up
 from minimd.compiled.machine import available_cores
@@ -105,8 +106,10 @@ class Peers:
 
     def lines(self) -> list[str]:
         """See Outcome."""
-        speeds = f"Speeds in 10⁶ atom-steps per second, whole runs, lists included, compiling not: median of {self.repeats} turns (least to most)."
-        head = [f"{self.text}.", "", speeds, "All engines take turns in one process; ratios are taken turn by turn."]
+        speeds = (
+            f"Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of {self.repeats} rounds (least to most)."
+        )
+        head = [f"{self.text}.", "", speeds, "In each round all engines run once, in one process; ratios are taken within a round."]
         return head + [line for rows in self.sizes for line in _table(rows)]
 
     def content(self) -> dict[str, Any]:
@@ -115,21 +118,36 @@ class Peers:
         return {"scene": self.scene, "text": self.text, "repeats": self.repeats, "sizes": sizes}
 
     def figure(self) -> "Figure":
-        """Speed against the number of atoms."""
-        figure = new_figure(9.0, 4.5)
-        axes = figure.subplots()
-        curves: dict[tuple[str, int, str], list[EngineSpeed]] = {}
-        for row in (row for rows in self.sizes for row in rows):
-            curves.setdefault((row.engine, row.threads, row.precision), []).append(row)
-        for k, ((engine, threads, precision), rows) in enumerate(curves.items()):
-            n, speeds = [row.n_atoms for row in rows], np.array([row.speeds for row in rows]) / 1e6
-            width, line = (2.5, "-") if rows[0].is_minimd else (1.2, "--")
-            label, marker = f"{engine}, {precision}, {threads_text(threads)}", "os^vD<>pP*Xhd"[k % 13]
-            axes.plot(n, np.median(speeds, axis=1), marker=marker, ls=line, lw=width, label=label)
-            axes.fill_between(n, speeds.min(axis=1), speeds.max(axis=1), alpha=0.15)
-        axes.set(xscale="log", yscale="log", xlabel="atoms", ylabel="10⁶ atom-steps / s", title=f"{self.scene}, median and range")
-        figure.legend(loc="outside right center", fontsize="small")
+        """Speed against the number of atoms, with a panel for each number of threads; of more than six engines the six fastest."""
+        all_threads = sorted({row.threads for rows in self.sizes for row in rows})
+        figure = new_figure(3.8 * len(all_threads))
+        panels = figure.subplots(len(all_threads), sharex=True, sharey=True, squeeze=False)[:, 0]
+        ends = []
+        for panel, threads in zip(panels, all_threads, strict=True):
+            ends.append(_draw(panel, [row for rows in self.sizes for row in rows if row.threads == threads]))
+            panel.set_title(f"{self.scene}, {threads_text(threads)}")
+        for panel, named in zip(panels, ends, strict=True):
+            name_curves(panel, named)
+        panels[-1].set_xlabel("atoms")
         return figure
+
+
+def _draw(panel: Any, rows: Sequence[EngineSpeed]) -> dict[str, End]:
+    """Median speeds of engines and their ranges; returns where the curves end."""
+    curves, ends = dict[str, list[EngineSpeed]](), {}
+    for row in rows:
+        curves.setdefault(f"{row.engine}{', mixed' if row.precision == 'mixed' else ''}", []).append(row)
+    fastest = sorted(curves.items(), key=lambda curve: -np.median(curve[1][-1].speeds))[:MOST_CURVES]
+    for k, (name, points) in enumerate(fastest):
+        n, speeds = [point.n_atoms for point in points], np.array([point.speeds for point in points]) / 1e6
+        middle, (line, width) = np.median(speeds, axis=1), ("-", 2.5) if points[0].is_minimd else ("--", 1.5)
+        panel.plot(n, middle, marker="os^vD<"[k], ls=line, lw=width, color=f"C{k}")
+        panel.fill_between(n, speeds.min(axis=1), speeds.max(axis=1), alpha=0.15, color=f"C{k}")
+        ends[name] = End(n[-1], float(middle[-1]), f"C{k}")
+    panel.set(xscale="log", yscale="log", ylabel="10⁶ atom-steps / s")
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_minor_formatter("{x:g}")
+    return ends
 
 
 def check_options(options: PeersOptions) -> None:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from minimd.bench.engines import Minimd
 from minimd.bench.memory import bytes_per_atom, bytes_per_atom_lammps
-from minimd.bench.outcome import new_figure, spread, summary, table, threads_text
+from minimd.bench.outcome import spread, summary, table, threads_text
+from minimd.bench.pictures import End, name_curves, new_figure
 from minimd.bench.scenes import MELT, melt
 from minimd.bench.turns import take_turns, warm_up
 from minimd.compiled.machine import available_cores
@@ -51,7 +52,7 @@ class Scaling:
             cells.append([str(size.n_atoms), *times, *(spread(size.seconds[1] / size.seconds[t]) for t in threads if t > 1)])
         growth = f"Peak memory from 32 000 to {self.memory_atoms} atoms grows by"
         memory = [f"{growth} {number:.0f} bytes per atom in {name}." for name, number in self.memory.items()]
-        return [f"The melt, double precision; in turns, median of {self.repeats} (least to most).", "", *table(titles, cells), "", *memory]
+        return [f"The melt, double precision; median of {self.repeats} rounds (least to most).", "", *table(titles, cells), "", *memory]
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
@@ -60,15 +61,17 @@ class Scaling:
 
     def figure(self) -> "Figure":
         """Time of a step per atom against the number of atoms."""
-        figure = new_figure(7.0, 4.0)
+        figure = new_figure(4.0)
         axes = figure.subplots()
         n = [size.n_atoms for size in self.sizes]
-        for t in self.sizes[0].seconds:
+        ends = {}
+        for k, t in enumerate(self.sizes[0].seconds):
             times = np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])
-            axes.plot(n, np.median(times, axis=1), "o-", label=threads_text(t))
-            axes.fill_between(n, times.min(axis=1), times.max(axis=1), alpha=0.2)
+            axes.plot(n, np.median(times, axis=1), "o-", color=f"C{k}")
+            ends[threads_text(t)] = End(n[-1], float(np.median(times[-1])), f"C{k}")
+            axes.fill_between(n, times.min(axis=1), times.max(axis=1), alpha=0.2, color=f"C{k}")
         axes.set(xscale="log", ylim=(0.0, None), xlabel="atoms", ylabel="ns per atom and step", title="Lennard-Jones melt")
-        axes.legend()
+        name_curves(axes, ends)
         return figure
 
 

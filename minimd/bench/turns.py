@@ -1,4 +1,4 @@
-"""Timing in turns: engines that have the same energies run one after the other, again and again."""
+"""Timing in rounds: engines that have the same energies run one after the other, again and again."""
 
 from collections.abc import Sequence
 from time import perf_counter

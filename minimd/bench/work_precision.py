@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 import minimd as md
 from minimd.bench import engines, kepler
-from minimd.bench.outcome import new_figure, table, tell
+from minimd.bench.outcome import table, tell
+from minimd.bench.pictures import MOST_CURVES, End, name_curves, new_figure
 from minimd.bench.scenes import CUTOFF, SCENES, BenchScene, equilibrated
 from minimd.integrators.methods import SPLITTINGS
 from minimd.integrators.splitting.splitting import Splitting
@@ -60,6 +61,7 @@ class Case(NamedTuple):
     text: str
     unit: str  # of time
     points: Sequence[Point]
+    duration: str = f"{DURATION:g} τ"
 
     def front(self, error: str) -> list[Point]:
         """Runs that no other beats both in time and in an error, from the cheapest on."""
@@ -122,14 +124,10 @@ class WorkPrecision:
         return {"cases": [{"name": c.name, "text": c.text, "points": [_finite(p._asdict()) for p in c.points]} for c in self.cases]}
 
     def figure(self) -> "Figure":
-        """For each case the oscillation against forces and against seconds, and the distance against seconds; the front is broad and gray."""
-        figure = new_figure(13.0, 4.2 * len(self.cases))
-        rows = figure.subplots(len(self.cases), 3, squeeze=False)
-        for axes, case in zip(rows, self.cases, strict=True):
-            for panel, (price, error) in zip(axes, (("forces", "oscillation"), ("seconds", "oscillation"), ("seconds", "distance")), strict=True):
-                _draw(panel, case, price, error)
-            axes[0].set_title(case.name, loc="left")
-            axes[2].legend(*axes[1].get_legend_handles_labels(), fontsize="xx-small", loc="center left", bbox_to_anchor=(1.02, 0.5))
+        """For each case the oscillation of the energy against seconds: velocity Verlet, the two best other methods, and peers."""
+        figure = new_figure(4.0 * len(self.cases))
+        for panel, case in zip(figure.subplots(len(self.cases), squeeze=False)[:, 0], self.cases, strict=True):
+            _draw(panel, case)
         return figure
 
 
@@ -158,7 +156,7 @@ def _with_law(scene: BenchScene, truncation: TruncationName) -> BenchScene:
 
 def _kepler(_name: str, quick: bool, repeats: int) -> Case:
     points = [Point("minimd", *run) for run in kepler.runs(COSTS_QUICK if quick else COSTS, repeats)]
-    return Case("kepler", kepler.TEXT, "a/v", points)
+    return Case("kepler", kepler.TEXT, "a/v", points, f"{kepler.PERIODS} periods")
 
 
 CASES = dict.fromkeys(("argon", "argon-smooth", "chains", "dumbbells"), _scene_case) | {"kepler": _kepler}
@@ -236,25 +234,30 @@ def _course(engine: engines.TimedEngine, steps: int) -> tuple[NDArray[np.float64
     return np.array(energies), seconds
 
 
-def _draw(panel: Any, case: Case, price: str, error: str) -> None:
+def _draw(panel: Any, case: Case, error: str = "oscillation") -> None:
     curves: dict[tuple[str, str], list[Point]] = {}
     for point in case.points:
         if 0.0 < getattr(point, error) < np.inf:
             curves.setdefault((point.who, point.method), []).append(point)
-    colors = {1: "gray", 2: "tab:orange", 3: "tab:olive", 4: "tab:blue", 6: "tab:green", 8: "tab:purple"}
-    for k, ((who, method), points) in enumerate(curves.items()):
-        ours = who.startswith("minimd")
-        color = colors.get(points[0].order, "black") if ours else ("tab:red", "tab:pink")["OpenMM" in who]
-        label = f"{method}{', mixed' if 'mixed' in who else ''}" if ours else who
-        xy = [getattr(p, price) for p in points], [getattr(p, error) for p in points]
-        panel.loglog(*xy, marker="os^vD<>pP*Xhd"[k % 13], ms=4, lw=1 if ours else 2, ls="-" if ours else "--", color=color, label=label)
-    if price == "seconds":
-        front = case.front(error)
-        panel.loglog([p.seconds for p in front], [getattr(p, error) for p in front], color="black", lw=5, alpha=0.2, label="front")
-    words = {"oscillation": "oscillation of the energy", "distance": "distance from the exact path"}
-    panel.set(xlabel={"forces": f"forces per {case.unit}", "seconds": "seconds"}[price], ylabel=words[error])
+    ends = {}
+    for k, (who, method) in enumerate(_shown(curves, case.front(error))):
+        points, ours = curves[who, method], who.startswith("minimd")
+        seconds, errors = [p.seconds for p in points], [getattr(p, error) for p in points]
+        panel.loglog(seconds, errors, marker="os^vD<"[k], ms=4, lw=2.5 if ours else 1.5, ls="-" if ours else "--", color=f"C{k}")
+        ends[f"{method}{', mixed' if 'mixed' in who else ''}" if ours else who] = End(seconds[-1], errors[-1], f"C{k}")
+    panel.set(xlabel="seconds", ylabel=f"{error} of the energy", title=f"{case.name}: time of a run of {case.duration}")
     panel.xaxis.set_minor_formatter("")  # they would overlap
     panel.grid(alpha=0.3)
+    name_curves(panel, ends)
+
+
+def _shown(curves: dict[tuple[str, str], list[Point]], front: Sequence[Point]) -> list[tuple[str, str]]:
+    """The curves to draw, six at most: velocity Verlet, peers, and of the other methods those with most points on the front."""
+    first = [one for one in curves if one[1] == md.VelocityVerlet.name and "mixed" not in one[0]]
+    others = [one for one in curves if one not in first and "mixed" not in one[0]]
+    on_front = {one: sum((p.who, p.method) == one for p in front) for one in others}
+    best = sorted(others, key=lambda one: (-on_front[one], min(p.oscillation for p in curves[one])))
+    return first[:MOST_CURVES] + best[: max(0, MOST_CURVES - len(first))]
 
 
 def _number(value: float) -> str:

@@ -20,7 +20,7 @@ def add(commands: Any) -> None:
     parser = commands.add_parser("bench", help="time minimd: beside other engines, and run time against error")
     benchmarks = parser.add_subparsers(metavar="benchmark", title="benchmarks", required=True)
     peers = _add(benchmarks, "peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3")
-    peers.description = "Time whole runs of minimd and of the installed other engines, in turns, after all have shown the same energies."
+    peers.description = "Time whole runs of minimd and of other engines that are installed, alternately, after all have computed the same energies."
     peers.add_argument("--scene", default="melt", help="melt (default), chains (bead-spring), dumbbells (rigid), kob-andersen (minimd alone)")
     peers.add_argument("--cells", type=counts, metavar="N,...", help="sizes: 4 N³ atoms, or nearly (default: 5,10,20,40)")
     peers.add_argument("--threads", type=counts, default=(), metavar="T,...", help="of engines that can use several (default: 1 and all cores)")
@@ -37,8 +37,13 @@ def add(commands: Any) -> None:
 def _add(benchmarks: Any, name: str, text: str) -> argparse.ArgumentParser:
     """One benchmark, with the options that all have."""
     parser = benchmarks.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", epilog="Let nothing else run meanwhile.")
-    parser.add_argument("--quick", action="store_true", help="a few minutes in all: fewer sizes, methods and turns")
-    parser.add_argument("--repeats", type=at_least_one, metavar="R", help=f"turns of each engine (default: {REPEATS}, quick {REPEATS_QUICK})")
+    parser.add_argument("--quick", action="store_true", help="a few minutes in all: fewer sizes, methods and rounds")
+    parser.add_argument(
+        "--repeats",
+        type=at_least_one,
+        metavar="R",
+        help=f"rounds; every engine runs once in each (default: {REPEATS}, quick {REPEATS_QUICK})",
+    )
     files = f"bench_{name.replace('-', '_')}.md, .json and .png"
     parser.add_argument("--out", type=Path, metavar="FOLDER", help=f"write {files} there, in place of older ones")
     parser.set_defaults(command=lambda arguments: bench(name, arguments))

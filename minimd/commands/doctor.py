@@ -117,11 +117,11 @@ def same_bits() -> Finding:
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
         return False, f"positions differ {on}: those on {' and '.join(map(str, different))} from 1"
-    return True, f"positions have the same bits {on}; a task for all threads starts and ends in {_microseconds_of_a_task():.1f} µs"
+    return True, f"positions are equal to the last bit {on}; a task for all threads starts and ends in {_microseconds_of_a_task():.1f} µs"
 
 
 def _microseconds_of_a_task() -> float:
-    """Median time of a task of two shares without work, on all cores [µs]."""
+    """Median time of a task of two empty shares, on all cores [µs]."""
     pool, times = thread_pool(available_cores()), [perf_counter()]
     for _ in range(TASKS_TIMED):
         pool.run(_nothing, 2)
@@ -131,7 +131,7 @@ def _microseconds_of_a_task() -> float:
 
 @compiling.shared_kernel
 def _nothing(me, task, n):
-    """A task of n shares without work."""
+    """A task of n empty shares."""
     phase = begin(me, task)
     share = take(me, phase, n)
     while share >= 0:
@@ -140,7 +140,7 @@ def _nothing(me, task, n):
 
 
 def speed() -> Finding:
-    """Atom-steps per second of the liquid on one thread and on all cores, the best of some turns, without compilation."""
+    """Atom-steps per second of the liquid on one thread and on all cores, the best of some rounds, without compilation."""
     simulations, seconds = [_moved(1), _moved(None)], np.empty((TURNS, 2))
     for turn, k in np.ndindex(TURNS, 2):
         started = perf_counter()

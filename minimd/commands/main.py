@@ -26,7 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted, 143 terminated, 129 terminated as its terminal was closed.
     Expected failures end in one sentence for each problem on standard error.
     """
-    parser = argparse.ArgumentParser(prog="minimd", description="Molecular dynamics from a scene file, in small.", epilog="Begin with: minimd doctor")
+    parser = argparse.ArgumentParser(prog="minimd", description="Molecular dynamics from scene files.", epilog="Begin with: minimd doctor")
     parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
     commands = parser.add_subparsers(metavar="command", title="commands")
     for command in (run, scan, resume, replay, lammps, check, plot, view, frames, archive, bench, doctor):

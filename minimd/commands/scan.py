@@ -20,10 +20,10 @@ def add(commands: Any) -> None:
     parser.add_argument("--replicas", type=lambda text: whole_number(text, 1), default=1, metavar="N", help="runs of each kind, other velocities")
     parser.add_argument("--steps", type=whole_number, metavar="N", help="instead of the steps in the scene")
     parser.add_argument("--workers", type=whole_number, metavar="N", help="processes, one for each core if not given; 0: this process")
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="of all random numbers (default 0)")
+    parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="seed of all random numbers (default 0)")
     parser.add_argument("--out", type=Path, default=Path("scan"), metavar="FOLDER", help="for all files (default scan)")
     parser.add_argument("--plot", metavar="NAME", help="quantity of the picture, such as pressure, which is the default")
-    parser.add_argument("--status", type=Path, metavar="FOLDER", help="tell what is done in a folder, and run nothing")
+    parser.add_argument("--status", type=Path, metavar="FOLDER", help="list what is done in a folder, and run nothing")
     for name in ("--overwrite", "--quiet"):
         parser.add_argument(name, **OPTIONS[name])
     parser.set_defaults(command=scan)

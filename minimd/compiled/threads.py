@@ -8,7 +8,7 @@
     phase = barrier(worker, phase)                     # returns when all n chunks are finished, whoever did them
 
 A task is cut into chunks by its size, never by the number of threads, and no two chunks of a phase write to the same
-memory. So the result has the same bits for any number of threads, and whichever thread did which chunk.
+memory. So the result is the same, to the last bit, for any number of threads, and whichever thread did which chunk.
 
 A barrier waits for chunks, not for threads. The calling thread starts at once; the others, which sleep if no task comes for a
 millisecond, join when they are awake (some 10 to 80 µs later), or not at all if the machine is busy: they can make a task faster, never delay it.

@@ -70,9 +70,9 @@ def check_has_shadow(engine: Engine) -> None:
     if engine.barostat is not None:
         raise ValueError("there is no shadow energy with a barostat, which takes energy and gives it")
     if method.sequence() not in COEFFICIENTS:
-        raise ValueError(f"the shadow energy is known of velocity-verlet, leapfrog and position-verlet; the method is {method.name}")
+        raise ValueError(f"there is a shadow energy of velocity-verlet, leapfrog and position-verlet only; the method is {method.name}")
     if engine.constraint_set.bonds is not None:
-        raise ValueError("the shadow energy is known without rigid bonds only; leave the constraints out, or do not ask for it")
+        raise ValueError("there is no shadow energy of a system with rigid bonds; leave the constraints out, or do not ask for it")
 
 
 register(Observable("shadow_energy", "energy", lambda look: look.total_energy + correction(look.engine), demand=check_has_shadow))

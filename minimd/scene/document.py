@@ -196,7 +196,7 @@ def parse_scene(text: str, path: Path) -> Scene:
     except tomllib.TOMLDecodeError as error:
         place = re.search(r"at line (\d+)", str(error))  # else it is "at end of document"
         line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
-        raise ValueError(f"{path}: this is no TOML: {error}, in {line!r}") from None
+        raise ValueError(f"{path}: this is not valid TOML: {error}, in {line!r}") from None
     except ValidationError as error:
         raise ValueError("\n".join(f"{path}: {sentence}" for sentence in problems(reading, error))) from None
 

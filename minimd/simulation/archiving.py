@@ -52,7 +52,7 @@ def archive(file: str | Path, out: str | Path, every: int, potentials: Potential
         again.make_steps(int(steps[kept[1]] - steps[kept[0]]))
         if not np.array_equal(again.positions, frame_arrays(file, kept[1])[0]):
             raise ValueError(
-                f"step {steps[kept[1]]} of {str(file)!r} comes out with other bits when it is made again: give the potentials of the run"
+                f"step {steps[kept[1]]} of {str(file)!r} is not the same, to the last bit, when it is made again: give the potentials of the run"
             )
     with open_trajectories(out, engine, store_forces=False, overwrite=overwrite, every=every) as (writer,):
         for k in kept:

@@ -52,9 +52,9 @@ class Simulation(Closed, Displayed):
     potentials : one potential or several.
     method : a splitting with its time step, such as VelocityVerlet(0.005).
     constraints : DistanceConstraints, FixedAtoms, or both, instead of those of the system; () for none.
-    threads : at most so many; all cores of the process if not given. The bits are the same for any number.
+    threads : how many at most; all cores of the process if not given. Results are the same, to the last bit, for any number.
     precision : "double"; "mixed": pairs in float32, their sums in float64; or "fixed-point": all sums exact, see docs/fixed-point.md.
-    skin : of neighbor lists [length]; the best one if not given.  grid : Grid of fixed-point arithmetic; a good one if not given.
+    skin : of neighbor lists [length]; the best one if not given.  grid : Grid of fixed-point arithmetic; chosen from the scene if not given.
     barostat : StochasticCellRescaling, which keeps the pressure; None for a constant cell.
 
     Attributes
@@ -129,7 +129,7 @@ class Simulation(Closed, Displayed):
     def resume(
         cls, file: str | Path, potentials: Potential | Sequence[Potential] | None = None, *, threads: int | None = None, step: int | None = None
     ) -> Self:
-        """The simulation in the restart of an H5MD file: its next steps have the bits that those of the run had, or would have had.
+        """The simulation in the restart of an H5MD file. Its next steps are those that the run made or would have made, to the last bit.
 
             sim = md.Simulation.resume("run.h5md", potentials)
             sim.run(until_step=100_000, trajectory="run.h5md", append=True)
@@ -163,7 +163,7 @@ class Simulation(Closed, Displayed):
     ) -> Record:
         """Make n_steps steps, or those up to until_step; observe the first state, and then those whose step is a multiple of every.
 
-        A run of N steps and one of M steps have the bits of one of N + M steps, if nothing is changed in between.
+        A run of N steps and one of M steps give the same numbers, to the last bit, as one of N + M steps, if nothing is changed in between.
 
         Parameters
         ----------
@@ -240,7 +240,7 @@ class Simulation(Closed, Displayed):
                 if not engine.is_as_left:
                     engine.moved()
             if self.record is not None and ("conserved_energy" in self.record) != engine.has_bath:
-                raise ValueError(f"a run has a bath from its first step to its last, or none; {engine.method.name} can only take over in a new run")
+                raise ValueError(f"a bath cannot be switched on or off within a run; {engine.method.name} can only take over in a new run")
             if not engine.is_as_left:
                 self.guard.forget()
                 engine.begin()

@@ -1,4 +1,4 @@
-"""The checks at the door: what comes in is returned as the inside expects it, or refused in one sentence, before memory is asked for."""
+"""Checks of input: a value is returned in the form that the rest of minimd expects, or refused in one sentence, before memory is allocated for it."""
 
 from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches

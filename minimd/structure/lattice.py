@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from minimd.structure.checks import MOST_ATOMS, checked_choice, checked_indices, checked_number, shown
 
+__all__ = ["BASES", "constant_from_density", "crystal"]
 _FCC = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0))
 BASES = {  # atoms of the cubic unit cell, in units of its edge
     "sc": ((0.0, 0.0, 0.0),),

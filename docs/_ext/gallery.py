@@ -1,0 +1,65 @@
+"""What the gallery shows: copies of the examples with a title, so that a build writes nothing beside the originals."""
+
+import re
+from pathlib import Path
+
+from plain_docstrings import as_rst
+
+FONT_SIZE = 14  # of pictures that are shown at three fifths of their size
+# Worker processes import the script that made them, which Sphinx runs under another name.
+WORKERS = """
+# sphinx_gallery_start_ignore
+import sys
+
+sys.modules["__main__"].__spec__ = None
+sys.modules["__main__"].__file__ = {path!r}
+# sphinx_gallery_end_ignore
+"""
+
+
+def with_title(text: str, path: Path) -> str:
+    """A script whose docstring begins with a title of reStructuredText: its first words, up to a comma, a colon or the end of a question.
+
+    A script that has such a title already is left as it is.
+    """
+    docstring, code = text[3:].split('"""', 1)
+    if "\n====" in docstring:
+        return text
+    title = re.match(r"[^,:?\n]+\??", docstring)[0].rstrip(".")
+    workers = WORKERS.format(path=str(path)) if "__main__" in code else ""
+    head = [title, "=" * len(title), "", *as_rst(docstring)]
+    return 'r"""\n' + "\n".join(head).rstrip() + f'\n"""\n{workers}{code}'
+
+
+def prepare(source: Path, target: Path, header: str) -> str:
+    """Copy the scripts of a folder to another, which sphinx-gallery reads; a copy that is up to date is left alone.  Returns the other folder.
+
+    header : the text above the scripts, unless the folder has one in README.rst.
+    """
+    target.mkdir(parents=True, exist_ok=True)
+    texts = {path.name: with_title(path.read_text(encoding="utf-8"), target / path.name) for path in sorted(source.glob("*.py"))}
+    own_header = source / "README.rst"
+    texts["GALLERY_HEADER.rst"] = own_header.read_text(encoding="utf-8") if own_header.exists() else header
+    for path in target.glob("*.py"):
+        if path.name not in texts:
+            path.unlink()
+    for name, text in texts.items():
+        path = target / name
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+    return str(target)
+
+
+def escape_bars(_app: object, name: str, source: list[str]) -> None:
+    """For Sphinx' event source-read: |v| in the prose of a script is the length of v, and no substitution of reStructuredText."""
+    if name.startswith(("gallery/", "course/")):
+        lines = source[0].split("\n")
+        prose = (line[:1] not in (" ", ".", "") and "``" not in line and ":math:" not in line for line in lines)
+        source[0] = "\n".join(re.sub(r"(?<!\\)\|", r"\|", line) if is_prose else line for line, is_prose in zip(lines, prose, strict=True))
+
+
+def large_fonts(_conf: object, _script: str) -> None:
+    """Before each example: letters in its pictures that can be read at the width of a page."""
+    from matplotlib import rcParams
+
+    rcParams["font.size"] = FONT_SIZE

@@ -13,7 +13,7 @@ from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.report import Report
 from minimd.diagnosis.reversibility import Reversibility, make_steps_back, probe
-from minimd.diagnosis.run_guard import BLOCK, RunGuard
+from minimd.diagnosis.run_guard import RunGuard
 from minimd.diagnosis.run_report import report_of
 from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.engine_rows import simulation_rows
@@ -197,7 +197,7 @@ class Simulation(Closed, Displayed):
                 checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
                 while engine.step < end:
                     next_look = engine.step + every - engine.step % every
-                    n_now = min(BLOCK, next_look - engine.step, end - engine.step)
+                    n_now = min(guard.block, next_look - engine.step, end - engine.step)
                     guard.advance(n_now, with_energy=engine.step + n_now in (next_look, end))
                     tell(engine.step - start)
                     if engine.step == next_look:

@@ -127,7 +127,7 @@ def assert_survives_kills(scene, every_kth, folder, monkeypatch):
     bring_to_disk_every(0.0, monkeypatch)
     monkeypatch.setattr("minimd.files.h5md_schema.CHUNK_BYTES", 6000)  # two frames
     monkeypatch.setattr("minimd.simulation.simulation.SECONDS_BETWEEN_CHECKPOINTS", 0.0)
-    monkeypatch.setattr("minimd.simulation.simulation.BLOCK", 4)
+    monkeypatch.setattr("minimd.diagnosis.run_guard.RunGuard.block", 4)
     method = md.LangevinBAOAB(0.003, 1.2, 0.7, seed=4) if scene is rigid else md.VelocityVerlet(0.003)
     whole, path, n_steps = folder / "whole.h5md", folder / "a.h5md", 13
     reference = scene(method)

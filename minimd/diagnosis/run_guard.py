@@ -21,6 +21,7 @@ from minimd.structure.errors import ConstraintError, NonFiniteError, RangeError
 from minimd.structure.observables import Array, longest
 
 BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
+SMALL, LONGEST_BLOCK = 50_000, 500  # atoms times steps of a block of few atoms, and its steps, at most: its checks cost as much as 30 steps
 RUN_BEGAN, FAILED_AS_BLOCK = "the run began", "a block of steps failed that succeeded one by one"
 LEAST_SNAPSHOTS, MOST_SNAPSHOTS, ROOM = 2, 16, 10**6  # that are kept: as many as hold so many atoms in all
 SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
@@ -47,6 +48,11 @@ class RunGuard:
         self._before: Snapshot | None = None  # the start of the last block
         self._snapshots: list[Snapshot] = []  # at least SNAPSHOTS_APART steps apart
         self._first_step = 0  # of the present run
+
+    @property
+    def block(self) -> int:
+        """Steps between two checks, at most."""
+        return max(BLOCK, min(LONGEST_BLOCK, SMALL // len(self.engine.positions)))
 
     def begin_run(self) -> None:
         """Count from zero: steps, seconds, evaluations, list builds, iterations of constraints."""
@@ -107,8 +113,8 @@ class RunGuard:
     def make_steps(self, n_steps: int, with_energy: bool = False) -> None:
         """Make steps, in blocks.  with_energy : evaluate the energy with the last forces.  Raises as advance and observe."""
         try:
-            for done in range(0, n_steps, BLOCK):
-                self.advance(min(BLOCK, n_steps - done), with_energy and done + BLOCK >= n_steps)
+            for done in range(0, n_steps, self.block):
+                self.advance(min(self.block, n_steps - done), with_energy and done + self.block >= n_steps)
                 if self.is_hot():
                     self.observe()
         finally:

@@ -57,6 +57,7 @@ class ClusterTerm(OwnTerm):
         self._march = march_clusters if are_recognized else without_cache(march_clusters)
         self._arranged_for, self._prepared_for = cast(Any, None), (0, 0)  # which arrays of the list; which build, and how many layers
         self._memory = Buffers()
+        self._own: tuple[NDArray, ...] = ()
 
     def follow(self, system: System) -> bool:
         """See Term; a cell without room for the list needs another one."""
@@ -119,7 +120,8 @@ class ClusterTerm(OwnTerm):
         forces, steps = (state.impulses, self._steps(steps_of(state.grid, units[:, 0]))) if isinstance(state, GridState) else (state.forces, ())
         while course[MADE] < course[TO_MAKE]:
             self._update(system)
-            motion = Motion(steps, lasting, units, course, contacts, state.velocities, state.inverse_masses, *self._own_arrays())
+            self._own = self._own or self._own_arrays()
+            motion = Motion(steps, lasting, units, course, contacts, state.velocities, state.inverse_masses, *self._own)
             evaluation = system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion
             if self.list.can_be_renewed:
                 n_tasks = TASKS_PER_MOVE * int(course[TO_MAKE] - course[MADE])
@@ -156,6 +158,7 @@ class ClusterTerm(OwnTerm):
         self._laws = tuple((one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True))
         self._needs_preparation = self._precision == FIXED_POINT or any(isinstance(one, ByLane) for one in of_lanes)
         self._force_sums = ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
+        self._own = ()  # made where atoms march
         self._arranged_for, self._prepared_for = self.list.arrays, (0, 0)
 
     def _own_arrays(self) -> tuple[NDArray, ...]:

@@ -13,7 +13,7 @@ from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.report import Report
 from minimd.diagnosis.reversibility import Reversibility, make_steps_back, probe
-from minimd.diagnosis.run_guard import BLOCK, RunGuard
+from minimd.diagnosis.run_guard import RunGuard
 from minimd.diagnosis.run_report import report_of
 from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.engine_rows import simulation_rows
@@ -209,7 +209,7 @@ class Simulation(Closed, Displayed):
                 checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
                 while engine.step < end:
                     next_look = engine.step + every - engine.step % every
-                    n_now = int(min(BLOCK, next_look - engine.step, end - engine.step, attached.steps_to_next()))
+                    n_now = int(min(guard.block, next_look - engine.step, end - engine.step, attached.steps_to_next()))
                     at = engine.step + n_now
                     guard.advance(n_now, with_energy=at in (next_look, end) or attached.need_energy(at))
                     tell(engine.step - start)

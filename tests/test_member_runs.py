@@ -176,6 +176,9 @@ def test_a_note_that_was_left_behind_is_not_believed(tmp_path):
     descriptor = notes.locked(note)
     assert "running        member 3: at step 40 of 60" in status(tmp_path)[1]
     os.close(descriptor)
+    with notes.noting(md.Member(3, {}, 0, STEPS, note.with_suffix(".h5md"))):
+        pass
+    assert not note.exists()
 
 
 def by_hand(rows, observable):

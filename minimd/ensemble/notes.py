@@ -37,10 +37,10 @@ class Note:
         os.write(self._descriptor, f"{self}\n".rjust(LENGTH).encode())
 
     def remove(self) -> None:
-        """Leave nothing behind.  Raises OSError."""
+        """Leave nothing behind, nor what a process that was killed has left.  Raises OSError."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
-            self._place.unlink()
+        self._place.unlink(missing_ok=True)
 
     def __str__(self) -> str:
         if self.simulation is None or self.first is None:

@@ -210,5 +210,8 @@ steps = 2
     assert [type(one) for one in made] == [*kinds, md.MorseBond, md.OPLSDihedral, md.RyckaertBellemans]
     assert repr(made[3]) == "SteeredSpring(k=3.0, points=[1.0, 2.0, 3.0], velocity=[0.1, 0.0, 0.0], atoms=[3], end=5)"
     in_ase = text.replace('units = "LJ"', "").replace("lattice_constant", 'element = "Ar"\nlattice_constant_A')
-    with pytest.raises(ValueError, match=r"potential\[1\]\.acceleration_A_ps2 is missing; give it"):
+    with pytest.raises(ValueError, match=r"potential\[1\] has no key 'acceleration' .* did you mean 'acceleration_A_ps2'"):
         parse_scene(in_ase, "scene.toml")
+    fall = '[[potential]]\ntype = "gravity"\nacceleration_A_ps2 = [0.0, 0.0, -2.0]\n'
+    in_ase = in_ase.replace(FIELDS, fall).replace("timestep", "timestep_fs")
+    assert parse_scene(in_ase, "scene.toml").potentials()[0].acceleration[2] == pytest.approx(-2.0 / md.units.ps**2, rel=1e-14)

@@ -1,7 +1,7 @@
 """Observers in a minimd file: what they were made with, their state at each restart, and their answers at the end of a run.
 
 minimd/observers/<name>             attributes kind and arguments (JSON); at the end of a run the answer: a dataset for each series, with its
-                                    standard error beside it, and single numbers as attributes, in the units of the simulation
+                                    standard error beside it, and single numbers as attributes, in the units of the simulation (attribute units)
 minimd/restart/observer.<name>.*    the arrays of its state, beside the restart that they belong to
 
 H5MD has a place for averages that do not depend on time, as groups in observables. MDAnalysis' reader takes all that lies there for series with an
@@ -76,9 +76,9 @@ def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
         if not one.n_looks:
             continue
         result = one.result()
-        group.attrs.update({"n_looks": one.n_looks, "last_step": one.last_step, **result.numbers()})
+        group.attrs.update({"n_looks": one.n_looks, "last_step": one.last_step, "units": result.scene.units, **result.numbers()})
         for name, series in result.columns().items():
-            group[name] = series
+            group[name.replace("/", "_")] = series  # a species may be called anything
 
 
 def observers_of(h5: h5py.File) -> dict[str, Accumulator]:

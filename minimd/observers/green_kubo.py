@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from minimd.structure.statistics import spread
 
 Array = NDArray[np.float64]
-CHANGE = 2.0  # standard errors that an integral may change in a plateau
+CHANGE = 1.5  # standard errors that an integral may change in a plateau
 OCTAVE = 2.0  # a plateau lasts from a time to this multiple of it
 LONGEST = 0.25  # of the duration: later lags have too few origins
 FEWEST_LAGS = 3  # in a plateau
@@ -32,7 +32,7 @@ def running_integral(times: Array, correlation: Array) -> Array:
 
 
 def plateau(times: Array, integral: Array, without: Array) -> Plateau:
-    """The earliest octave of times, t to 2t, in which the integral changes by no more than two standard errors of the change; its mean there.
+    """The earliest octave of times, t to 2t, in which the integral changes by at most one and a half standard errors of the change; its mean there.
 
     times, integral : (T,).  without : (K, T), replicas of the integral. If there is no such octave, that before the last time.
     The longer one integrates, the more noise is added, while the correlations that are left out become less.

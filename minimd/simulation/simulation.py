@@ -175,8 +175,7 @@ class Simulation(Closed, Displayed):
             answer at the end. An H5MD file keeps them, and a run that continues it goes on with them.
 
                 stress = md.observers.Viscosity(every=5)
-                sim.run(100_000, observers=[stress])
-                print(stress.result())
+                sim.run(100_000, observers=[stress])  # then print(stress.result())
         progress : show a progress bar; if not given, on a terminal and in a notebook.
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere
             (False). It holds the last good state and what minimd.replay needs; an existing file is kept unless overwrite, and the new one numbered.

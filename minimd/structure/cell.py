@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -95,7 +96,7 @@ class Cell(Displayed):
         """True if any direction repeats."""
         return bool(self.pbc.any())
 
-    @property
+    @cached_property
     def volume(self) -> float | None:
         """Volume of the cell [length³]; None unless all three directions are periodic."""
         return float(abs(np.linalg.det(self.vectors))) if self.pbc.all() else None

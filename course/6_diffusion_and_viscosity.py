@@ -24,7 +24,7 @@ n_steps = 60_000
 positions, edges = md.lattice.crystal("fcc", [4, 4, 4], md.lattice.constant_from_density("fcc", density))
 liquid = md.System(positions, cell=edges)
 law = md.LennardJones(1.0, 1.0, 2.5, truncation="force-shifted")
-simulation = md.Simulation(liquid, law, md.VelocityVerlet(timestep))
+simulation = md.Simulation(liquid, law, md.VelocityVerlet(timestep), extra_observables=("stress",))
 simulation.set_temperature(2.0 * temperature, seed=1)
 simulation.equilibrate(n_equilibration, temperature)
 
@@ -37,7 +37,7 @@ def look(run):
     places.append(run.positions.astype(np.float32))
 
 
-record = simulation.run(n_steps, every=every, observers=[look], extra_observables=("stress",), progress=False)
+record = simulation.run(n_steps, every=every, observers=[look], progress=False)
 v, paths, stress = np.array(velocities), np.array(places), record.stress
 spacing, volume, t = every * timestep, simulation.system.volume, record.temperature.mean()
 print(f"temperature {t:.3f}   ({temperature})")

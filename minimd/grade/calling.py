@@ -4,6 +4,7 @@
     force, forces, f, compute_forces    a function of positions    acceleration, acc, a      the same, divided by the masses
     m, mass, masses                     masses                     dt, h, timestep           time step
     x_old, x_prev …                     positions a step ago       v_half …                  velocities half a step ago
+    state, y                            [x, v] as one              n_steps                   one step: the end of a path is taken
 
 Names that say nothing take the places that are left in step(x, v, force, m, dt). Coordinates are tried as (N, 3), (N,) and one
 number; masses as (N,), (N, 1) and one number; force(x) answers with F, with (F, U) or with (U, F). The first manner in which the step
@@ -34,12 +35,15 @@ NAMES = {  # whole names, in small letters without underscores; what begins or c
     "time": ["t", "time", "tn", "t0"],
     "box": ["l", "box", "boxlength", "boxsize", "lbox", "cell"],
 }
+STEPS, STATE = r"^(n|nt|n_?steps?|num_?steps|steps|n_?iter\w*)$", r"^(state|y|s|z|xv|phase\w*|rv)$"
 PATTERNS = (  # in this order
     ("old", r"^(x|r|q|pos\w*)_*(old|prev\w*|last|before|minus|m1?)$"),
     ("old", r"^(old|prev\w*|last)_*(x|r|q|pos\w*)$"),
     ("half", r"^(v|vel\w*)_*(half|mid\w*|h)$"),
     ("force", r"^f_*(old|prev\w*|last|now|t|cur\w*)$"),
     ("acceleration", r"^a_*(old|prev\w*|last|now|t|cur\w*)$"),
+    ("steps", STEPS),
+    ("state", STATE),
     ("gradient", r"grad|^d[uv](dx|dr|dq)?$"),
     ("acceleration", r"acc"),
     ("force", r"force"),
@@ -93,14 +97,16 @@ def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
     except (TypeError, ValueError):
         raise TypeError(f"step must be a function, such as step(x, v, force, m, dt); got {function!r}") from None
     pairs = [(one.name, role_of(one.name), one.default is one.empty) for one in parameters if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)]
+    if not any(role in FORCES for _, role, _ in pairs):  # a step with a force of its own keeps its own mass
+        pairs = [pair for pair in pairs if pair[1] != "m" or pair[2]]
     pairs = [pair for pair in pairs if pair[1] or pair[2]]
     names, roles = [name for name, _, _ in pairs], [role for _, role, _ in pairs]
     have = {"force" if role in FORCES else "v" if role in ("p", "half", "old") else role for role in roles}
-    left = [place for place in PLACES if place not in have]
+    left = [place for place in PLACES if place not in have and not ("state" in roles and place in ("x", "v"))]
     for k, role in enumerate(roles):
         if not role and left:
             roles[k] = left.pop(0)
-    if "dt" not in roles or not {"v", "p", "half", "old"} & set(roles) or "x" not in roles or "" in roles:
+    if "dt" not in roles or not ("state" in roles or ({"v", "p", "half", "old"} & set(roles) and "x" in roles)) or "" in roles:
         told = ", ".join(names)
         raise TypeError(f"a step takes positions, velocities, a force function, masses and a time step, as step(x, v, force, m, dt); "
                         f"the parameters of this one are ({told}): give them these names, m may be left out")  # fmt: skip
@@ -130,14 +136,14 @@ class StudentStep:
     """A student's step as a map of (x, v) to (x, v).
 
     n_evaluations : how often it asked for the force.  third : the force it handed back with the last answer, or None.
-    swapped, in_place : whether it answers with v first; whether it changes its arguments.
+    swapped, in_place, is_procedure : whether it answers with v first; whether it changes its arguments; whether x and v both.
     """
 
     def __init__(self, function: Callable[..., Any], manner: Manner) -> None:
         self.function, self.manner = function, manner
         self.n_evaluations = 0
         self.third: Array | None = None
-        self.swapped = self.in_place = False
+        self.swapped = self.in_place = self.is_procedure = False
         self.stiffness = 0.0  # of the oscillator that a step brings with it that is given no force
 
     def find_own_force(self) -> None:
@@ -172,16 +178,20 @@ class StudentStep:
         roles, single = self.manner.roles, x.ndim == 0
         half = v - 0.5 * h * where.force(x) / where.mass if {"half", "old"} & set(roles) else v
         given = [self._argument(role, where, x, v, half, h) for role in roles]
-        given = [float(one) if single and isinstance(one, np.ndarray) else one for one in given]
+        given = [float(one) if single and isinstance(one, np.ndarray) else list(map(float, one)) if single and role == "state" else one
+                 for role, one in zip(roles, given, strict=True)]  # fmt: skip
         before = [one.copy() if isinstance(one, np.ndarray) else one for one in given]
         answer = self.function(**dict(zip(self.manner.names, given, strict=True)))
+        if "state" in roles:
+            return self._of_state(answer, given[roles.index("state")], x.shape)
         of_x, of_v = roles.index("x"), next(roles.index(role) for role in ("v", "p", "half", "old") if role in roles)
         changed = [not single and not np.array_equal(given[k], before[k]) for k in (of_x, of_v)]
-        self.in_place = any(changed)
-        if answer is None:
-            if not any(changed):
-                raise ValueError("the step returns None and leaves x and v as they were; return x, v")
-            answer = given[of_x], given[of_v]
+        self.in_place |= any(changed)
+        if answer is None and not self.in_place:
+            raise ValueError("the step returns None and leaves x and v as they were; return x, v")
+        self.is_procedure |= all(changed)
+        if answer is None or (self.is_procedure and not isinstance(answer, (tuple, list, dict))):  # in place; what is returned may be the force
+            answer = (given[of_x], given[of_v], *([] if answer is None else [answer]))
         new = self._parts(answer, x.shape)
         if "old" in roles:
             return self._from_recursion(where, new, x, v, h)
@@ -200,11 +210,13 @@ class StudentStep:
         if role.startswith("before"):
             earlier = x - h * v + 0.5 * h * h * where.force(x) / where.mass
             return self._scaled(role.split()[1], where, where.force(earlier))
+        if role == "state":
+            return [np.array(x), np.array(v)]
         if role == "m":
             shapes = {"(N,)": where.m, "(N, 1)": where.m.reshape(-1, 1), "one number": float(np.ravel(where.m)[0])}
             return np.array(shapes[self.manner.masses]) if self.manner.masses != "one number" else shapes["one number"]
         arrays = {"x": x, "v": v, "p": where.mass * v, "half": half, "old": x - h * half}
-        return np.array(arrays[role]) if role in arrays else {"dt": h, "time": 0.0, "box": FAR}[role]
+        return np.array(arrays[role]) if role in arrays else {"dt": h, "time": 0.0, "box": FAR, "steps": 1}[role]
 
     def _scaled(self, role: str, where: Problem, force: Array) -> Array:
         return {"force": force, "acceleration": force / where.mass, "gradient": -force}[role]
@@ -220,12 +232,22 @@ class StudentStep:
 
         return force
 
+    def _of_state(self, answer: Any, given: list[Any], shape: tuple[int, ...]) -> tuple[Array, Array]:
+        """x and v of a step that takes and returns both as one."""
+        x, v = self._parts(given if answer is None else answer, shape)[:2]
+        return x, v
+
     def _parts(self, answer: Any, shape: tuple[int, ...]) -> list[Array]:
+        if isinstance(answer, dict):
+            answer = sorted(answer.items(), key=lambda item: ("x", "v").index(role_of(item[0])) if role_of(item[0]) in ("x", "v") else 2)
+            answer = [value for _, value in answer]
         if not isinstance(answer, (tuple, list, np.ndarray)) or (isinstance(answer, np.ndarray) and answer.shape == shape):
             if "old" not in self.manner.roles:
                 raise ValueError(f"the step must return x and v; it returned {type(answer).__name__}")
             answer = (answer,)
         parts = [np.array(part, dtype=float) for part in answer]
+        if "steps" in self.manner.roles:  # a path: its end
+            parts = [part[-1] if part.ndim == len(shape) + 1 and part.shape[1:] == shape else part for part in parts]
         for name, part in zip(("x", "v"), parts, strict=False):
             if part.shape != shape:
                 raise ValueError(f"the step must return {name} in the shape {shape} in which it got it; it returned {part.shape}")

@@ -16,6 +16,7 @@ from minimd.neighbors.clusters import DIMENSIONS, any_moved_from_clusters, gathe
 from minimd.neighbors.domains import SIDES, Layout, cut_into_domains, fill_ghosts, make_ghosts, sort_ghosts
 from minimd.neighbors.verlet_list import VerletList, partners
 from minimd.structure.cell import Cell
+from minimd.structure.strain import strained
 
 ENTRIES_GUESSED = 12  # for each atom, at first
 GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of the scene to the other
@@ -92,8 +93,8 @@ class ClusterList(VerletList):
     def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
         clusters, shape = self.clusters, (-1, DIMENSIONS, self.lanes.size)
         self._original = clusters.positions.copy() if self._original is None else self._original
-        clusters.positions.reshape(shape)[:] = np.einsum("kil,ij->kjl", self._original.reshape(shape), strain)
-        before.follow(cell, clusters.offsets.reshape(shape).transpose(0, 2, 1))
+        strained(self._original.reshape(shape), strain, clusters.positions.reshape(shape))
+        before.follow(cell, clusters.offsets.reshape(shape))
         before.follow(cell, self.ghosts.shift)
         if self._is_mixed:
             self.memory.shift[:] = np.rint(self.ghosts.shift / self.memory.unit)

@@ -14,6 +14,7 @@ from pathlib import Path
 from annotated_types import Ge, Gt, MaxLen
 from pydantic_core import PydanticUndefined
 
+from minimd.integrators.splitting.barostats import COUPLINGS
 from minimd.observers import KINDS
 from minimd.potentials.pair import MIXING
 from minimd.potentials.truncation import TRUNCATIONS
@@ -24,13 +25,14 @@ from minimd.structure.lattice import BASES
 PAGE = Path(__file__).parent / "scenes.md"
 UNITS = {
     "_A": "Å", "_fs": "fs", "_K": "K", "_eV": "eV", "_eV_A": "eV/Å", "_g_cm3": "g/cm³", "_eV_A2": "eV/Å²", "_degree": "°", "_eV_rad2": "eV/rad²",
-    "_per_A": "1/Å", "_A_ps": "Å/ps", "_A_ps2": "Å/ps²",
+    "_per_A": "1/Å", "_A_ps": "Å/ps", "_A_ps2": "Å/ps²", "_bar": "bar", "_GPa": "GPa", "_per_bar": "1/bar", "_per_GPa": "1/GPa",
 }  # fmt: skip
 REDUCED = {
     "length": "σ", "time": "τ", "temperature": "ε/k_B", "energy": "ε", "force": "ε/σ", "density": "1/σ³", "stiffness": "ε/σ²",
     "angular stiffness": "ε/rad²", "angle": "°", "inverse length": "1/σ", "velocity": "σ/τ", "acceleration": "σ/τ²",
+    "pressure": "ε/σ³", "compressibility": "σ³/ε",
 }  # fmt: skip
-CHOICES = {"lattice": BASES, "mixing": MIXING, "truncation": TRUNCATIONS, "method": METHODS, "kind": KINDS, "axis": "abc"}
+CHOICES = {"lattice": BASES, "mixing": MIXING, "truncation": TRUNCATIONS, "method": METHODS, "coupling": COUPLINGS, "kind": KINDS, "axis": "abc"}
 MEANINGS = {
     "": {
         "title": "a line for reports and files",
@@ -192,6 +194,14 @@ MEANINGS = {
         "threads": "at most; all cores of the process if not given",
         "precision": "of the forces between pairs",
     },
+    "barostat": {
+        "pressure": "P₀",
+        "compressibility": "isothermal, roughly: 4.6e-5 bar⁻¹ for water, 2e-4 bar⁻¹ for liquid argon",
+        "relaxation_time": "of the volume, at least ten times the time between two strains",
+        "coupling": "which strains of the cell: one for all axes, any, or axes each by itself",
+        "every": "steps between two strains",
+        "seed": "of the noise",
+    },
     "minimization": {
         "force_tolerance": "the largest force that may remain",
         "max_steps": "at most",
@@ -271,6 +281,7 @@ NOTES = {
     "potential.pairs": "One table for each pair, below its `[[potential]]`.",
     "potential, tabulated": "Either `file` or `pairs`.",
     "tables": "A table `[tables.X]` is what a file named X would hold: a scene that is stored in the file of its run has its tables there.",
+    "barostat": "Optional: constant pressure by stochastic cell rescaling, at the temperature of `[dynamics]`; see [pressure.md](pressure.md).",
     "minimization": "Optional: before everything else atoms move to a minimum of the energy nearby. `[minimization]` alone is enough.",
     "equilibration": "Optional: steps before the run, with velocities rescaled.",
     "observer": "Optional. Double brackets: a scene can have several. The defaults are those of the kind.",

@@ -24,6 +24,29 @@ def wrapped_dumbbells():
     return md.System(positions, cell=system.cell, masses=system.masses, bonds=system.bonds), laws, constraints
 
 
+SCENE = """
+[structure]
+lattice = "fcc"
+element = "Ar"
+repeat = [3, 3, 3]
+density_g_cm3 = 1.374
+
+[[potential]]
+type = "lennard-jones"
+epsilon_K = 120.0
+sigma_A = 3.4
+cutoff_A = 7.0
+
+[dynamics]
+timestep_fs = 5.0
+steps = 50
+temperature_K = 94.4
+
+[barostat]
+pressure_bar = 50.0
+compressibility_per_bar = 2e-4
+relaxation_time_fs = 1500.0
+"""
 SCENES = {"pair list": lambda: step_scenes.fcc(1.7), "bonds": step_scenes.bead_melt, "dumbbells": wrapped_dumbbells}
 
 
@@ -173,3 +196,17 @@ def test_what_cannot_be_at_constant_pressure_is_refused():
         md.Simulation(system, law, verlet, barostat=bath).probe_reversibility(10)
     with pytest.warns(UserWarning, match="acts every 5 steps"):
         md.Simulation(system, law, verlet, barostat=barostat(temperature=1.0, relaxation_time=0.02)).run(5, progress=False)
+
+
+def test_a_scene_has_a_barostat_in_bar(tmp_path, monkeypatch):
+    from minimd.scene import load_scene, run_scene
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "npt.toml").write_text(SCENE)
+    lines = []
+    simulation = run_scene(load_scene("npt.toml"), tell=lines.append, progress=False)
+    assert simulation.barostat.pressure == pytest.approx(50.0 * md.units.BAR)
+    assert "barostat" in "\n".join(lines)
+    resumed = md.Simulation.resume("npt.h5md")
+    assert resumed.barostat == simulation.barostat
+    assert np.array_equal(resumed.system.cell.vectors, simulation.system.cell.vectors)

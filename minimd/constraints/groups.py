@@ -98,7 +98,7 @@ class Networks:
 
     def offsets(self) -> list[Floats]:
         """All arrays (…, 3) of lattice translations that its solvers read."""
-        return [self.bonds.offsets, *(one.offsets for one in self.known if isinstance(one, Molecules))]
+        return [self.bonds.offsets, *(one.offsets.reshape(-1, 3) for one in self.known if isinstance(one, Molecules))]
 
     def check(self, positions: Floats) -> None:
         """ValueError if a constraint depends on the others."""

@@ -14,7 +14,8 @@ from minimd.integrators.splitting.state import Bath
 from minimd.structure.cell import Cell
 from minimd.structure.checks import shown
 from minimd.structure.errors import RangeError
-from minimd.structure.observables import Array, kinetic_energy
+from minimd.structure.observables import Array, kinetic_energy, momentum, momentum_flux
+from minimd.structure.strain import strained
 from minimd.structure.system import System
 
 LARGEST_STRAIN = 0.2  # of the cell at once: what strains it more is no slow bath
@@ -94,12 +95,12 @@ class CellRescaling:
         return float(found)
 
     def advance(self, engine: Any, n_steps: int, with_energy: bool) -> int:
-        """See Engine.advance.  engine : it has advance_in_cell, which makes steps in a constant cell."""
+        """See Engine.advance.  engine : an Engine, of which this is a part."""
         done, every = 0, self.barostat.every
         while done < n_steps:
             wanted = min(n_steps - done, every - (engine.step + done) % every)
             is_due = (engine.step + done + wanted) % every == 0
-            made = engine.advance_in_cell(wanted, is_due or (with_energy and done + wanted == n_steps), done)
+            made = engine.advance(wanted, is_due or (with_energy and done + wanted == n_steps), done)
             done += made
             if is_due and made == wanted:
                 self.apply(engine, engine.step + done + engine.noise_shift)
@@ -144,11 +145,10 @@ class CellRescaling:
         if self._molecules is not None:
             virial = virial - self._inner_virial()
             moving, masses = self._molecules.centers(moving), self._molecules.masses
+        tensor = momentum_flux(moving, masses) + 0.5 * (virial + virial.T)
         if bath.conserves_momentum:
-            moving = moving - np.einsum("i,ia->a", masses, moving) / masses.sum()
-        tensor = np.einsum("ia,ib->ab", masses[:, None] * moving, moving) + 0.5 * (virial + virial.T)
-        if bath.conserves_momentum:
-            tensor = tensor + thermal * np.eye(3)
+            total = momentum(moving, masses)
+            tensor += thermal * np.eye(3) - np.outer(total, total) / masses.sum()
         tensor = tensor if back is None else back @ tensor @ back.T
         energy = kinetic_energy(system.velocities, system.masses) + self._interactions.potential_energy
         return Scene(tensor / volume, volume, energy, thermal)
@@ -167,15 +167,16 @@ class CellRescaling:
         if self.barostat.coupling == "triclinic":
             vectors, rotation = turned_back(before.vectors, vectors)
         cell = before.strained(vectors)
-        drift = np.einsum("i,ia->a", system.masses, system.velocities) / system.masses.sum() if bath.conserves_momentum else np.zeros(3)
-        velocities, inverse = system.velocities - drift, np.asarray(np.linalg.inv(stretch))
+        drift = momentum(system.velocities, system.masses) / system.masses.sum() if bath.conserves_momentum else np.zeros(3)
+        inverse = np.asarray(np.linalg.inv(stretch))
         if self._molecules is None:
-            positions, velocities = np.einsum("ij,jk->ik", system.positions, stretch), np.einsum("ij,jk->ik", velocities, inverse)
+            turned = np.eye(3) if rotation is None else rotation
+            strained(system.positions, stretch @ turned, system.positions)
+            strained(system.velocities, inverse @ turned, system.velocities, drift - drift @ inverse @ turned)
         else:
-            positions, velocities = self._moved_molecules(stretch, velocities, inverse, cell, rotation)
-        if rotation is not None and self._molecules is None:
-            positions, velocities = np.einsum("ij,jk->ik", positions, rotation), np.einsum("ij,jk->ik", velocities, rotation)
-        system.positions[:], system.velocities[:], system.cell = positions, velocities + drift, cell
+            positions, velocities = self._moved_molecules(stretch, system.velocities - drift, inverse, cell, rotation)
+            system.positions[:], system.velocities[:] = positions, velocities + drift
+        system.cell = cell
         self._constraints.follow(before, cell)
         return rotation
 

@@ -135,20 +135,17 @@ class Engine:
         kick = next(substep for substep in self.method.sequence() if isinstance(substep, Kick))
         interactions.unit = state.unit = self.method.units([kick])[kick] * self.method.timestep
 
-    def advance(self, n_steps: int, with_energy: bool = True) -> int:
+    def advance(self, n_steps: int, with_energy: bool = True, done: int | None = None) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many. step and time stay as they are.
 
         Blocks of any size have the same bits as one, if nothing is changed in between.
+        done : given by a barostat that acts between the steps: how many of them it has made since step.
 
         Raises NonFiniteError, ConstraintError if a step fails; the state is then invalid, and a snapshot must be restored.
         """
-        if self._rescaling is not None:
+        if self._rescaling is not None and done is None:
             return self._rescaling.advance(self, n_steps, with_energy)
-        return self.advance_in_cell(n_steps, with_energy)
-
-    def advance_in_cell(self, n_steps: int, with_energy: bool, done: int = 0) -> int:
-        """See advance; without the barostat.  done : steps made since step."""
-        self._bath.step, self._bath.contact = self.step + done + self.noise_shift, 0
+        self._bath.step, self._bath.contact = self.step + (done or 0) + self.noise_shift, 0
         return self.method.advance(self._state, self._compute_forces, n_steps, with_energy, self.surroundings, self.interactions.march)
 
     def _compute_forces(self, state: State, with_energy: bool) -> None:

@@ -17,6 +17,7 @@ from minimd.neighbors.clusters import DIMENSIONS, any_moved_from_clusters, gathe
 from minimd.neighbors.domains import SIDES, Layout, make_domains, make_ghosts
 from minimd.neighbors.verlet_list import VerletList, partners
 from minimd.structure.cell import Cell
+from minimd.structure.strain import strained
 
 ENTRIES_GUESSED = 12  # for each atom, at first
 GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of the scene to the other
@@ -115,8 +116,8 @@ class ClusterList(VerletList):
     def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
         positions, shifts = self._blocks(self.clusters.positions), self.ghosts.shift[: self.n_ghosts]
         self._original = positions.copy() if self._original is None else self._original
-        positions[:] = np.einsum("kil,ij->kjl", self._original, strain)
-        before.follow(cell, self._blocks(self.clusters.offsets).transpose(0, 2, 1))
+        strained(self._original, strain, positions)
+        before.follow(cell, self._blocks(self.clusters.offsets))
         before.follow(cell, shifts)
         if self._is_mixed:
             self.memory.shift[: self.n_ghosts] = np.rint(shifts / self.memory.unit)

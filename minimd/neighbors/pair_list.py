@@ -10,6 +10,7 @@ from minimd.neighbors.buffers import SPARE
 from minimd.neighbors.search import bins_of, find_pairs
 from minimd.neighbors.verlet_list import VerletList, any_moved, partners, starts
 from minimd.structure.cell import Cell
+from minimd.structure.strain import strained
 from minimd.structure.system import System, number_density
 
 MOST_PAIRS = 2**30  # 8 bytes each
@@ -49,7 +50,7 @@ class PairList(VerletList):
 
     def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
         self._original = self._reference.copy() if self._original is None else self._original
-        self._reference[:] = np.einsum("ij,jk->ik", self._original, strain)
+        strained(self._original, strain, self._reference)
         before.follow(cell, self.offsets)
         before.follow(cell, self.pairs.translations)
         self.limit2 = self._limit2(self.skin)

@@ -12,6 +12,7 @@ from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.machine import EPS
 from minimd.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers, shown
 from minimd.structure.display import Displayed, Rows, as_text
+from minimd.structure.strain import follow_lattice
 
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
@@ -113,9 +114,8 @@ class Cell(Displayed):
         return positions - np.where(self.pbc, cells, 0.0) @ full
 
     def follow(self, cell: Cell, translations: NDArray[np.float64]) -> None:
-        """Lattice vectors (…, 3) of this cell become, in place, the same multiples of the vectors of another cell."""
-        counts = np.rint(np.einsum("...i,ij->...j", translations, np.linalg.inv(self.vectors)))
-        translations[:] = np.einsum("...i,ij->...j", counts, cell.vectors)
+        """Lattice vectors, (n, 3) or in blocks (n, 3, m), become in place the same multiples of the vectors of another cell."""
+        follow_lattice(translations, self.vectors, cell.vectors)
 
     def same_as(self, other: Cell) -> bool:
         """True if vectors and periodicity are equal to the last bit."""

@@ -79,6 +79,17 @@ def momentum(velocities, masses, step=0.0):
 
 
 @kernel
+def momentum_flux(velocities, masses):
+    """Σ m v ⊗ v [energy], (3, 3)."""
+    flux = np.zeros((3, 3))
+    for i in range(masses.size):
+        for a in range(3):
+            for b in range(3):
+                flux[a, b] += masses[i] * velocities[i, a] * velocities[i, b]
+    return flux
+
+
+@kernel
 def absolute_momentum(velocities, masses):
     """Σ |m v| [mass length/time]: the scale against which a change of the total momentum is seen."""
     total = 0.0

@@ -69,6 +69,7 @@ class Field(OwnField):
         warning = next((words for one in tried if (words := one.repeats(system))), "")
         term = FieldTerm(atoms, self.law, columns, warning=warning)
         term.depends_on_time = any(one.is_timed for one in tried)
+        term.fits_grid = not term.depends_on_time  # its work is no whole number of steps
         return term
 
 

@@ -72,10 +72,39 @@ def scales(atoms, cutoff):
 FORMS = {"shifted": {}, "charmm": {"smooth": True}}
 
 
-@pytest.mark.parametrize("truncation", FORMS)
-@settings(max_examples=220)
-@given(atoms=scenes(), cutoff=st.floats(1.31, 3.0), start=st.floats(0.4, 0.95))
+LAWS = pytest.mark.parametrize("truncation", FORMS), given(atoms=scenes(), cutoff=st.floats(1.31, 3.0), start=st.floats(0.4, 0.95))
+LISTS = given(atoms=scenes(), cutoff=st.floats(1.31, 3.0))
+
+
+@LAWS[0]
+@settings(max_examples=50)
+@LAWS[1]
 def test_lennard_jones_is_that_of_ase(truncation, atoms, cutoff, start):
+    assert_law_of_ase(truncation, atoms, cutoff, start)
+
+
+@pytest.mark.slow
+@LAWS[0]
+@settings(max_examples=220)
+@LAWS[1]
+def test_lennard_jones_is_that_of_ase_in_many_cells(truncation, atoms, cutoff, start):
+    assert_law_of_ase(truncation, atoms, cutoff, start)
+
+
+@settings(max_examples=40)
+@LISTS
+def test_neighbor_list_is_that_of_ase(atoms, cutoff):
+    assert_list_of_ase(atoms, cutoff)
+
+
+@pytest.mark.slow
+@settings(max_examples=150)
+@LISTS
+def test_neighbor_list_is_that_of_ase_in_many_cells(atoms, cutoff):
+    assert_list_of_ase(atoms, cutoff)
+
+
+def assert_law_of_ase(truncation, atoms, cutoff, start):
     cutoff *= SIGMA
     start = start * cutoff if truncation == "charmm" else None
     reference = LennardJones(sigma=SIGMA, epsilon=EPSILON, rc=cutoff, ro=start, **FORMS[truncation])
@@ -88,9 +117,7 @@ def test_lennard_jones_is_that_of_ase(truncation, atoms, cutoff, start):
         assert np.abs(calculator.results[name] - expected).max() <= RELATIVE * size[name], name
 
 
-@settings(max_examples=150)
-@given(atoms=scenes(), cutoff=st.floats(1.31, 3.0))
-def test_neighbor_list_is_that_of_ase(atoms, cutoff):
+def assert_list_of_ase(atoms, cutoff):
     i, j, d, vectors, shifts = md.neighbor_list("ijdDS", system_from_atoms(atoms), cutoff * SIGMA)
     expected = ase.neighborlist.neighbor_list("ijdDS", atoms, cutoff * SIGMA)
     pairs, expected_pairs = (

@@ -68,10 +68,10 @@ def sound(tmp_path_factory):
 
 
 def test_damaged_files_end_in_a_sentence_or_a_right_result(sound):
-    """Each way once, with one command."""
-    counts = check_seeds(sound, range(len(WAYS)), commands_of_one)
-    assert counts[SENTENCE] > len(WAYS) // 3
-    assert counts[RIGHT] > 1
+    """Every third way once, with one command."""
+    counts = check_seeds(sound, range(0, len(WAYS), 3), commands_of_one)
+    assert counts[SENTENCE] > len(WAYS) // 9
+    assert counts[RIGHT] > 0
 
 
 def commands_of_one(name, seed):

@@ -165,7 +165,7 @@ def assert_survives_kills(scene, every_kth, folder, monkeypatch):
 
 
 def test_a_run_killed_at_some_writes_goes_on_to_the_same_bits(tmp_path, monkeypatch):
-    assert_survives_kills(rigid, 29, tmp_path, monkeypatch)
+    assert_survives_kills(rigid, 58, tmp_path, monkeypatch)
 
 
 @pytest.mark.slow

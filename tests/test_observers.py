@@ -303,6 +303,7 @@ def test_what_cannot_be_observed_is_refused_in_a_sentence():
     sim = simulation()
     for bad, message in (
         (lambda: sim.run(1, observers=[3]), "observers must be a list of functions"),
+        (lambda: sim.run(1, observers=[observers.Profile]), "observers must be a list of functions"),
         (lambda: sim.run(1, observers=[observers.Profile(), observers.Profile()]), "'profile' is that of several"),
         (lambda: observers.Profile().result(), "has not looked yet"),
         (lambda: observers.RadialDistribution(every=0), "every must be a whole number"),

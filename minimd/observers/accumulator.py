@@ -44,7 +44,8 @@ class Scene:
     def of(cls, engine: Engine, every: int) -> Scene:
         """The scene of an engine."""
         system, parameters = engine.system, engine.method.parameters
-        baths = (float(parameters.get(name, np.nan)) for name in ("temperature", "pressure"))
+        kept = (parameters.get(name) for name in ("temperature", "pressure"))
+        baths = [float(one) if isinstance(one, int | float) else np.nan for one in kept]
         numbers = np.bincount(system.species_index, minlength=len(system.species_names)).tolist()
         return cls(system.units.name, [str(one) for one in system.species_names], numbers, every * engine.method.timestep, engine.n_dof, *baths)
 

@@ -19,7 +19,7 @@ class Attached:
     """
 
     def __init__(self, observers: Any, engine: Engine) -> None:
-        if not isinstance(observers, list | tuple) or not all(isinstance(one, Accumulator) or callable(one) for one in observers):
+        if not isinstance(observers, list | tuple) or not all(_is_observer(one) for one in observers):
             kinds = "a list of functions of a simulation, and of observers such as md.observers.RadialDistribution()"
             raise TypeError(f"observers must be {kinds}; observers = {shown(observers)}")
         self.accumulators: Sequence[Accumulator] = [one for one in observers if isinstance(one, Accumulator)]
@@ -51,3 +51,8 @@ class Attached:
         for one in self.accumulators:
             if self._engine.step % one.every == 0:
                 one.observe(self._engine)
+
+
+def _is_observer(one: Any) -> bool:
+    """Whether it can look at a run; a class of observers cannot, its objects can."""
+    return isinstance(one, Accumulator) or (callable(one) and not (isinstance(one, type) and issubclass(one, Accumulator)))

@@ -142,8 +142,8 @@ def test_a_journal_without_room_ends_the_call_with_a_sentence(done, tmp_path, mo
 
 
 def told(folder, words):
-    """The lines of the status, as soon as they have these words; after five seconds as they are."""
-    end = time.monotonic() + 5.0
+    """The lines of the status, as soon as they have these words; after a minute as they are."""
+    end = time.monotonic() + 60.0
     while words not in (lines := "\n".join(status(folder)[1])) and time.monotonic() < end:
         time.sleep(0.01)
     return lines

@@ -46,6 +46,7 @@ temperature_K = 94.4
 pressure_bar = 50.0
 compressibility_per_bar = 2e-4
 relaxation_time_fs = 1500.0
+every = 25
 """
 SCENES = {"pair list": lambda: step_scenes.fcc(1.7), "bonds": step_scenes.bead_melt, "dumbbells": wrapped_dumbbells}
 

@@ -227,7 +227,7 @@ class BarostatSection(Section):
     compressibility: Annotated[Positive, Dimension("compressibility")]
     relaxation_time: Annotated[Positive, Dimension("time")]
     coupling: Annotated[str, one_of(COUPLINGS)] = "isotropic"
-    every: PositiveInt = 20
+    every: PositiveInt = 50
     seed: NonNegativeInt = 1
 
     def barostat(self, temperature: float) -> StochasticCellRescaling:

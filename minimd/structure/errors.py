@@ -16,7 +16,8 @@ class NonFiniteError(ArithmeticError):
 
 
 class RangeError(NonFiniteError):
-    """A force, a momentum or a position has left the range of fixed-point numbers. Nothing has wrapped round."""
+    """A force, a momentum or a position has left the range of fixed-point numbers, and nothing has wrapped round; or a barostat would strain a
+    cell too much at once."""
 
 
 class ConstraintError(ArithmeticError):

@@ -64,11 +64,11 @@ class StochasticCellRescaling(Displayed):
     ----------
     pressure : P₀ [energy/length³].
     compressibility : β, isothermal [length³/energy]; roughly known is enough, since only β/τ counts: 4.6e-5 bar⁻¹ for water.
-    relaxation_time : τ of the volume, > 0 [time]; at least 10 nΔt.
+    relaxation_time : τ of the volume, > 0 [time]; at least 10 nΔt. With one free axis the volume takes three times as long.
     seed : int ≥ 0 of the noise, below 2¹²⁸.
     temperature : T ≥ 0; that of the thermostat if not given.
     coupling : "isotropic", "triclinic", or axes that change each by itself, such as "z" or "xy".
-    every : n, the number of steps between two strains. Each of them costs about 1.5 steps.
+    every : n, the number of steps between two strains. Each of them costs several steps: two energies and virials, and a break of the march.
 
     Raises
     ------
@@ -83,7 +83,7 @@ class StochasticCellRescaling(Displayed):
     seed: int
     temperature: float | None = None
     coupling: str = "isotropic"
-    every: int = 20
+    every: int = 50
     mask: Array = field(init=False, compare=False)  # of the strains that 𝒫 keeps
 
     def __post_init__(self) -> None:
@@ -119,7 +119,7 @@ class StochasticCellRescaling(Displayed):
         if self.coupling == "isotropic":
             spread = sqrt(0.5 * scene.thermal * self.compressibility * duration / self.relaxation_time)
             larger = 1.0 + (self._drift_of_root(scene, duration) + spread * white[0, 0]) / sqrt(scene.volume)  # λ′/λ
-            return np.eye(3) * (2.0 / 3.0 * log(larger) if larger > 0.0 else -inf)
+            return np.diag(np.full(3, 2.0 / 3.0 * log(larger) if larger > 0.0 else -inf))
         spread = sqrt(2.0 * scene.thermal * self.compressibility * duration / (3.0 * scene.volume * self.relaxation_time))
         return self._drift_of_strain(scene, duration) + spread * self.mask * 0.5 * (white + white.T)
 

@@ -311,7 +311,7 @@ def classes_in(kind: object) -> Iterator[type[Section]]:
 
 def what(name: str, kind: object, limits: list[object]) -> str:
     """The kind of a value, in words."""
-    if name in CHOICES:
+    if name in CHOICES and "list" not in str(kind):  # the axis of a cylinder is a vector
         return " or ".join(f'`"{one}"`' for one in CHOICES[name])
     arguments, origin = typing.get_args(kind), typing.get_origin(kind)
     if origin is typing.Annotated:

@@ -5,6 +5,7 @@ import pytest
 from baths import BUSSI, LANGEVIN, OBABO, SCENE, simulation
 
 import minimd as md
+from minimd.forces.cluster_term import ClusterTerm
 from minimd.analysis.check import check_file
 from minimd.diagnosis.report import drift, drift_of_walk
 from minimd.files.h5md_reader import read_file
@@ -90,7 +91,8 @@ def test_a_resumed_run_meets_the_noise_of_an_uninterrupted_one(method, tmp_path,
     assert abs(whole.reservoir_energy) > 0.1
 
 
-def test_equilibration_and_run_have_different_noise():
+def test_equilibration_and_run_have_different_noise(monkeypatch):
+    monkeypatch.setattr(ClusterTerm, "marches", False)  # thermalize is called at each step
     sim = simulation(LANGEVIN)
     seen = []
     thermalize = sim.method.thermalize
@@ -102,8 +104,9 @@ def test_equilibration_and_run_have_different_noise():
     assert sim.step == 3
 
 
-def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition():
+def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition(monkeypatch):
     """Two of them, and one after a run: none meets the noise of another, or that of the run."""
+    monkeypatch.setattr(ClusterTerm, "marches", False)  # thermalize is called at each step
 
     def steps_of_noise():
         sim, seen = simulation(LANGEVIN), []
@@ -150,7 +153,7 @@ def test_a_file_with_a_bath_is_not_continued_without_and_the_other_way_round(fir
     other = simulation(then)
     other.step = 20
     with pytest.raises(ValueError, match=r"a thermostat, .* would continue it otherwise"):
-        H5MDWriter.append_to(tmp_path / "a.h5md", other)
+        H5MDWriter.append_to(tmp_path / "a.h5md", other.engine)
 
 
 def test_drift_of_a_walk_has_an_honest_error():

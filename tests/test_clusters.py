@@ -139,7 +139,8 @@ def test_rule_which_list_a_scene_gets():
         return type(md.Simulation(system, potential, md.VelocityVerlet(0.001), **options).engine.interactions.terms[0]).__name__
 
     assert kind(liquid(5), md.LennardJones(1.0, 1.0, 2.5)) == "ClusterTerm"
-    assert kind(liquid(2), md.LennardJones(1.0, 1.0, 1.2)) == "PairListTerm"  # few atoms
+    assert kind(liquid(2), md.LennardJones(1.0, 1.0, 1.2)) == "ClusterTerm"
+    assert kind(md.System(liquid(2).positions[:-1], cell=liquid(2).cell), md.LennardJones(1.0, 1.0, 1.2)) == "PairListTerm"  # few atoms
     assert kind(liquid(5), md.LennardJones(1.0, 1.0, 8.4)) == "PairListTerm"  # cell too small
     assert kind(liquid(5), md.PairPotential(soft, (1.0,), 2.5)) == "ClusterTerm"
     assert kind(liquid(5), md.PairPotential(branching, (1.0,), 2.5)) == "PairListTerm"  # cannot run on vectors
@@ -298,8 +299,9 @@ def test_a_build_that_failed_leaves_no_list_behind(monkeypatch):
     clustered, listed = ClusterTerm(system, laws, SKINNED), PairListTerm(system, laws, BARE)
     agree(clustered, listed, system, EQUAL)
     system.positions[:] += np.random.default_rng(1).uniform(-SKIN, SKIN, system.positions.shape)
+    clustered.list._entry_start[-1] = 0  # no room for entries
     with monkeypatch.context() as broken:
-        broken.setattr(ClusterList, "_make_memory", lambda found, exact: (_ for _ in ()).throw(MemoryError))
+        broken.setattr(ClusterList, "_arrange", lambda found: (_ for _ in ()).throw(MemoryError))
         with pytest.raises(MemoryError):
             summed(clustered, system)
     agree(clustered, listed, system, EQUAL)

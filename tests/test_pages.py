@@ -23,6 +23,8 @@ SHORTER = {
     "equilibrate(4000": "equilibrate(100",
     "equilibrate(2000": "equilibrate(100",
     "equilibrate(500": "equilibrate(100",
+    "run(200_000, every=1000": "run(2000, every=1000",
+    "until_step=400_000": "until_step=2500",
     "run(10_000, every=50": "run(200, every=10",
     "run(4000, every=20": "run(200, every=10",
     "run(2000, every=20": "run(200, every=20",

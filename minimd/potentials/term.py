@@ -90,8 +90,11 @@ class Term:
         """Add to the accumulators of Forces: forces, energies and virials; or GridSums, if fits_grid."""
         self.add(system, detail, *sums)
 
-    def prepare(self, system: System, forces: NDArray, steps: Any = ()) -> None:
-        """After add: compile what steps need and looks do not, kernels of add with FORCES and of march. Nothing is added, no list built."""
+    def prepare(self, system: System, forces: NDArray, steps: Any = (), is_alone: bool = True) -> None:
+        """After add: compile what steps need and looks do not, kernels of add with FORCES and of march. Nothing is added, no list built.
+
+        is_alone : whether it is the only term of its scene, and so may march.
+        """
 
     def march(self, system: System, state: Any, cycle: Any, n: int) -> int:
         """What a March does, see integrators.splitting, for a term that is the only one of its scene."""

@@ -99,12 +99,12 @@ class ClusterTerm(OwnTerm):
             raise RangeError(TOO_LARGE)
         state.grid.check_positions(state.positions)
 
-    def prepare(self, system: System, forces: NDArray, steps: Any = ()) -> None:
+    def prepare(self, system: System, forces: NDArray, steps: Any = (), is_alone: bool = True) -> None:
         """See Term."""
         motion = AT_REST._replace(steps=self._steps(steps))
         arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion)
         self._pool.compile(self._evaluate, *arguments, calls=self._calls[FORCES])
-        if self.list.can_be_renewed:
+        if is_alone and self.list.can_be_renewed:
             self._pool.compile(self._march, *self._with_builds(arguments), calls=self._calls[FORCES])
 
     def march(self, system: System, state: State, cycle: Cycle, n: int) -> int:

@@ -206,7 +206,7 @@ class Forces:
             with self._compiling(FORCES):
                 steps = () if self.grid is None else steps_of(self.grid, (self.unit,))
                 for term in self.terms:
-                    term.prepare(self.system, self.forces if self.grid is None else self.impulses, steps)
+                    term.prepare(self.system, self.forces if self.grid is None else self.impulses, steps, len(self.terms) == 1)
 
     def march(self, state: State, cycle: Cycle, n: int) -> int:
         """See March in integrators.splitting; for scenes with one term that can.  Raises as compute."""

@@ -95,8 +95,11 @@ class Term:
         """Add to the accumulators of Forces: forces, energies and virials; or GridSums, if fits_grid."""
         self.add(system, detail, *sums)
 
-    def prepare(self, system: System, forces: NDArray, steps: Any = ()) -> None:
-        """After add: compile what steps need and looks do not, kernels of add with FORCES and of march. Nothing is added, no list built."""
+    def prepare(self, system: System, forces: NDArray, steps: Any = (), is_alone: bool = True) -> None:
+        """After add: compile what steps need and looks do not, kernels of add with FORCES and of march. Nothing is added, no list built.
+
+        is_alone : whether it is the only term of its scene, and so may march.
+        """
 
     def follow(self, system: System) -> bool:
         """After atoms and cell were strained together: True if the term now stands for the strained system, False if it must be bound again."""

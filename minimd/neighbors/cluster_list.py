@@ -98,7 +98,7 @@ class ClusterList(VerletList):
         before.follow(cell, self.ghosts.shift)
         if self._is_mixed:
             self.memory.shift[:] = np.rint(self.ghosts.shift / self.memory.unit)
-        self._use_layers(self._n_layers)
+        self.limit2 = self._limit2(self.skin * self._n_layers / LAYERS)
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         self._original = None

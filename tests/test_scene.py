@@ -83,6 +83,10 @@ def test_argon_potential_has_its_well_at_120_kelvin():
         ("stiffness", "_eV_A2", ELECTRON_VOLT / ANGSTROM**2),
         ("angular stiffness", "_eV_rad2", ELECTRON_VOLT),
         ("angle", "_degree", np.pi / 180),
+        ("pressure", "_bar", 1e5),
+        ("pressure", "_GPa", 1e9),
+        ("compressibility", "_per_bar", 1e-5),
+        ("compressibility", "_per_GPa", 1e-9),
     ],
 )
 def test_every_unit_in_a_key_has_its_size(dimension, ending, si):
@@ -94,6 +98,8 @@ def test_every_unit_in_a_key_has_its_size(dimension, ending, si):
         "density": ATOMIC_MASS / ANGSTROM**3,
         "stiffness": ELECTRON_VOLT / ANGSTROM**2,
         "angular stiffness": ELECTRON_VOLT,
+        "pressure": ELECTRON_VOLT / ANGSTROM**3,
+        "compressibility": ANGSTROM**3 / ELECTRON_VOLT,
     }
     assert KEY_UNITS["ASE"][dimension][ending] * engine.get(dimension, 1.0) == pytest.approx(si, rel=CODATA, abs=0.0)
 

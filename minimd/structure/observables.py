@@ -81,12 +81,12 @@ def momentum(velocities, masses, step=0.0):
 @kernel
 def momentum_flux(velocities, masses):
     """Σ m v ⊗ v [energy], (3, 3)."""
-    flux = np.zeros((3, 3))
+    xx = yy = zz = yz = xz = xy = 0.0
     for i in range(masses.size):
-        for a in range(3):
-            for b in range(3):
-                flux[a, b] += masses[i] * velocities[i, a] * velocities[i, b]
-    return flux
+        x, y, z = velocities[i, 0], velocities[i, 1], velocities[i, 2]
+        xx, yy, zz = xx + masses[i] * x * x, yy + masses[i] * y * y, zz + masses[i] * z * z
+        yz, xz, xy = yz + masses[i] * y * z, xz + masses[i] * x * z, xy + masses[i] * x * y
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 @kernel

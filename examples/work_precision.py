@@ -44,7 +44,7 @@ for k, (name, points) in enumerate(results.items()):
     panel.loglog(*points.T, "o-" if name in methods else "s--", color=f"C{k}", ms=5)
     beside = (-30, -16) if name.startswith("Kahan") else (8, -4)
     panel.annotate(name, points[-1], beside, textcoords="offset points", color=f"C{k}", annotation_clip=False)
-panel.set(xlabel="evaluations of the force per period", ylabel="error at the end / semi-axis", ylim=(1e-6, 5), title="methods and their orders")
+panel.set(xlabel="evaluations of the force per period", ylabel="error at the end / semi-axis", ylim=(5e-7, 5), title="methods and their orders")
 panel.spines[["top", "right"]].set_visible(False)
 figure.savefig("work_precision.png", dpi=150)
 candy, best = (results[name][-1, 1] for name in ("Candy-Rozmus, 4", "Blanes-Moan, 4"))

@@ -54,7 +54,7 @@ def escape_bars(_app: object, name: str, source: list[str]) -> None:
     """For Sphinx' event source-read: |v| in the prose of a script is the length of v, and no substitution of reStructuredText."""
     if name.startswith(("gallery/", "course/")):
         lines = source[0].split("\n")
-        prose = (line[:1] not in (" ", ".", "") and "``" not in line and ":math:" not in line for line in lines)
+        prose = (line[:1] not in (" ", ".", "|", "") and "``" not in line and ":math:" not in line for line in lines)
         source[0] = "\n".join(re.sub(r"(?<!\\)\|", r"\|", line) if is_prose else line for line, is_prose in zip(lines, prose, strict=True))
 
 

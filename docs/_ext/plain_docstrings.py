@@ -7,6 +7,7 @@ SECTION = re.compile(r"^(Parameters|Attributes|Returns|Raises|Yields|Notes)\n-+\
 ENTRY = re.compile(r"^(?P<names>\*{0,2}[A-Za-z_][\w.]*(?:, \*{0,2}[A-Za-z_][\w.]*)*) : ")
 BETWEEN_ENTRIES = re.compile(r"(?<=[.;])  +(?=[A-Za-z_][\w.]*(?:, [A-Za-z_][\w.]*)* : )")
 ALIGNED = re.compile(r"\S {3,}\S")  # columns: a formula and its name
+INITIAL = re.compile(r"^(?:[A-Za-z]\.|\([A-Za-z]\))(?= |$)")  # of a name; reStructuredText would take it for the letter of a list
 BETWEEN_SECTIONS = re.compile(r"\n\s*\n")
 
 
@@ -34,7 +35,7 @@ def entries(lines: list[str]) -> Iterator[str]:
             yield from (escaped(line), "")
     for names, *text in found:
         yield ", ".join(f"``{name}``" for name in names.split(", "))
-        yield f"    {escaped(' '.join(text))}"
+        yield "    " + INITIAL.sub(r"\\\g<0>", escaped(" ".join(text)))
         yield ""
 
 
@@ -50,7 +51,7 @@ def _block(block: str) -> Iterator[str]:
         yield from (re.sub(r"^(\s*(?:[-*] |\d+\. )?)(.*)$", lambda m: m[1] + escaped(m[2]), line) for line in lines)
         yield ""
     else:
-        yield from (*(escaped(line) for line in lines), "")
+        yield from (INITIAL.sub(r"\\\g<0>", escaped(lines[0])), *(escaped(line) for line in lines[1:]), "")
 
 
 def as_rst(text: str) -> list[str]:

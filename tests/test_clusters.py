@@ -34,6 +34,7 @@ POTENTIALS = SMOOTH | {
     "shifted, exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, bonded_scale=(0.0, 0.3, 0.8))],
     "two laws": [md.LennardJones(1.0, 1.0, 1.6), md.PairPotential(soft, (3.0,), CUTOFF)],
 }
+ALIKE = ("cutoffs by pair", "shifted", "shifted, exclusions", "two laws")  # to the kernel these are combinations of the others
 
 
 def both_lists(system, potentials, options=SKINNED):
@@ -41,7 +42,7 @@ def both_lists(system, potentials, options=SKINNED):
     return ClusterTerm(system, laws, options), PairListTerm(system, laws, BARE)
 
 
-@pytest.mark.parametrize("name", POTENTIALS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in ALIKE else ()) for name in POTENTIALS])
 @given(system=scenes(), seed=st.integers(0, 2**32 - 1), atoms=st.sampled_from([5, 40, 800]))
 @settings(max_examples=40)
 def test_clusters_and_pairs_are_the_same_physics(name, system, seed, atoms):

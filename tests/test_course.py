@@ -34,7 +34,7 @@ def run(text, folder, name, capsys):
 
 
 @pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
-@pytest.mark.parametrize("name", LESSONS)
+@pytest.mark.parametrize("name", [LESSONS[0], *(pytest.param(name, marks=pytest.mark.slow) for name in LESSONS[1:])])
 def test_lesson_runs(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     told = run(shortened(name), tmp_path, name, capsys)

@@ -32,7 +32,7 @@ def run_shortened(name, folder):
     runpy.run_path(str(folder / name), run_name="__main__")
 
 
-LONG = ("ensemble_checks.py", "timestep_gain.py")  # a quarter of a minute each, on a quiet core
+LONG = ("ensemble_checks.py", "timestep_gain.py", "precision.py", "to_the_last_bit.py", "viscosity.py")  # some with kernels of their own
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in SCRIPTS if name not in RUN_BELOW])

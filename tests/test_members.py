@@ -153,7 +153,7 @@ def test_fewer_members_are_a_part_of_the_table(done, tmp_path):
     assert len(json.loads((tmp_path / "ensemble.json").read_text())["parameters"]["temperature"]) == 4
 
 
-@pytest.mark.parametrize("k", [3, 7, 12, 20, 25, 31])
+@pytest.mark.parametrize("k", [7, 25, *(pytest.param(k, marks=pytest.mark.slow) for k in (3, 12, 20, 31))])
 def test_a_process_that_is_killed_anywhere_leaves_what_the_next_call_goes_on_with(k, done, tmp_path, monkeypatch):
     monkeypatch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
     assert killed_at(k, lambda: run(tmp_path)) is None

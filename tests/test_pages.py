@@ -35,6 +35,7 @@ SHORTER = {
     '"melt", 1000, processes=2': '"melt", 40, processes=1',
     "probe_reversibility(200)": "probe_reversibility(50)",
 }
+LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md")  # many kernels; the same code in shorter tests
 WITH_CODE = [path for path in PAGES if "```python\n" in path.read_text(encoding="utf-8") and path.name not in ELSEWHERE]
 
 
@@ -46,7 +47,7 @@ def name_of(path):
     return path.relative_to(DOCS).as_posix()
 
 
-@pytest.mark.parametrize("page", WITH_CODE, ids=name_of)
+@pytest.mark.parametrize("page", [pytest.param(path, marks=pytest.mark.slow if path.name in LONG else (), id=name_of(path)) for path in WITH_CODE])
 def test_the_code_of_the_page_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     if page.name == "lammps.md":

@@ -133,7 +133,7 @@ def test_an_observer_that_heats_is_no_runaway():
     assert record.kinetic_energy.max() > 1e4 * abs(record.total_energy[0])
 
 
-@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize("precision", ["double", pytest.param("mixed", marks=pytest.mark.slow)])
 def test_a_cell_that_changes_in_an_observer_is_followed(precision):
     """Grown and shrunk across all kinds of lists: the forces are those of a fresh scene."""
     sizes = iter([7.0, 5.1, 3.0, 30.0, 5.04])
@@ -184,7 +184,7 @@ def test_a_law_that_does_not_compile_is_told():
         assert "Failed in nopython" not in str(caught.value).splitlines()[0] or "does not compile" in str(caught.value)
 
 
-@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize("precision", ["double", pytest.param("mixed", marks=pytest.mark.slow)])
 def test_species_without_interaction_fly_through(precision):
     ghosts = md.LennardJones({"A": (1.0, 1.0), "B": (0.0, 1.0)}, cutoff=2.5, truncation="force-shifted")
     start = solid(4, species=["A", "B"] * 128)

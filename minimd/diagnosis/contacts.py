@@ -124,7 +124,7 @@ def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass:
     elif isinstance(potential.law, HarmonicLaw):
         rest, length = numbers
     kind = type(potential).__name__, isinstance(potential, BondPotential), is_user_law(potential.law) or reads_table(potential.law)
-    frequencies = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
+    frequency, at_rest = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
     deeper, pull = law_at(potential.law, 0.5 * r, numbers)
     sinks = scale > 0.0 and f < 0.0 and pull < 0.0 and deeper < u and not kind[1]
-    return Contact(first, second, *kind, r, r / length if length else None, scale * u, scale * f * r, *frequencies, bool(sinks))
+    return Contact(first, second, *kind, r, r / length if length else None, scale * u, scale * f * r, frequency, at_rest, bool(sinks))

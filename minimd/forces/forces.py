@@ -224,8 +224,7 @@ class Forces:
             with announce_compilation():
                 yield
         except NumbaError as error:
-            laws = ", ".join(repr(potential) for potential in self.potentials)
-            reason = why_not_compiled(str(error))
+            laws, reason = ", ".join(map(repr, self.potentials)), why_not_compiled(str(error))
             raise TypeError(f"a law among {laws} does not compile; laws are arithmetic on numbers, as numba.njit takes it: {reason}") from error
         self._compiled.add(detail)
 

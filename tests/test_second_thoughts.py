@@ -94,9 +94,10 @@ temperature = 1.0
 
 def test_scenes_that_differ_in_what_matters_are_told_apart():
     one = parse_scene(SCENE, "a.toml")
-    assert differences(one, parse_scene(SCENE.replace("steps = 10", "steps = 20"), "b.toml")) == []
+    assert differences(one, parse_scene(SCENE + "\n# the same", "b.toml")) == []
+    assert differences(one, parse_scene(SCENE.replace("steps = 10", "steps = 20"), "b.toml")) == ["dynamics.steps: 10 before, 20 now"]
     other = parse_scene(SCENE.replace("sigma = 1.0", "sigma = 0.9").replace("0.004", "0.002"), "b.toml")
-    assert differences(one, other) == ["dynamics.timestep", "potential"]
+    assert differences(one, other) == ["potential[0].sigma: 1.0 before, 0.9 now", "dynamics.timestep: 0.004 before, 0.002 now"]
 
 
 def test_velocities_of_a_scene_are_drawn_behind_its_minimization(tmp_path, monkeypatch):

@@ -51,6 +51,7 @@ class Calculator(ASECalculator):
         threads: int | None = None,
         precision: Precision = "double",
     ) -> None:
+        """Potentials of minimd for ASE; see the class. ASE's arguments restart, label, directory and atoms do not exist."""
         super().__init__()
         self._plan: tuple[Atoms, Forces] | None = None
         self.potentials, self.bonds, self.options = potentials, bonds, Options(threads, precision, skin)

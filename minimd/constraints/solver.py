@@ -63,6 +63,9 @@ class ConstraintSolver:
         self.n_constraints = sum(group.n_constraints for group in self.groups)
         self.iterations = 0  # largest number of any drift so far
 
+    def __repr__(self) -> str:
+        return f"ConstraintSolver({len(self.lengths)} lengths: {self.summary}; kept to {self.tolerance:.1g})"
+
     @property
     def summary(self) -> str:
         """The constraints, for a report."""

@@ -32,6 +32,7 @@ class Contact:
     distance : r [length], of the nearest image.  ratio : r/σ, or r/r₀ of a harmonic bond; None where the law has no length of its own.
     energy, force : u(r), −u′(r) [energy], [energy/length]; positive where the pair repels.  frequency : √(u″/μ) [1/time], None where u″ ≤ 0.
     rest_frequency : √(u″/μ) at the minimum [1/time], of Lennard-Jones pairs and harmonic bonds; None of others.
+    sinks : whether the pair attracts, and the law falls on down to half the distance: nothing keeps its atoms apart.
     """
 
     first: int
@@ -45,6 +46,7 @@ class Contact:
     force: float
     frequency: float | None
     rest_frequency: float | None
+    sinks: bool = False
 
     @property
     def is_finite(self) -> bool:
@@ -122,5 +124,7 @@ def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass:
     elif isinstance(potential.law, HarmonicLaw):
         rest, length = numbers
     kind = type(potential).__name__, isinstance(potential, BondPotential), is_user_law(potential.law) or reads_table(potential.law)
-    frequencies = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
-    return Contact(first, second, *kind, r, r / length if length else None, scale * u, scale * f * r, *frequencies)
+    frequency, at_rest = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
+    deeper, pull = law_at(potential.law, 0.5 * r, numbers)
+    sinks = scale > 0.0 and f < 0.0 and pull < 0.0 and deeper < u and not kind[1]
+    return Contact(first, second, *kind, r, r / length if length else None, scale * u, scale * f * r, frequency, at_rest, bool(sinks))

@@ -191,6 +191,17 @@ def unstable_bond(evidence: Evidence) -> Verdict | None:
     return Verdict("bond", stiffest, cause, f"{evidence.recommended}; or hold the bond rigid")
 
 
+def bottomless_law(evidence: Evidence) -> Verdict | None:
+    """A law that attracts ever more strongly the closer two atoms come."""
+    pair = evidence.strongest
+    if pair is None or not pair.sinks:
+        return None
+    units = evidence.system.units
+    fall = f"u = {pair.energy:.3g} {units.energy} there, and less at shorter distances: they fall into each other"
+    cause = f"the law of {pair.law} attracts {pair.atoms}, {pair.apart(units.length)}; {fall}"
+    return Verdict("law", pair, cause, "give the law a repulsive core; a shorter timestep does not help")
+
+
 def too_hot(evidence: Evidence) -> Verdict | None:
     """Atoms that were too fast before anything had gone wrong, all or one of them."""
     pairs = [one for one in evidence.found if one.ratio and not one.is_bond]
@@ -237,7 +248,15 @@ def _long_for_a_mode(evidence: Evidence) -> Verdict | None:
     return Verdict("step", None, f"timestep {evidence.shown_timestep} too large: {where}", evidence.recommended)
 
 
-RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (law_without_number, overlap_at_start, broken_constraint, unstable_bond, too_hot, long_step)
+RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (
+    law_without_number,
+    overlap_at_start,
+    broken_constraint,
+    unstable_bond,
+    bottomless_law,
+    too_hot,
+    long_step,
+)
 
 
 def _is_overlap(contact: Contact) -> bool:

@@ -20,6 +20,7 @@ INDEPENDENT = 4.0  # entries, below which a series is too short to judge
 LARGEST_RANGE = 0.5  # of the kinetic energy
 RANGE_OF_ROUNDING = 1e-11  # of the potential energy
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
+AT_REST = 1e-20  # of the potential energy, kinetic energy below which velocities are what rounding of forces leaves: its square
 QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
@@ -166,6 +167,7 @@ class Report(Displayed):
     temperatures : means of the first and of the last fifth of the run.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
     lines : results that need no run: see diagnosis.static_checks.
+    is_at_rest : whether nothing moves but by rounding. Momenta have no scale then beside which a change could be judged.
     """
 
     energy_drift: Drift
@@ -190,6 +192,7 @@ class Report(Displayed):
     temperatures: tuple[float, float] = (0.0, 0.0)
     not_finite: str = ""
     temperature_error: float = np.nan
+    is_at_rest: bool = False
 
     @property
     def energy_is_conserved(self) -> bool | None:
@@ -223,12 +226,13 @@ class Report(Displayed):
     @property
     def momentum_is_conserved(self) -> bool:
         """True if the change is what rounding explains, which adds up like a random walk, or if the momentum is no constant."""
-        return not self.not_finite and (self.momentum_change or 0.0) < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        return not self.not_finite and (self.is_at_rest or (self.momentum_change or 0.0) < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5))
 
     @property
     def angular_momentum_is_conserved(self) -> bool:
         """Likewise."""
-        return not self.not_finite and (self.angular_momentum_change or 0.0) < ANGULAR_MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        kept = ANGULAR_MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        return not self.not_finite and (self.is_at_rest or (self.angular_momentum_change or 0.0) < kept)
 
     @property
     def is_settling(self) -> bool:
@@ -254,8 +258,8 @@ class Report(Displayed):
             tell("", f"oscillation {self.shadow_oscillation:.2e} {per}")
         if self.momentum_change is not None:
             change = f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}"
-            tell("momentum", change if self.momentum_change else "exactly constant")
-        if self.angular_momentum_change is not None:
+            tell("momentum", "rounding alone: the atoms are at rest" if self.is_at_rest else change if self.momentum_change else "exactly constant")
+        if self.angular_momentum_change is not None and not self.is_at_rest:
             tell("ang. momentum", f"change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {KEPT[self.angular_momentum_is_conserved]}")
         if self.constraint_violation is not None:
             said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
@@ -294,6 +298,8 @@ class Report(Displayed):
         if self.n_frames < FEW:
             return f"{self.n_frames} frame{'s are' if self.n_frames > 1 else ' is'} too few to judge the energy; observe more often"
         energy = self._energy_verdict
+        if self.is_at_rest:
+            return f"{energy}; the atoms are at rest: set_temperature gives them velocities."
         if self.momentum_change is None:
             return f"{energy}; momentum is not a constant here."
         if self.momentum_is_conserved:
@@ -337,6 +343,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         temperatures=(float(record.temperature[:fifth].mean()), float(record.temperature[-fifth:].mean())),
         not_finite=_not_finite(record),
         temperature_error=mean_and_error(record.temperature)[1],
+        is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * np.abs(record.potential_energy).max()),
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())),
     )
 

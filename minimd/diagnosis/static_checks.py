@@ -37,14 +37,15 @@ def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
             continue
         rows = potential.table(system.species_names).reshape(-1, potential.table(system.species_names).shape[-1])
         jumps = [_jumps(potential.law, float(row[0]) ** 0.5, tuple(row[1:].tolist())) for row in rows]
-        energy, force = (max(jump[k] for jump in jumps) for k in (0, 1))
+        (energy, at), (force, there) = (max((jump[k], float(row[0]) ** 0.5) for jump, row in zip(jumps, rows, strict=True)) for k in (0, 1))
         energy_jumps, force_jumps = (any(jump[k] > CONTINUOUS * jump[k + 2] for jump in jumps) for k in (0, 1))
         verdict = "energy and force are continuous"
         if energy_jumps:
             verdict = "THE ENERGY JUMPS, so that it is not conserved; shift or smooth it"
         elif force_jumps:
             verdict = "the energy is continuous, the force jumps; smooth it for methods of order above 2"
-        words = f"energy {energy:.1e} {units.energy}, force {force:.1e} {units.energy}/{units.length} at {potential.cutoff:g} {units.length}"
+        where = "" if at == there or energy == 0.0 else f" at {at:g} {units.length}"
+        words = f"energy {energy:.1e} {units.energy}{where}, force {force:.1e} {units.energy}/{units.length} at {there:g} {units.length}"
         yield Line("cutoff jump", words, verdict, not energy_jumps)
 
 

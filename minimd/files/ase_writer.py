@@ -7,7 +7,7 @@ from ase.io.trajectory import TrajectoryWriter
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.claim import Claim
-from minimd.structure.ase_atoms import atoms_from_system, calculators_stress
+from minimd.structure.ase_atoms import atoms_from_system, calculators_stress, label_by_tags
 
 
 class ASEWriter:
@@ -15,7 +15,7 @@ class ASEWriter:
 
     Each frame holds positions (not wrapped), momenta, masses, cell, constraints (.traj: all, but no lengths; else fixed atoms), bonds and
     angles as texts (not .traj), the potential energy as that of a calculator, forces if they are to be stored, the stress if it is observed,
-    and step and time in info.
+    and step and time in info. Species that are no elements are labels, in .traj names in info that the tags of the atoms number.
 
     claim : on the file, which appears with its first frame.
     """
@@ -23,6 +23,8 @@ class ASEWriter:
     def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
         self._claim, self._template, self._store_forces = claim, atoms_from_system(engine.system), store_forces
         is_binary = claim.path.suffix.lower() == ".traj"
+        if is_binary:
+            label_by_tags(self._template, engine.system)
         self._output = TrajectoryWriter(claim.place, "w") if is_binary else claim.place.open("w", encoding="utf-8")
 
     def write(self, frame: Frame) -> None:

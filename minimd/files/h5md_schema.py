@@ -13,7 +13,8 @@ P. de Buyl, P. H. Colberg, F. Höfling, Comput. Phys. Commun. 185, 1546 (2014); 
 """
 
 import json
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -117,12 +118,26 @@ def describe(h5: h5py.File, engine: Engine) -> None:
     group.update({name: h5[f"connectivity/{name}"] for name in h5["connectivity"]})
 
 
+def potentials_in_words(potentials: Sequence[Any]) -> list[str]:
+    """The class of each, and the call that makes it again."""
+    return [f"{type(one).__name__}: {one!r}" for one in potentials]
+
+
+def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
+    """Those in a file beside others with which its run goes on, in words; empty if they are the same."""
+    before, now = (sorted(re.sub(r" at 0x[0-9a-fA-F]+", "", one) for one in several) for several in (stored, potentials_in_words(potentials)))
+    if before == now:
+        return ""
+    was, becomes = ([one for one in several if one not in others] for several, others in ((before, now), (now, before)))
+    return f"{'; '.join(was) or 'none'} before, {'; '.join(becomes) or 'none'} now"
+
+
 def describe_method(group: h5py.Group, engine: Engine) -> None:
     """Method and time step of the frames that come next, and the options with which they are computed."""
     options = engine.interactions.options
     group.attrs.update({"method": engine.method.name, "conserves_momentum": engine.conserves_momentum})
     group.attrs.update({"precision": options.precision, "skin": np.nan if options.skin is None else options.skin})
-    group.attrs["potentials"] = [f"{type(one).__name__}: {one!r}" for one in engine.interactions.potentials]
+    group.attrs["potentials"] = potentials_in_words(engine.interactions.potentials)
     group.attrs["barostat"] = "" if engine.barostat is None else json.dumps(engine.barostat.parameters)
     group.attrs["parameters"] = json.dumps(engine.method.parameters)  # a seed may be larger than any number of HDF5
     group.attrs.update({name: value for name, value in engine.method.parameters.items() if isinstance(value, float)})

@@ -101,6 +101,8 @@ class H5MDWriter:
             set_aside_damaged(self._h5)
             drop_frames(self._h5, self._n_frames)
             describe_observers(self._h5, observers)
+            if scene := self._engine.notes["scene"]:  # with which the run goes on
+                self._h5["minimd"].attrs.update({"scene": scene, "title": self._engine.notes["title"] or contents.title})
             self._describe_method()
 
     def write(self, frame: Frame) -> None:

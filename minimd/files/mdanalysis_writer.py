@@ -46,11 +46,11 @@ class MDAnalysisWriter:
         self._writer: Any = None
         with quiet():
             self._universe = MDAnalysis.Universe.empty(len(system), trajectory=True, velocities=True)
-        dimensions, vectors = cell_dimensions(system.cell, 1.0), system.cell.vectors
-        if dimensions is not None and not np.allclose(triclinic_vectors(dimensions), vectors, atol=1e-4 * abs(vectors).max()):
+        if is_turned(system.cell):
             warnings.warn(
                 f"trajectory {claim.name!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the "
-                "xy plane, which they do not; distances across the boundary will be wrong, write .h5md too",
+                "xy plane, which they do not; distances across the boundary will be wrong, write .h5md too: it keeps the vectors, which "
+                "minimd.neighbor_list and minimd.mdanalysis.radial_distribution use",
                 stacklevel=outside_minimd(),
             )
 
@@ -106,6 +106,12 @@ class MDAnalysisWriter:
         ts.velocities = frame.velocities * (self._angstrom / self._picosecond)
         ts.dimensions = cell_dimensions(frame.cell or self._cell, self._angstrom)
         ts.time, ts.data["step"] = frame.time * self._picosecond, frame.step
+
+
+def is_turned(cell: Cell) -> bool:
+    """True if MDAnalysis, which knows lengths and angles alone, places a cell otherwise than its vectors lie."""
+    dimensions = cell_dimensions(cell, 1.0)
+    return dimensions is not None and not np.allclose(triclinic_vectors(dimensions), cell.vectors, atol=1e-4 * abs(cell.vectors).max())
 
 
 def cell_dimensions(cell: Cell, to_angstrom: float) -> NDArray[np.float32] | None:

@@ -22,6 +22,7 @@ from minimd.structure.units import ASE, LJ, UnitSystem
 
 LAMMPS = "lammps-data"
 SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".mol2": "MOL2", ".gsd": "GSD", ".txyz": "TXYZ"}  # formats that ASE does not know by them
+XYZ = (".xyz", ".extxyz")
 NAMES_BONDS = ("PDB", "ENT")  # formats of which ASE reads the atoms, and MDAnalysis the bonds
 STATE_MASSES = ("DATA", "GSD")  # formats of MDAnalysis with masses of their own, in units of their own
 MASS_OF_ELEMENT = 1e-3  # relative: 12.0 and 16.0 are carbon and oxygen, 14.027 is no nitrogen but CH₂
@@ -35,7 +36,7 @@ def system_from_file(
     pbc: ArrayLike | None = None,
     *,
     format: str | None = None,
-    units: UnitSystem = ASE,
+    units: UnitSystem | None = None,
     bonds: ArrayLike | str | Path | None = "file",
 ) -> System:
     """The last structure in a file of any format that ASE or MDAnalysis reads, with its bonds, angles, dihedrals and impropers.
@@ -44,8 +45,9 @@ def system_from_file(
     ----------
     cell, pbc : instead of those of the file, as for System; with another cell the directions in which it is given are periodic.
     format : ASE's name of the format ("lammps-data"), or one of MDAnalysis ("GRO"); the suffix and the content tell it if not given.
-    units : minimd.units.ASE; or minimd.units.LJ, whose numbers are taken as they stand. Masses are then those of the file where it states
-        them (LAMMPS data, GSD), else 1.
+    units : minimd.units.ASE, if not given; or minimd.units.LJ, whose numbers are taken as they stand. Masses are then those of the file where
+        it states them (LAMMPS data, GSD; files of ASE with masses, as minimd writes them), else 1; velocities likewise. Files that minimd has
+        written as .h5md state their units: these are taken, and no others.
     bonds : "file" for those that the file names, with its angles and dihedrals; another file, such as a PSF, that names them; pairs;
         or None for none, with a warning if the file names some.
 
@@ -58,13 +60,15 @@ def system_from_file(
     path = Path(file)
     form = format or SUFFIXES.get(path.suffix.lower())
     with _read_as(path, "a structure", form):
-        source = _source(path, form, units)
-        system = _system(source, units, form)
+        source = _source(path, form, units or ASE)
+        system = _system(source, units or ASE, form)
+    if isinstance(source, System) and units not in (None, source.units):
+        raise ValueError(f"file {str(path)!r} states units = {source.units.name!r}; it cannot be read with units = {units and units.name!r}")
     if cell is not None or pbc is not None:
         placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
         if isinstance(source, Atoms):  # lengths of constraints are then measured in this cell
             source.cell[:], source.pbc = placed.vectors, placed.pbc
-            system = _system(source, units, form)
+            system = _system(source, units or ASE, form)
         else:
             system.cell = placed
     if bonds is not None and not isinstance(bonds, str | Path):
@@ -92,6 +96,10 @@ def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
     """ASE's atoms; a universe where the format is one of MDAnalysis. Of LAMMPS data, which do not name their units, numbers as they stand for LJ."""
     if form is not None and form not in ioformats:
         return _universe(path, form)
+    if form is None and path.suffix.lower() == ".h5md":
+        from minimd.files.h5md_reader import read_file
+
+        return read_file(path).system
     options: dict[str, Any] = {"units": "ASE" if units is LJ else "metal"} if form == LAMMPS else {}
     read = ase.io.read(path, format=form, **options)
     atoms = read if isinstance(read, Atoms) else read[-1]
@@ -129,11 +137,13 @@ def _universe(path: Path, form: str | None, topology_only: bool = False) -> Any:
 
 
 def _system(source: Any, units: UnitSystem, form: str | None) -> System:
+    if isinstance(source, System):
+        return source.copy()
     is_lammps = form == LAMMPS
     system = System.from_ase(source) if isinstance(source, Atoms) else System.from_mdanalysis(source, units=units)
     types = [str(kind) for kind in source.arrays["type"].tolist()] if is_lammps else system.species
     if units is LJ:
-        states_masses = is_lammps or str(form).upper() in STATE_MASSES
+        states_masses = is_lammps or str(form).upper() in STATE_MASSES or (isinstance(source, Atoms) and source.has("masses"))
         own: dict[str, Any] = {} if states_masses else {"masses": None, "velocities": None}
         return changed(system, units=LJ, species=types, **own)
     return changed(system, species=types) if is_lammps and not _are_elements(system, types) else system
@@ -207,6 +217,11 @@ def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
     except Exception as error:
         if form is None and isinstance(error, StopIteration | UnknownFileTypeError):
             reason = "its suffix and content tell no format; name it as format, such as 'lammps-data'"
+        elif isinstance(error, KeyError) and str(path.suffix).lower() in XYZ and (label := error.args[0]) not in atomic_numbers:
+            reason = (
+                f"{label!r} is no chemical symbol, which ASE expects in this format; name the atoms X, and give their species to System or in the "
+                "scene under [structure], or write LAMMPS data, whose types may be anything"
+            )
         else:
             reason = f"{type(error).__name__}: {' '.join(str(error).split()) or 'the reader gives no reason'}"
         raise ValueError(f"file {str(path)!r} cannot be read as {what}: {reason}") from None

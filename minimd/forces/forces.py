@@ -26,7 +26,7 @@ from minimd.potentials.pair_loop import FixedPairs
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, as_potentials, bound
 from minimd.structure.console import outside_minimd
 from minimd.structure.display import Displayed, Rows
-from minimd.structure.errors import NonFiniteError, RangeError
+from minimd.structure.errors import NonFiniteError, RangeError, why_not_compiled
 from minimd.structure.grid import TOO_LARGE, Grid
 from minimd.structure.observables import longest
 from minimd.structure.system import System, check_resolution
@@ -224,8 +224,7 @@ class Forces:
             with announce_compilation():
                 yield
         except NumbaError as error:
-            laws = ", ".join(repr(potential) for potential in self.potentials)
-            reason = str(error).strip().splitlines()[0]
+            laws, reason = ", ".join(map(repr, self.potentials)), why_not_compiled(str(error))
             raise TypeError(f"a law among {laws} does not compile; laws are arithmetic on numbers, as numba.njit takes it: {reason}") from error
         self._compiled.add(detail)
 

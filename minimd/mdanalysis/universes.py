@@ -20,7 +20,7 @@ from MDAnalysis.lib.mdamath import triclinic_box, triclinic_vectors
 from numpy.typing import NDArray
 
 from minimd.files.h5md_reader import H5MDContents, read_file
-from minimd.files.mdanalysis_writer import quiet
+from minimd.files.mdanalysis_writer import is_turned, quiet
 from minimd.mdanalysis.memory import Frames, RecordedReader
 from minimd.mdanalysis.topology import bare_universe
 from minimd.observers.diffusion import finite_size_correction, is_cubic
@@ -68,7 +68,7 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     Each molecule is a residue: atoms that bonds or fixed lengths connect. Observables stand in ts.data.
 
     MDAnalysis places a cell with its first vector along x and the second in the xy plane. Where the cell of the file lies
-    otherwise, its periodic distances are wrong until positions are turned likewise, as radial_distribution does.
+    otherwise, its periodic distances are wrong until positions are turned likewise, as radial_distribution does; a warning says so.
 
     run : a file; or, in memory, a simulation as it is now, or the Frames that it has filled.
     contents : of the file, if they have been read.
@@ -86,6 +86,7 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     if isinstance(run, Frames):
         return _in_memory(run)
     contents = contents or read_file(run)
+    _tell_turned(repr(str(run)), contents.system.cell)
     spacing = _spacing(f"the frames of {str(run)!r}", contents.record.step, contents.record.time * contents.system.units.to_picosecond)
     with quiet():
         made = bare_universe(RunUniverse, contents.system)
@@ -98,12 +99,24 @@ def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
     """timestep : taken for the time between frames if there is only one [ps, or τ]."""
     if frames.system is None:
         raise ValueError("these Frames are empty; pass them to a run: observers=[frames]")
+    _tell_turned("the run", frames.system.cell)
     spacing = _spacing("the frames in memory", frames.series("step"), frames.series("time")) or timestep
     with quiet():
         made = bare_universe(RunUniverse, frames.system)
         made.system = frames.system
         made.trajectory = RecordedReader(**frames.reader_arguments(spacing))
     return made
+
+
+def _tell_turned(what: str, cell: Cell) -> None:
+    """Warn of a cell that MDAnalysis places otherwise."""
+    if is_turned(cell):
+        warnings.warn(
+            f"the cell of {what} lies otherwise than MDAnalysis places it, by lengths and angles with its first vector along x and the second in "
+            "the xy plane: its distances with box=u.dimensions are wrong; turn the positions likewise, or take minimd.neighbor_list and "
+            "radial_distribution, which know the vectors",
+            stacklevel=outside_minimd(),
+        )
 
 
 def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
@@ -114,9 +127,11 @@ def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
     spacing = float(np.median(spacings))
     if np.ptp(spacings) > UNEVEN * spacing:
         least, most = np.diff(steps)[[spacings.argmin(), spacings.argmax()]]
+        apart = f"{least} to {most} steps apart"
+        if least == most:
+            apart = f"{spacings.min():.4g} to {spacings.max():.4g} apart in time, because the time step changed"
         warnings.warn(
-            f"{what} lie {least} to {most} steps apart, so that trajectory.dt and totaltime do not hold for all of them; "
-            "take the time of each frame, ts.time",
+            f"{what} lie {apart}, so that trajectory.dt and totaltime do not hold for all of them; take the time of each frame, ts.time",
             stacklevel=outside_minimd(),
         )
     return spacing

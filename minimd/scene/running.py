@@ -1,12 +1,16 @@
 """Running a scene from start to report, with a line about each thing that is done."""
 
-from collections.abc import Callable, Sequence
+import json
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from minimd.files.crash_file import crash_file_place
 from minimd.files.h5md_reader import read_file, verify_frames
+from minimd.files.h5md_schema import other_potentials
 from minimd.files.trajectory import FORMATS, checked_output
 from minimd.integrators import StochasticCellRescaling
 from minimd.observers import Accumulator
@@ -20,6 +24,8 @@ from minimd.structure.system import System
 from minimd.structure.units import UnitSystem
 
 Tell = Callable[[str], None]
+OF_THE_START = ("structure.", "minimization.", "equilibration.")
+LONGEST_VALUE = 60  # letters of a value that is told
 
 
 def run_scene(
@@ -90,7 +96,8 @@ def resume_run(
     Parameters
     ----------
     steps : how many more; up to the end of the scene if not given.
-    scene : gives potentials and method, instead of the scene in the file; it must have the constraints of the file.
+    scene : replaces the scene in the file, all of it but what makes a start; what differs is told. It must have the constraints of the file.
+        Without one the method is that of the last steps in the file.
 
     Raises
     ------
@@ -100,7 +107,7 @@ def resume_run(
     verify_frames(file)
     path, contents = Path(file), read_file(file)
     stored = parse_scene(contents.scene, path) if contents.scene else None
-    scene = scene or stored
+    given, scene = scene, scene or stored
     if scene is None:
         go_on = f"sim = minimd.Simulation.resume({str(file)!r}, potentials); sim.run(n_steps, trajectory={str(file)!r}, append=True)"
         raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; go on in the script: {go_on}")
@@ -111,13 +118,21 @@ def resume_run(
             f"give the number of further steps with --steps"
         )
     if stored is not None and (other := differences(stored, scene)):
-        tell(f"NOTE           {', '.join(other)} differ from those of the run so far: its energies before and after are not comparable")
+        tell("NOTE           the scene given replaces that of the run so far; frames before and after are of different runs where it acts on them:")
+        for line in other:
+            tell(f"               {line}")
     if contents.repaired:
         tell(f"repaired       {contents.repaired}")
     simulation = scene.simulation(contents.system)
     simulation.engine.go_on_from(contents.restart)
     if (simulation.method.name, simulation.method.parameters) != (contents.method, contents.parameters):
-        simulation.engine.moved()
+        if given is None:  # a script went on with another method than that of its scene
+            simulation.method = contents.integrator()
+            tell(f"NOTE           the last steps were made with {simulation.method!r}, not with the method of the scene in the file; it goes on")
+        else:
+            simulation.engine.moved()
+    if given is None and (changed := other_potentials(contents.potentials, simulation.potentials)):
+        tell(f"NOTE           the potentials of the scene in the file are not those of its last steps: {changed}")
     for line in description(scene, simulation, end - contents.step):
         tell(line)
     tell(f"resumed        at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames")
@@ -132,6 +147,10 @@ def resume_run(
     return simulation
 
 
+def _short(words: str) -> str:
+    return words if len(words) <= LONGEST_VALUE else f"{words[:LONGEST_VALUE]}..."
+
+
 def tell_answers(observers: Sequence[Accumulator], tell: Tell) -> None:
     """What observers have found, a line or a few for each."""
     for one in observers:
@@ -140,10 +159,27 @@ def tell_answers(observers: Sequence[Accumulator], tell: Tell) -> None:
 
 
 def differences(one: Scene, other: Scene) -> list[str]:
-    """Keys that have different values in two scenes, of those that determine forces and steps."""
-    keys = [f"dynamics.{key}" for key in ("method", "timestep") if getattr(one.sections.dynamics, key) != getattr(other.sections.dynamics, key)]
-    keys += ["barostat"] * (one.sections.barostat != other.sections.barostat)
-    return keys + ["potential"] * ((one.sections.potential, one.tables()) != (other.sections.potential, other.tables()))
+    """Keys that have different values in two scenes, with both, as they stand in the files."""
+    found, missing = [], "not given"
+    before, now = (dict(_entries(tomllib.loads(scene.whole_text()))) for scene in (one, other))
+    for key in dict.fromkeys([*before, *now]):
+        was, becomes = before.get(key, missing), now.get(key, missing)
+        if was != becomes:
+            remark = " (of the start, which is over)" if key.startswith(OF_THE_START) else ""
+            found.append(f"{key}: {_short(was)} before, {_short(becomes)} now{remark}")
+    return found
+
+
+def _entries(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """All numbers and words of a document, in TOML's words, with their keys in it."""
+    if isinstance(value, dict):
+        for name, inside in value.items():
+            yield from _entries(inside, f"{key}.{name}" if key else name)
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        for k, inside in enumerate(value):
+            yield from _entries(inside, f"{key}[{k}]")
+    else:
+        yield key, json.dumps(value, ensure_ascii=False, default=str)
 
 
 def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:
@@ -171,21 +207,28 @@ def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tel
 
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:
     """Lines about what has been built and will be run."""
-    dynamics, units, system = scene.sections.dynamics, scene.units, simulation.system
+    units, system = scene.units, simulation.system
     joined = "".join(f"; {len(group)} {name}" for name, group in system.groups().items() if len(group))
     species = ", ".join(f"{n} {name}" for n, name in zip(np.bincount(system.species_index), system.species_names, strict=True))
-    relaxation = dynamics.relaxation_time
-    bath = f", bath at {dynamics.temperature:g} {units.temperature}, relaxation time {units.shown(relaxation)}" if relaxation else ""
     return [
         f"scene          {scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""),
         f"system         {len(system)} atoms ({species}){joined}",
         f"cell           {_cell(system)}",
         *([f"constraints    {_constraints(simulation)}"] if simulation.constraints else []),
         *(f"potential      {_potential(potential, units)}" for potential in scene.potentials()),
-        f"method         {dynamics.method}, timestep {units.shown(dynamics.timestep)}{bath}",
+        f"method         {_method(scene, simulation)}",
         *([f"barostat       {_barostat(simulation.barostat, units)}"] if simulation.barostat is not None else []),
-        f"run            {n_steps} steps = {units.shown(n_steps * dynamics.timestep)}, observed every {scene.sections.output.every}",
+        f"run            {n_steps} steps = {units.shown(n_steps * simulation.method.timestep)}, observed every {scene.sections.output.every}",
     ]
+
+
+def _method(scene: Scene, simulation: Simulation) -> str:
+    dynamics, units = scene.sections.dynamics, scene.units
+    if simulation.method.parameters != scene.method().parameters or simulation.method.name != scene.method().name:
+        return repr(simulation.method)  # that of a script which went on with the run
+    relaxation = dynamics.relaxation_time
+    bath = f", bath at {dynamics.temperature:g} {units.temperature}, relaxation time {units.shown(relaxation)}" if relaxation else ""
+    return f"{dynamics.method}, timestep {units.shown(dynamics.timestep)}{bath}"
 
 
 def _constraints(simulation: Simulation) -> str:

@@ -8,6 +8,8 @@ from typing import Any, ClassVar, Generic, TypeVar
 from minimd.engine.observation import measure
 
 T = TypeVar("T")
+HINTS = {"timestep": "the time step is that of its method; take another: sim.method = VelocityVerlet(0.001)"}  # of names that are no slips
+ARRAYS = ("positions", "velocities", "forces")
 
 
 class Closed:
@@ -22,7 +24,7 @@ class Closed:
         kind = type(self)
         if "own" in vars(kind) and not (name.startswith("_") or name in kind.own or hasattr(kind, name)):
             near = get_close_matches(name, [*kind.own, *(one for one in dir(kind) if not one.startswith("_"))], n=1)
-            hint = f"did you mean {near[0]!r}?" if near else "the time step is that of its method"
+            hint = HINTS.get(name) or (f"did you mean {near[0]!r}?" if near else "the time step is that of its method")
             raise AttributeError(f"a {kind.__name__} has no attribute {name!r} that could be set; {hint}")
         super().__setattr__(name, value)
 
@@ -46,6 +48,11 @@ class EngineAttribute(Generic[T]):
     def __set__(self, simulation: Any, value: T) -> None:
         if self._path:
             raise AttributeError(f"{self._name} of a Simulation cannot be set; make a new Simulation")
+        if self._name in ARRAYS:
+            if value is getattr(simulation.engine, self._name):
+                return  # sim.positions += shift
+            computed = "they are computed" if self._name == "forces" else f"assign into it, sim.{self._name}[:] = values"
+            raise AttributeError(f"{self._name} of a Simulation is an array that stays, and cannot be replaced; {computed}")
         before = getattr(simulation.engine, self._name)
         setattr(simulation.engine, self._name, value)
         if self._check is not None:

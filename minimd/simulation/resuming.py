@@ -23,6 +23,7 @@ Potentials = Potential | Sequence[Potential] | None
 def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | None, step: int | None = None) -> Any:
     """See Simulation.resume.  kind : Simulation."""
     from minimd.files.h5md_reader import read_file, verify_frames  # h5py takes its time to load
+    from minimd.files.h5md_schema import other_potentials
 
     verify_frames(file)  # a child process looks first
     contents = read_file(file)
@@ -33,6 +34,8 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     simulation.extra_observables = extras_in(contents.record)
     simulation.engine.notes.update(title=contents.title, scene=contents.scene)
     simulation.engine.go_on_from(contents.restart)
+    if other := other_potentials(contents.potentials, simulation.potentials):
+        warnings.warn(f"the potentials are not those of the last steps in {str(file)!r}: {other}; energies jump where it goes on", stacklevel=3)
     if contents.repaired:
         warnings.warn(contents.repaired, stacklevel=3)
     if step is not None:

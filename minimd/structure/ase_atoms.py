@@ -19,12 +19,13 @@ from minimd.structure.units import ASE
 from minimd.structure.velocities import without_momentum
 
 LABELS = "species_labels"  # the array of an ase.Atoms that holds species which are no chemical elements
+NAMES = "species_names"  # in the info of atoms from a .traj, which keeps no such array: the names of species, which the tags number
 
 
 def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True, **others: ArrayLike | None) -> dict[str, Any]:
     """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and constraints.
 
-    Species are the chemical symbols, or the labels that atoms_from_system stored in the atoms.
+    Species are the chemical symbols, or the labels that atoms_from_system or label_by_tags stored in the atoms.
 
     bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds, what the arrays of the atoms name: see joined_in.
     constraints : True to take those of the atoms; False if the caller handles them.
@@ -42,7 +43,7 @@ def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: 
         "masses": masses,
         "velocities": velocities,
         "cell": cell_of(atoms),
-        "species": atoms.arrays.get(LABELS, atoms.get_chemical_symbols()),
+        "species": _labels(atoms),
         **(found.groups if found is not None else {"bonds": bonds}),
         **{name: given for name, given in others.items() if given is not None},
         "units": ASE,
@@ -68,6 +69,22 @@ def atoms_from_system(system: Any) -> Atoms:
         atoms.arrays.update(named, id=np.arange(1, len(atoms) + 1))
     atoms.set_constraint(ases_constraints_of(system))
     return atoms
+
+
+def label_by_tags(atoms: Atoms, system: Any) -> None:
+    """Keep species that are no elements where a .traj holds them: their names in info, which of them an atom is in its tag."""
+    if LABELS in atoms.arrays:
+        atoms.info[NAMES] = list(system.species_names)
+        atoms.set_tags(system.species_index)
+
+
+def _labels(atoms: Atoms) -> Any:
+    """The species of each atom: its label, or else its chemical symbol; atoms with a symbol are no X and need no label."""
+    names = atoms.info.get(NAMES)
+    if LABELS in atoms.arrays or names is None:
+        return atoms.arrays.get(LABELS, atoms.get_chemical_symbols())
+    symbols, tags = atoms.get_chemical_symbols(), atoms.get_tags().tolist()
+    return [names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol for symbol, tag in zip(symbols, tags, strict=True)]
 
 
 def cell_of(atoms: Atoms) -> Cell:

@@ -1,6 +1,7 @@
 """The exceptions of failed physics, the one that ends an interrupted computation, and the message of an error."""
 
 import os
+import re
 from typing import Any
 
 
@@ -51,3 +52,11 @@ def sentence(error: BaseException) -> str:
     if isinstance(error, OSError) and error.strerror is not None:
         return error.strerror if error.filename is None else f"{os.fsdecode(error.filename)}: {error.strerror}"
     return str(error) or ("interrupted" if isinstance(error, KeyboardInterrupt) else type(error).__name__)
+
+
+def why_not_compiled(message: str) -> str:
+    """The line of a message of Numba's that names what it does not know; else its first."""
+    lines = [line.strip().removeprefix("- ") for line in message.splitlines() if line.strip()]
+    telling = ("Untyped global name", "Unknown attribute", "No implementation of function", "Use of unsupported", "cannot be compiled", "Unsupported")
+    told = next((line for words in telling for line in lines if words in line), lines[0] if lines else "Numba gives no reason")
+    return re.sub(r"\x1b\[\d*m", "", told)

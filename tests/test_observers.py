@@ -357,3 +357,25 @@ def test_fluctuations_at_constant_pressure_are_those_of_the_record():
     other = simulation()
     with pytest.raises(ValueError, match="or bath"):
         other.run(5, observers=[looking], progress=False)
+
+
+def test_looks_after_the_last_good_state_are_told(monkeypatch):
+    """Nobody looks at a state that is known to have failed; earlier looks, of steps that the failure has undone, are told of."""
+    sim, looking = simulation(), observers.MeanSquareDisplacement(every=2)
+    start, good = sim.engine.snapshot(), sim.guard.observe
+
+    def observe():
+        if sim.step < 10:
+            return good()
+        sim.engine.restore(start)
+        raise md.NonFiniteError("the total energy has run away")
+
+    monkeypatch.setattr(sim.guard, "is_hot", lambda: True)
+    monkeypatch.setattr(sim.guard, "observe", observe)
+    with pytest.raises(md.NonFiniteError), pytest.warns(UserWarning, match="has looked 4 times after step 0"):
+        sim.run(100, observers=[looking], progress=False)
+    assert looking.n_looks == 5
+    monkeypatch.undo()
+    sim.run(4, observers=[looking], progress=False)
+    counts = looking._correlator.correlations(looking.sums.total[3:])[0]
+    assert counts[:5].tolist() == [8, 6, 4, 2, 1]  # lags within five looks, and within three

@@ -174,6 +174,14 @@ class Accumulator(ABC, Displayed):
     def interrupt(self) -> None:
         """What comes next is not correlated with what came before."""
 
+    def break_off(self, step: int) -> int:
+        """A run has failed, with this step as its last good one: how many looks came later. They stay in the sums."""
+        n_later = max(0, self.last_step // self.every - step // self.every)
+        if n_later:
+            self.interrupt()
+            self.last_step = -1
+        return n_later
+
     def answered(self) -> Scene:
         """The scene, for a result.  Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:

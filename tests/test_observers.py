@@ -336,3 +336,46 @@ def test_the_correction_of_yeh_and_hummer(run):
     assert "Yeh and Hummer" in str(result)
     with pytest.raises(ValueError, match="at least 3 lags"):
         looking.result(window=(0.1, 0.101))
+
+
+def test_fluctuations_at_constant_pressure_are_those_of_the_record():
+    """T and P₀ are those of the barostat, with a thermostat and without: C_P, κ_T and α_P from energies and volumes of the frames."""
+    thermal, pressure = 0.9, 1.5
+    bath = md.StochasticCellRescaling(pressure, 0.05, 0.5, seed=1, temperature=thermal, every=5)
+    for method in (md.VelocityVerlet(0.004), md.StochasticVelocityRescaling(0.004, thermal, 0.1, 3)):
+        looking, sim = observers.Fluctuations(every=5), simulation(barostat=bath)
+        sim.method = method
+        record = sim.run(100, every=5, observers=[looking], progress=False)
+        result, volume, enthalpy = looking.result(), record.volume, record.total_energy + pressure * record.volume
+        assert result.ensemble == "constant pressure"
+        assert result.heat_capacity_p == pytest.approx(enthalpy.var() / thermal**2, rel=1e-9)
+        assert result.compressibility == pytest.approx(volume.var() / (thermal * volume.mean()), rel=1e-9)
+        expected = np.mean((volume - volume.mean()) * enthalpy) / (thermal**2 * volume.mean())
+        assert result.expansion == pytest.approx(expected, rel=1e-9)
+    sim.method = md.StochasticVelocityRescaling(0.004, thermal, 0.2, 3)
+    sim.run(5, observers=[looking], progress=False)
+    other = simulation()
+    with pytest.raises(ValueError, match="or bath"):
+        other.run(5, observers=[looking], progress=False)
+
+
+def test_looks_after_the_last_good_state_are_told(monkeypatch):
+    """Nobody looks at a state that is known to have failed; earlier looks, of steps that the failure has undone, are told of."""
+    sim, looking = simulation(), observers.MeanSquareDisplacement(every=2)
+    start, good = sim.engine.snapshot(), sim.guard.observe
+
+    def observe():
+        if sim.step < 10:
+            return good()
+        sim.engine.restore(start)
+        raise md.NonFiniteError("the total energy has run away")
+
+    monkeypatch.setattr(sim.guard, "is_hot", lambda: True)
+    monkeypatch.setattr(sim.guard, "observe", observe)
+    with pytest.raises(md.NonFiniteError), pytest.warns(UserWarning, match="has looked 4 times after step 0"):
+        sim.run(100, observers=[looking], progress=False)
+    assert looking.n_looks == 5
+    monkeypatch.undo()
+    sim.run(4, observers=[looking], progress=False)
+    counts = looking._correlator.correlations(looking.sums.total[3:])[0]
+    assert counts[:5].tolist() == [8, 6, 4, 2, 1]  # lags within five looks, and within three

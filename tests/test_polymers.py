@@ -7,6 +7,7 @@ from MDAnalysis.guesser.default_guesser import DefaultGuesser
 
 import minimd as md
 from minimd.files.structure_file import system_from_file
+from minimd.forces.forces import Forces
 from minimd.mdanalysis import universe
 from minimd.scene import parse_scene
 
@@ -215,3 +216,20 @@ steps = 2
     fall = '[[potential]]\ntype = "gravity"\nacceleration_A_ps2 = [0.0, 0.0, -2.0]\n'
     in_ase = in_ase.replace(FIELDS, fall).replace("timestep", "timestep_fs")
     assert parse_scene(in_ase, "scene.toml").potentials()[0].acceleration[2] == pytest.approx(-2.0 / md.units.ps**2, rel=1e-14)
+
+
+def test_dihedrals_follow_a_strained_cell():
+    """As at constant pressure: their term goes on in the new cell, with the forces of a new one, across the boundary too."""
+    positions = np.array([[0.2, 2.7, 0.0], [-0.3, 3.6, 0.1], [0.4, 4.2, 0.8], [0.1, 5.1, 1.3]])
+    system = md.System(positions, cell=4.0, dihedrals=[[0, 1, 2, 3]])
+    system.positions[:] = system.cell.wrapped(system.positions)
+    law, stretch = md.PeriodicDihedral(2.0, 3), np.array([[1.02, 0.01, 0.0], [0.01, 0.97, 0.0], [0.0, 0.0, 1.01]])
+    forces = Forces(system, law)
+    forces.compute()
+    system.positions[:], system.cell = system.positions @ stretch, system.cell.strained(system.cell.vectors @ stretch)
+    [term] = forces.terms
+    forces.follow()
+    forces.compute()
+    assert forces.terms == [term]
+    assert forces.forces == pytest.approx(md.evaluate(system, law).forces, rel=1e-12)
+    assert np.abs(forces.forces).max() > 0.1

@@ -88,7 +88,7 @@ class Langevin(MinimdSteps, Noisy, ase.md.langevin.Langevin):
 class LangevinBAOAB(MinimdSteps, Noisy, ase.md.langevinbaoab.LangevinBAOAB):
     """ase.md.langevinbaoab.LangevinBAOAB for a cell that stays as it is; without temperature_K it is velocity Verlet.
 
-    Raises NotImplementedError for externalstress: minimd has no barostat.
+    Raises NotImplementedError for externalstress, with which the cell would change.
     """
 
     @functools.wraps(ase.md.langevinbaoab.LangevinBAOAB.__init__)  # type: ignore[misc] # for the signature
@@ -96,7 +96,8 @@ class LangevinBAOAB(MinimdSteps, Noisy, ase.md.langevinbaoab.LangevinBAOAB):
         super().__init__(*arguments, **options)
         if self.externalstress is not None:
             raise NotImplementedError(
-                f"externalstress = {shown(self.externalstress)}: minimd has no barostat; use ase.md.langevinbaoab.LangevinBAOAB"
+                f"externalstress = {shown(self.externalstress)}: this class keeps the cell as it is; use ase.md.langevinbaoab.LangevinBAOAB, "
+                "or minimd.Simulation with barostat=StochasticCellRescaling(...)"
             )
 
     def method(self) -> Splitting:

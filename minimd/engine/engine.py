@@ -299,10 +299,8 @@ class Engine:
     def method(self) -> Splitting:
         """The integrator with its time step; it can be replaced.
 
-        Raises, when it is set
-        ----------------------
-        TypeError : for anything but a splitting with its time step.  ValueError : if it leaves no degree of freedom, or moves the center of
-            mass of atoms with FixCom.
+        Setting it raises TypeError for anything but a splitting with its time step; ValueError if it leaves no degree of freedom, moves the center
+        of mass of atoms with FixCom, or has another temperature than the barostat.
         """
         return self._method
 

@@ -45,8 +45,7 @@ class Forces:
     Parameters
     ----------
     system : the System whose positions and cell each call reads.
-    potentials : one potential or several.
-    options : threads, precision and skin.
+    potentials : one potential or several.  options : threads, precision and skin.
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ class Scene:
     """What results need to know of the run: the same from its first observation to its last.
 
     units : name of the unit system.  species : labels.  numbers : atoms of each.  spacing : time between observations [time].
-    n_dof : degrees of freedom.  bath_temperature, bath_pressure : those that the method keeps; NaN where it keeps none.
+    n_dof : degrees of freedom.  bath_temperature, bath_pressure : those that thermostat and barostat keep; None without.
     """
 
     units: str
@@ -37,22 +37,19 @@ class Scene:
     numbers: list[int]
     spacing: float
     n_dof: int
-    bath_temperature: float
-    bath_pressure: float
+    bath_temperature: float | None
+    bath_pressure: float | None
 
     @classmethod
     def of(cls, engine: Engine, every: int) -> Scene:
         """The scene of an engine."""
-        system, parameters = engine.system, engine.method.parameters
-        kept = (parameters.get(name) for name in ("temperature", "pressure"))
-        baths = [float(one) if isinstance(one, int | float) else np.nan for one in kept]
+        system, barostat = engine.system, engine.barostat
+        temperature, pressure = engine.method.parameters.get("temperature"), None
+        if barostat is not None:
+            temperature, pressure = barostat.temperature if temperature is None else temperature, barostat.pressure
         numbers = np.bincount(system.species_index, minlength=len(system.species_names)).tolist()
-        return cls(system.units.name, [str(one) for one in system.species_names], numbers, every * engine.method.timestep, engine.n_dof, *baths)
-
-    @property
-    def identity(self) -> tuple[Any, ...]:
-        """What may not change between two runs."""
-        return self.units, tuple(self.species), tuple(self.numbers), self.spacing
+        spacing = every * engine.method.timestep
+        return cls(system.units.name, [str(one) for one in system.species_names], numbers, spacing, engine.n_dof, temperature, pressure)
 
     @property
     def unit_system(self) -> UnitSystem:
@@ -161,8 +158,8 @@ class Accumulator(ABC, Displayed):
         if self.scene is None:
             self._begin(engine)
             self._set_up(scene)
-        elif self.scene.identity != scene.identity:
-            raise ValueError(f"{self!r} has observed another system, or one with another time step; make a new one for this run")
+        elif self.scene != scene:
+            raise ValueError(f"{self!r} has observed another system, or one with another time step or bath; make a new one for this run")
 
     def observe(self, engine: Engine) -> None:
         """Look at the present state, unless it was the last one that was looked at."""
@@ -176,6 +173,14 @@ class Accumulator(ABC, Displayed):
 
     def interrupt(self) -> None:
         """What comes next is not correlated with what came before."""
+
+    def break_off(self, step: int) -> int:
+        """A run has failed, with this step as its last good one: how many looks came later. They stay in the sums."""
+        n_later = max(0, self.last_step // self.every - step // self.every)
+        if n_later:
+            self.interrupt()
+            self.last_step = -1
+        return n_later
 
     def answered(self) -> Scene:
         """The scene, for a result.  Raises ValueError before the first look."""

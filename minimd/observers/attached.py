@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from minimd.engine.engine import Engine
 from minimd.observers.accumulator import Accumulator
 from minimd.structure.checks import shown
+from minimd.structure.console import outside_minimd
+from minimd.structure.errors import ConstraintError, NonFiniteError
 
 
 class Attached:
@@ -51,6 +55,19 @@ class Attached:
         for one in self.accumulators:
             if self._engine.step % one.every == 0:
                 one.observe(self._engine)
+
+    @contextmanager
+    def broken_off(self) -> Iterator[None]:
+        """Context of a run. If the run fails, a warning names those that have looked at steps after its last good one."""
+        try:
+            yield
+        except (NonFiniteError, ConstraintError):
+            step = self._engine.step
+            for one in self.accumulators:
+                if n_later := one.break_off(step):
+                    what = f"{one!r} has looked {n_later} times after step {step}, the last good one of a run that failed"
+                    warnings.warn(f"{what}; its answer includes these looks", stacklevel=outside_minimd())
+            raise
 
 
 def _is_observer(one: Any) -> bool:

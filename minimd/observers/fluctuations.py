@@ -67,7 +67,7 @@ class Fluctuations(Accumulator):
         scene = self.answered()
         values, errors = self.sums.estimate(lambda sums: _coefficients(sums, np.array(self.reference), scene))
         volume_is_constant = self.sums.total[1 + VOLUME] == 0.0 and self.sums.total[-1] == 0.0
-        ensemble = "constant temperature" if np.isfinite(scene.bath_temperature) else "constant energy"
+        ensemble = "constant energy" if scene.bath_temperature is None else "constant temperature"
         if not volume_is_constant:
             ensemble = "constant pressure"
         return FluctuationResult(scene, ensemble, values, errors, self.n_looks)
@@ -79,17 +79,17 @@ def _coefficients(sums: Array, reference: Array, scene: Scene) -> Array:
     covariance = sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)
     means, k_B, f = means + reference, scene.unit_system.k_B, scene.n_dof  # noqa: N806 - the symbol of the constant
     mean_temperature = 2.0 * means[KINETIC] / (f * k_B)
-    T = scene.bath_temperature if np.isfinite(scene.bath_temperature) else mean_temperature  # noqa: N806
+    T = mean_temperature if scene.bath_temperature is None else scene.bath_temperature  # noqa: N806
     energy, volume = np.array([1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     if covariance[VOLUME, VOLUME] > 0.0:
-        enthalpy = energy + scene.bath_pressure * volume  # NaN without a pressure of the bath
+        enthalpy = energy + (np.nan if scene.bath_pressure is None else scene.bath_pressure) * volume
         c_p = enthalpy @ covariance @ enthalpy / (k_B * T**2)
         compressibility = covariance[VOLUME, VOLUME] / (k_B * T * means[VOLUME])
         return np.array([mean_temperature, np.nan, c_p, compressibility, enthalpy @ covariance @ volume / (k_B * T**2 * means[VOLUME])])
-    if np.isfinite(scene.bath_temperature):
-        c_v = energy @ covariance @ energy / (k_B * T**2)
-    else:
+    if scene.bath_temperature is None:
         c_v = 0.5 * f * k_B / (1.0 - 2.0 * covariance[KINETIC, KINETIC] / (f * k_B**2 * T**2))
+    else:
+        c_v = energy @ covariance @ energy / (k_B * T**2)
     return np.array([mean_temperature, c_v, np.nan, np.nan, np.nan])
 
 

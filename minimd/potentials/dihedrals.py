@@ -276,6 +276,12 @@ class DihedralTerm(OwnTerm):
         self._law, self._parameters = law, ByPair(columns)
         self._loop = add_dihedral_forces if is_recognized(law) else without_cache(add_dihedral_forces)
 
+    def follow(self, system: System) -> bool:
+        """See Term; images are looked for again."""
+        for translations in self._dihedrals[1:]:
+            translations[:] = 0.0
+        return True
+
     def add_to(self, system: System, detail: int, sums: Any) -> None:
         """See Term."""
         cell, (i, j, k, l) = system.cell, self._ends

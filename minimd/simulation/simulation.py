@@ -173,9 +173,6 @@ class Simulation(Closed, Displayed):
         overwrite : replace files that exist.  append : continue the trajectory, an H5MD file in whose restart this simulation stands.
         observers : functions called with this simulation at each observation; and those of minimd.observers, which look at steps of their own and
             answer at the end. An H5MD file keeps them, and a run that continues it goes on with them.
-
-                stress = md.observers.Viscosity(every=5)
-                sim.run(100_000, observers=[stress])  # then print(stress.result())
         progress : show a progress bar; if not given, on a terminal and in a notebook.
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere
             (False). It holds the last good state and what minimd.replay needs; an existing file is kept unless overwrite, and the new one numbered.
@@ -200,6 +197,7 @@ class Simulation(Closed, Displayed):
                 stop_on_signals(engine.surroundings),
                 open_trajectories(trajectory, engine, every=every, observers=attached.accumulators, **files) as writers,
                 progress_of(end - start, "running", progress) as tell,
+                attached.broken_off(),
             ):
                 self.record = record = Record(self.system.units, len(self.system), first_h5md(trajectory))
                 guard.begin_run()
@@ -212,11 +210,11 @@ class Simulation(Closed, Displayed):
                     at = engine.step + n_now
                     guard.advance(n_now, with_energy=at in (next_look, end) or attached.need_energy(at))
                     tell(engine.step - start)
+                    if guard.is_hot() or at == end < next_look:
+                        guard.observe()  # before others look at what may have failed
                     attached.look()
-                    if engine.step == next_look:
+                    if at == next_look:
                         self._observe(writers, attached.functions)
-                    elif engine.step == end or guard.is_hot():
-                        guard.observe()
                     if monotonic() > checkpoint_due:
                         for writer in writers:
                             writer.checkpoint()

@@ -5,11 +5,11 @@ import pytest
 from baths import BUSSI, LANGEVIN, OBABO, SCENE, simulation
 
 import minimd as md
-from minimd.forces.cluster_term import ClusterTerm
 from minimd.analysis.check import check_file
 from minimd.diagnosis.report import drift, drift_of_walk
 from minimd.files.h5md_reader import read_file
 from minimd.files.h5md_writer import H5MDWriter
+from minimd.forces.cluster_term import ClusterTerm
 from minimd.integrators import THERMOSTATS
 from minimd.scene import parse_scene
 from minimd.scene.running import resume_run, run_scene

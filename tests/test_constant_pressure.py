@@ -137,6 +137,24 @@ def test_forces_that_depend_on_time_are_those_of_the_step_of_the_strain():
     assert clock.times == [0.0, 0.5, 0.5, 1.0, 1.0]
 
 
+def test_heat_capacity_and_expansion_at_the_pressure_of_the_barostat():
+    simulation, looking = atom_with_clock()[0], md.observers.Fluctuations(every=5)
+    simulation.velocities[:] = 0.5, -1.0, 0.7
+    record = simulation.run(40, every=5, observers=[looking], progress=False)
+    enthalpy, volume, found = record.total_energy + record.volume, record.volume, looking.result()
+    assert found.heat_capacity_p == pytest.approx(enthalpy.var() / 0.8**2)
+    assert found.expansion == pytest.approx(np.cov(enthalpy, volume, ddof=0)[0, 1] / (0.8**2 * volume.mean()))
+
+
+def test_fluctuations_belong_to_one_bath():
+    looking = md.observers.Fluctuations()
+    simulation = md.Simulation(md.System([[0.0, 0.0, 0.0]]), Clock(), md.LangevinBAOAB(0.1, 0.8, 1.0, 2))
+    looking.prepare(simulation.engine)
+    simulation.method = md.LangevinBAOAB(0.1, 0.9, 1.0, 2)
+    with pytest.raises(ValueError, match="one temperature and pressure of the bath"):
+        looking.prepare(simulation.engine)
+
+
 def test_a_cell_that_is_opened_between_two_runs_is_refused():
     simulation, _ = atom_with_clock()
     simulation.run(5, progress=False)

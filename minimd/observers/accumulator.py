@@ -29,7 +29,7 @@ class Scene:
     """What results need to know of the run: the same from its first observation to its last.
 
     units : name of the unit system.  species : labels.  numbers : atoms of each.  spacing : time between observations [time].
-    n_dof : degrees of freedom.  bath_temperature, bath_pressure : those that the method keeps; NaN where it keeps none.
+    n_dof : degrees of freedom.  bath_temperature, bath_pressure : those that method and barostat keep; NaN where they keep none.
     """
 
     units: str
@@ -43,9 +43,9 @@ class Scene:
     @classmethod
     def of(cls, engine: Engine, every: int) -> Scene:
         """The scene of an engine."""
-        system, parameters = engine.system, engine.method.parameters
-        kept = (parameters.get(name) for name in ("temperature", "pressure"))
-        baths = [float(one) if isinstance(one, int | float) else np.nan for one in kept]
+        system, barostat, method = engine.system, engine.barostat, engine.method
+        kept = (getattr(barostat, "temperature", None), getattr(barostat, "pressure", None))
+        baths = [np.nan if one is None else float(one) for one in (method.parameters.get("temperature", kept[0]), kept[1])]
         numbers = np.bincount(system.species_index, minlength=len(system.species_names)).tolist()
         return cls(system.units.name, [str(one) for one in system.species_names], numbers, every * engine.method.timestep, engine.n_dof, *baths)
 

@@ -9,6 +9,7 @@ from scipy.optimize import minimize_scalar
 
 import minimd as md
 from minimd.integrators.splitting.barostats import Scene
+from minimd.structure.cell import Cell
 
 COUPLINGS = ["isotropic", "z", "xy", "triclinic"]
 
@@ -108,6 +109,58 @@ def test_what_the_barostat_gives_is_what_the_energy_gains(scene, coupling):
     assert np.ptp(record.conserved_energy) < 0.02 * np.ptp(enthalpy) + 0.02 * np.ptp(record.total_energy)
     if scene == "dumbbells":
         assert record.constraint_violation.max() < 1e-12
+
+
+class Clock(md.Term):
+    """No force; remembers the times of evaluations with energy."""
+
+    depends_on_time = True
+
+    def __init__(self):
+        self.times = []
+
+    def bind(self, system):
+        return self
+
+    def add(self, system, detail, forces, energies, virials):
+        self.times += [round(self.time, 9)] if detail else []
+
+
+def atom_with_clock():
+    clock, bath = Clock(), barostat(temperature=0.8, relaxation_time=50.0)
+    return md.Simulation(md.System([[0.0, 0.0, 0.0]], cell=[3.0] * 3), clock, md.VelocityVerlet(0.1), barostat=bath), clock
+
+
+def test_forces_that_depend_on_time_are_those_of_the_step_of_the_strain():
+    simulation, clock = atom_with_clock()
+    simulation.run(10, every=10, progress=False)
+    assert clock.times == [0.0, 0.5, 0.5, 1.0, 1.0]
+
+
+def test_heat_capacity_and_expansion_at_the_pressure_of_the_barostat():
+    simulation, looking = atom_with_clock()[0], md.observers.Fluctuations(every=5)
+    simulation.velocities[:] = 0.5, -1.0, 0.7
+    record = simulation.run(40, every=5, observers=[looking], progress=False)
+    enthalpy, volume, found = record.total_energy + record.volume, record.volume, looking.result()
+    assert found.heat_capacity_p == pytest.approx(enthalpy.var() / 0.8**2)
+    assert found.expansion == pytest.approx(np.cov(enthalpy, volume, ddof=0)[0, 1] / (0.8**2 * volume.mean()))
+
+
+def test_fluctuations_belong_to_one_bath():
+    looking = md.observers.Fluctuations()
+    simulation = md.Simulation(md.System([[0.0, 0.0, 0.0]]), Clock(), md.LangevinBAOAB(0.1, 0.8, 1.0, 2))
+    looking.prepare(simulation.engine)
+    simulation.method = md.LangevinBAOAB(0.1, 0.9, 1.0, 2)
+    with pytest.raises(ValueError, match="one temperature and pressure of the bath"):
+        looking.prepare(simulation.engine)
+
+
+def test_a_cell_that_is_opened_between_two_runs_is_refused():
+    simulation, _ = atom_with_clock()
+    simulation.run(5, progress=False)
+    simulation.system.cell = Cell(simulation.system.cell.vectors, [True, True, False])
+    with pytest.raises(ValueError, match="periodic in all three directions, a slab too"):
+        simulation.make_steps(5)
 
 
 @pytest.mark.parametrize("scene", SCENES)

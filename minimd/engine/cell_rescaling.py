@@ -95,7 +95,8 @@ class CellRescaling:
         return float(found)
 
     def advance(self, engine: Any, n_steps: int, with_energy: bool) -> int:
-        """See Engine.advance.  engine : an Engine, of which this is a part."""
+        """See Engine.advance.  engine : an Engine, of which this is a part.  Raises ValueError for a cell that somebody has opened."""
+        check_cell(self._system)
         done, every = 0, self.barostat.every
         while done < n_steps:
             wanted = min(n_steps - done, every - (engine.step + done) % every)
@@ -103,22 +104,22 @@ class CellRescaling:
             made = engine.advance(wanted, is_due or (with_energy and done + wanted == n_steps), done)
             done += made
             if is_due and made == wanted:
-                self.apply(engine, engine.step + done + engine.noise_shift)
+                self.apply(engine, done)
             if engine.surroundings.stop_requested:
                 break
         return done
 
-    def apply(self, engine: Any, number: int) -> None:
-        """One strain of the whole scene.  number : of the step, which chooses the noise.
+    def apply(self, engine: Any, done: int) -> None:
+        """One strain of the whole scene.  done : steps made since engine.step; the number of the present step chooses the noise.
 
         Raises RangeError if the strain is too large.  ValueError if there is no virial.
         """
         duration, thermal = self.barostat.every * engine.method.timestep, self._system.units.k_B * self.temperature(engine.method)
         bath = engine.surroundings.bath
         engine.turned()
-        engine.evaluate()
+        engine.evaluate(done)
         before = self._scene(thermal, bath)
-        strain = self.barostat.strain(before, duration, number)
+        strain = self.barostat.strain(before, duration, engine.step + done + engine.noise_shift)
         largest = float(np.abs(strain).max())
         if not largest <= LARGEST_STRAIN:
             why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {self.barostat.pressure:.3g}"
@@ -128,7 +129,7 @@ class CellRescaling:
         back = self._move(exponential(strain), bath)
         engine.moved()
         self._interactions.follow()
-        engine.evaluate()
+        engine.evaluate(done)
         after = self._scene(thermal, bath, back)
         bath.energy += after.energy - before.energy - self.barostat.change_of_conserved(before, after, strain, duration)
 
@@ -207,13 +208,18 @@ def rescaling_of(barostat: StochasticCellRescaling | None, engine: Any) -> CellR
 
 def check(system: System, interactions: Forces, constraints: ConstraintSet) -> None:
     """Raise ValueError for a scene that cannot be at constant pressure."""
-    if system.volume is None:
-        raise ValueError(
-            f"a barostat needs a cell that is periodic in all three directions, a slab too: give it an empty space; pbc = {system.cell.pbc.tolist()}"
-        )
+    check_cell(system)
     if constraints.n_fixed:
         raise ValueError(f"a barostat moves all atoms, and {constraints.n_fixed} are held fixed: hold them with springs instead")
     if interactions.act_from_outside:
         raise ValueError("a barostat needs the virial of all forces, and forces from outside, such as fields and walls, have none")
     if interactions.options.precision == FIXED_POINT:
         raise ValueError("precision='fixed-point' is for a constant cell, whose vectors lie on its grid; with a barostat take precision='double'")
+
+
+def check_cell(system: System) -> None:
+    """Raise ValueError for a cell without a volume."""
+    if system.volume is None:
+        raise ValueError(
+            f"a barostat needs a cell that is periodic in all three directions, a slab too: give it an empty space; pbc = {system.cell.pbc.tolist()}"
+        )

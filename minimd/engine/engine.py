@@ -193,14 +193,14 @@ class Engine:
         arrays = self.positions, self.velocities, self.system.cell.vectors, self.system.cell.pbc, self.system.masses
         return tuple(zlib.crc32(np.ascontiguousarray(array).data) for array in arrays)
 
-    def evaluate(self) -> None:
-        """Compute forces, energy and virial at the present positions, unless they are current. The steps to come have the same bits without it."""
+    def evaluate(self, done: int = 0) -> None:
+        """Compute forces, energy, virial, unless they are current; the steps to come have the same bits without it.  done : see advance."""
         if self._state.forces_are_current and self.interactions.has_energy:
             return
         end = self.surroundings.open_end
         is_aside = end is not None and end.drifts_next  # the run itself needs no forces here
         before, n_builds = self.interactions.lists_built() if is_aside else (), self.interactions.n_builds
-        self.interactions.time = self.time
+        self.interactions.time = self._time_at(self._step + done)
         self.interactions.compute(TOTALS, self._state.unit)
         self._state.forces_are_current, self.surroundings.power = True, self.interactions.power
         if is_aside and self.interactions.n_builds != n_builds:

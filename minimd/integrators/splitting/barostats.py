@@ -10,7 +10,7 @@ from math import inf, log, sqrt
 import numpy as np
 
 from minimd.integrators.method import Array
-from minimd.structure.checks import checked_count, checked_number, shown
+from minimd.structure.checks import checked_choice, checked_count, checked_number
 from minimd.structure.display import Displayed, Rows, as_text
 
 __all__ = ["StochasticCellRescaling"]
@@ -94,8 +94,7 @@ class StochasticCellRescaling(Displayed):
         checked_count("every", self.every)
         if self.temperature is not None:
             checked_number("temperature", self.temperature, "finite and not negative")
-        if self.coupling not in COUPLINGS:
-            raise ValueError(f"coupling must be one of {', '.join(map(repr, COUPLINGS))}; coupling = {shown(self.coupling)}")
+        checked_choice("coupling", self.coupling, COUPLINGS)
         axes = np.array([axis in self.coupling for axis in AXES], dtype=np.float64)
         object.__setattr__(self, "mask", np.ones((3, 3)) if self.coupling == "triclinic" else np.diag(axes))
 

@@ -151,7 +151,7 @@ def test_fluctuations_belong_to_one_bath():
     simulation = md.Simulation(md.System([[0.0, 0.0, 0.0]]), Clock(), md.LangevinBAOAB(0.1, 0.8, 1.0, 2))
     looking.prepare(simulation.engine)
     simulation.method = md.LangevinBAOAB(0.1, 0.9, 1.0, 2)
-    with pytest.raises(ValueError, match="one temperature and pressure of the bath"):
+    with pytest.raises(ValueError, match="another system, or one with another time step or bath"):
         looking.prepare(simulation.engine)
 
 

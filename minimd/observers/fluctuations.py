@@ -48,15 +48,6 @@ class Fluctuations(Accumulator):
         super().__init__(every, name)
         self.reference: list[float] = []
 
-    def prepare(self, engine: Engine) -> None:
-        """See Accumulator; temperature and pressure of the bath may not change either."""
-        before, now = self.scene, Scene.of(engine, self.every)
-        super().prepare(engine)
-        was, is_now = ([one.bath_temperature, one.bath_pressure] for one in (before or now, now))
-        if was != is_now:
-            words = f"fluctuations belong to one temperature and pressure of the bath, which were {was} and now are {is_now}"
-            raise ValueError(f"{words}: make a new {type(self).__name__} for this run")
-
     def _settled(self) -> dict[str, Any]:
         return {"reference": self.reference}
 

@@ -215,3 +215,8 @@ steps = 2
     fall = '[[potential]]\ntype = "gravity"\nacceleration_A_ps2 = [0.0, 0.0, -2.0]\n'
     in_ase = in_ase.replace(FIELDS, fall).replace("timestep", "timestep_fs")
     assert parse_scene(in_ase, "scene.toml").potentials()[0].acceleration[2] == pytest.approx(-2.0 / md.units.ps**2, rel=1e-14)
+
+
+def test_coefficients_that_are_no_list_are_refused():
+    with pytest.raises(TypeError, match="coefficients must be a list, c0 to c5 at most"):
+        md.RyckaertBellemans(5.0)

@@ -86,6 +86,7 @@ def test_walls_have_their_laws():
         (lambda: md.evaluate(atoms_in("open"), md.SphereWall([0, 0, 0], 0.5)), "in front of a SphereWall"),
         (lambda: md.evaluate(atoms_in("skewed"), FIELDS["wall 9-3"][0]), "must lie along all periodic directions; it crosses c"),
         (lambda: md.Wall([0, 0, 0], [0, 0, 0]), "normal must not be zero"),
+        (lambda: md.SteeredSpring(1.0, [0, 0, 0], [1, 0, 0], end=np.array([1.0, 2.0])), "end must be finite"),
         (lambda: md.Wall([0, 0, 0], [0, 0, 1], law="10-4"), "law must be one of '9-3', '12-6'"),
         (lambda: md.evaluate(atoms_in("open"), md.ConstantForce([0, 0, 1], [6])), "must be atoms 0 to 5; they name atom 6"),
         (lambda: md.Restraint(-1.0, [0, 0, 0]), "k must be one number or three, finite and not negative"),
@@ -130,6 +131,11 @@ OMEGA = (K / MASS) ** 0.5
 def pulled(method, **more):
     """One atom on a spring whose point leaves with a constant velocity: x = vt − (v/ω) sin ωt, W = m v² (1 − cos ωt)."""
     return md.Simulation(md.System([[0.0, 0.0, 0.0]], masses=MASS), md.SteeredSpring(K, [0, 0, 0], V, **more), method)
+
+
+@pytest.mark.parametrize("size", [1e-300, 1.0, 1e300])
+def test_normals_may_have_any_length(size):
+    assert md.Wall([0, 0, 0], [3.0 * size, 0, -4.0 * size]).normal == pytest.approx([0.6, 0.0, -0.8])
 
 
 @pytest.mark.parametrize("name", ["velocity-verlet", "position-verlet", "leapfrog", "suzuki-4", "pefrl"])

@@ -233,3 +233,8 @@ def test_dihedrals_follow_a_strained_cell():
     assert forces.terms == [term]
     assert forces.forces == pytest.approx(md.evaluate(system, law).forces, rel=1e-12)
     assert np.abs(forces.forces).max() > 0.1
+
+
+def test_coefficients_that_are_no_list_are_refused():
+    with pytest.raises(TypeError, match="coefficients must be a list, c0 to c5 at most"):
+        md.RyckaertBellemans(5.0)

@@ -125,7 +125,10 @@ class RyckaertBellemans(DihedralPotential):
     """
 
     def __init__(self, coefficients: Sequence[ArrayLike], quadruples: ArrayLike | None = None) -> None:
-        given = list(coefficients)
+        try:
+            given = list(coefficients)
+        except TypeError:
+            raise TypeError(f"coefficients must be a list, c0 to c5 at most; coefficients = {shown(coefficients)}") from None
         if len(given) > N_COEFFICIENTS:
             raise ValueError(f"coefficients must be at most {N_COEFFICIENTS}, c0 to c5; they are {len(given)}")
         self._hold(RyckaertBellemansLaw(), {f"c{k}": given[k] if k < len(given) else 0.0 for k in range(N_COEFFICIENTS)}, quadruples)

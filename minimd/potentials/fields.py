@@ -204,7 +204,7 @@ class SteeredSpring(Restraint):
     ) -> None:
         super().__init__(k, points, atoms)
         self.velocity, self.start = checked_vectors("velocity", velocity), checked_number("start", start)
-        self.end = inf if end == inf else checked_number("end", end)
+        self.end = inf if isinstance(end, float) and end == inf else checked_number("end", end)
         if self.velocity.ndim != 1 or not self.end > self.start:
             raise ValueError(f"velocity must be three numbers, and end after start; velocity = {shown(velocity)}, start = {start!r}, end = {end!r}")
 

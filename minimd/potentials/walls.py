@@ -212,7 +212,8 @@ def _vector(name: str, values: ArrayLike) -> Array:
 
 def _unit_vector(name: str, values: ArrayLike) -> Array:
     array = _vector(name, values)
-    length = float(np.linalg.norm(array))
-    if not length > 0.0:
-        raise ValueError(f"{name} must not be zero; {name} = {array.tolist()}")
+    largest = float(np.abs(array).max())
+    length = largest * float(np.linalg.norm(array / largest)) if largest > 0.0 else 0.0  # no square leaves the range of floats
+    if not 0.0 < length < inf:
+        raise ValueError(f"{name} must not be zero, nor of infinite length; {name} = {array.tolist()}")
     return array / length

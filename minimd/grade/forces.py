@@ -162,10 +162,22 @@ def _apart(values: Array, r: Array, u: Law) -> list[str]:
 
 def reference(potential: Any, r: float) -> float:
     """minimd's force of a pair at a distance, > 0 for repulsion."""
+    return float(evaluated(np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]]), potential, None).forces[1, 0])
+
+
+def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
+    """minimd's forces and energy. Bonds that name no pairs are between the two atoms, if there are two.  Raises ValueError if there are more."""
     from minimd.forces.forces import evaluate
+    from minimd.potentials.bonded import BondPotential
     from minimd.structure.system import System
 
-    return float(evaluate(System(np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]])), potential).forces[1, 0])
+    bonds = None
+    if isinstance(potential, BondPotential) and potential.pairs is None:
+        if len(x) != 2:
+            raise ValueError(f"{potential!r} does not say which of the {len(x)} atoms are bonded: give it pairs=[[0, 1]] and the like, or "
+                             "positions= of two atoms")  # fmt: skip
+        bonds = [[0, 1]]
+    return evaluate(System(x, cell=lengths, bonds=bonds), potential)
 
 
 def _of_bodies(force: StudentForce, potential: Any, lengths: Array | None, cutoff: float | None, given: Array | None) -> Answer:
@@ -202,11 +214,8 @@ def _at_half_the_cell(bodies: Bodies, edge: float) -> Finding:
 
 def _beside(bodies: Bodies, potential: Any, lengths: Array | None) -> tuple[Finding, list[str]]:
     """All forces of a configuration beside minimd's."""
-    from minimd.forces.forces import evaluate
-    from minimd.structure.system import System
-
     own, x = bodies.f(bodies.x), np.pad(bodies.x, ((0, 0), (0, 3 - bodies.d)))
-    answer = evaluate(System(x, cell=None if lengths is None else lengths), potential)
+    answer = evaluated(x, potential, lengths)
     known = answer.forces[:, : bodies.d]
     off = float(np.abs(own - known).max() / np.abs(known).max())
     c = float(np.sum(own * known) / np.sum(known**2))

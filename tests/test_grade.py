@@ -185,6 +185,43 @@ def test_wrong_forces_are_told_their_fault(force, options, words):
     assert any(words in fault for fault in grade.faults), str(grade)
 
 
+def pair_law(x, law):
+    d = x[:, None] - x
+    r = np.sqrt((d * d).sum(axis=2)) + np.eye(len(x)) * 1e10
+    return (law(r)[:, :, None] * d).sum(axis=1)
+
+
+def test_parameters_of_a_force_are_what_they_say():
+    def right(x, eps=0.5, sigma=1.1):
+        return pair_law(x, lambda r: 24 * eps * (2 * sigma**12 / r**14 - sigma**6 / r**8))
+
+    def of_half_the_depth(x, eps=0.5, sigma=1.0):
+        return right(x, eps, sigma)
+
+    def no_sigma(x, eps=0.7, sigma=1.2):
+        return pair_law(x, lambda r: 24 * eps * (2 * sigma**12 / r**14 - 1 / r**8))
+
+    def no_epsilon(r, eps=2.0):
+        return 48 / r**13 - 24 / r**7
+
+    def no_length(x, k=2.0, r0=1.1):
+        return np.array([k * (x[1] - x[0]), k * (x[0] - x[1])])
+
+    assert md.grade(right).passed
+    assert md.grade(of_half_the_depth).passed
+    assert "attractive term" in (fault := md.grade(no_sigma).faults[0])
+    assert "σ^6 is missing" in fault
+    assert "eps is without effect" in md.grade(no_epsilon).faults[0]
+    assert "without rest length" in md.grade(no_length, positions=np.array([[0.0, 0.0, 0.0], [0.9, 0.5, 0.2]])).faults[0]
+
+
+def test_a_force_that_falls_as_the_inverse_of_r_is_remarked():
+    grade = md.grade(lambda x: pair_law(x, lambda r: 1 / r**2))
+    assert grade["powers of r"].passed is None
+    assert "a factor 1/r is missing" in grade.remarks[0]
+    assert not md.grade(lambda x: pair_law(x, lambda r: 1 / r**3)).remarks
+
+
 def test_forces_are_compared_with_those_of_a_potential():
     law = md.LennardJones(1.0, 1.0, 2.5)
 

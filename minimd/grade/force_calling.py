@@ -58,7 +58,7 @@ class StudentForce:
             raise TypeError(f"{self.name} takes no positions; a force function is called as forces(positions)")
         if needed[0] == "self":
             raise TypeError(f"{self.name} is a method without its object: hand over that of an object, as md.grade(Model().{self.name})")
-        self.names = needed
+        self.names, self.defaults = needed, {one.name: one.default for one in parameters if one.default is not one.empty}
         self.is_of_two = len(needed) > 1 and all(re.search(ONE_OF_TWO, name.lower()) for name in needed[:2])
         self.extra = [option_of(name) for name in needed[1 + self.is_of_two :]]
         if unknown := [name for name, option in zip(needed[1 + self.is_of_two :], self.extra, strict=True) if option not in options]:

@@ -60,6 +60,117 @@ def test_wrong_weights_of_a_composition_are_named():
     assert any("nearly candy-rozmus-4, but substep 4, a kick, is 1.702" in fault for fault in grade.faults), str(grade)
 
 
+def runge_kutta(k3, x, v, force, dt):
+    """RK4, whose third stage uses k1 or k2, by number."""
+    k = [(v, force(x))]
+    k.append((v + dt / 2 * k[0][1], force(x + dt / 2 * k[0][0])))
+    k.append((v + dt / 2 * k[k3 - 1][1], force(x + dt / 2 * k[k3 - 1][0])))
+    k.append((v + dt * k[2][1], force(x + dt * k[2][0])))
+    return tuple(y + dt / 6 * (k[0][n] + 2 * k[1][n] + 2 * k[2][n] + k[3][n]) for n, y in enumerate((x, v)))
+
+
+def test_a_runge_kutta_method_passes_if_its_order_is_asked_for():
+    right = md.grade(lambda x, v, force, dt: runge_kutta(2, x, v, force, dt), order=4)
+    assert right.passed, str(right)
+    assert right["order"].passed
+    assert any("not symplectic" in remark for remark in right.remarks)
+    wrong = md.grade(lambda x, v, force, dt: runge_kutta(1, x, v, force, dt), order=4)
+    assert any("wrong third stage" in fault for fault in wrong.faults), str(wrong)
+
+
+def force_of_half_the_step(x, v, dt, force):
+    v = v + 0.5 * dt * force(x)
+    return x + dt * v, v + 0.5 * dt * force(x + 0.5 * dt * v)
+
+
+def dt_twice(x, v, dt, force):
+    v = v + 0.5 * dt * force(x) * dt
+    x = x + dt * v
+    return x, v + 0.5 * dt * force(x)
+
+
+def doubled(x, v, dt, force):
+    old = x - v * dt + 0.5 * dt**2 * force(x)
+    new = 2 * x - old + dt**2 * force(x)
+    return new, (new - old) / dt
+
+
+def multiplied_by_mass(x, v, dt, m, force):
+    f, m = force(x), m[:, None]
+    x = x + v * dt + f * dt**2 / 2 * m
+    return x, v + (f + force(x)) * dt / 2 / m
+
+
+def limited(x, v, dt, force):
+    v = np.clip(v + 0.5 * dt * force(x), -1, 1)
+    x = x + dt * v
+    return x, v + 0.5 * dt * force(x)
+
+
+def without_copies(x, v, force, dt, n_steps):
+    xs, vs = [x], [v]
+    for _ in range(n_steps):
+        v += 0.5 * dt * force(x)
+        x += dt * v
+        v += 0.5 * dt * force(x)
+        xs.append(x)
+        vs.append(v)
+    return np.array(xs), np.array(vs)
+
+
+def with_frc(pos, vel, frc, dt, compute_forces):
+    pos += vel * dt + frc * dt**2
+    new = compute_forces(pos)
+    vel += 0.5 * (frc + new) * dt
+    frc[:] = new
+
+
+@pytest.mark.parametrize(("step", "words"), [
+    (force_of_half_the_step, "positions of half the step"),
+    (dt_twice, "multiplied by dt twice"),
+    (doubled, "(2 dt)"),
+    (multiplied_by_mass, "/(2*m)"),
+    (limited, "components of velocities above 1 are cut off"),
+    (without_copies, "x.copy()"),
+    (with_frc, "twice the ½ dt² F/m"),
+])  # fmt: skip
+def test_one_fault_is_named_and_no_other(step, words):
+    grade = md.grade(step)
+    assert len(grade.faults) == 1, str(grade)
+    assert words in grade.faults[0]
+
+
+def test_a_step_with_large_substeps_gets_no_faults_from_rounding():
+    w = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
+
+    def step(x, v, m, force, dt):
+        for part in (w, 2.0 ** (1.0 / 3.0) * w, w):
+            v = v + 0.5 * part * dt * force(x) / m[:, None]
+            x = x + part * dt * v
+            v = v + 0.5 * part * dt * force(x) / m[:, None]
+        return x, v
+
+    faults = md.grade(step, order=4).faults
+    assert len(faults) == 3, faults
+    assert all("4.405" in fault or "4 kicks" in fault for fault in faults)
+
+
+def test_a_bond_of_minimd_is_between_the_two_atoms():
+    x, law = np.array([[0.0, 0.0, 0.0], [0.9, 0.5, 0.2]]), md.HarmonicBond(2.0, 1.1)
+
+    def bond(pos, k=2.0, length=1.1):
+        d = pos[1] - pos[0]
+        r = np.linalg.norm(d)
+        return np.array([k * (r - length) * d / r, -k * (r - length) * d / r])
+
+    grade = md.grade(bond, law, positions=x)
+    assert grade.passed, str(grade)
+    with pytest.raises(ValueError, match="name positions="):
+        md.grade(bond)
+    with pytest.raises(ValueError, match=r"pairs=\[\[0, 1\]\]"):
+        md.grade(lambda x: -x, law)
+
+
 @pytest.mark.parametrize("force", RIGHT_FORCES)
 def test_right_forces_pass(force):
     grade = md.grade(force)
@@ -72,6 +183,43 @@ def test_wrong_forces_are_told_their_fault(force, options, words):
     grade = md.grade(force, **options)
     assert not grade.passed
     assert any(words in fault for fault in grade.faults), str(grade)
+
+
+def pair_law(x, law):
+    d = x[:, None] - x
+    r = np.sqrt((d * d).sum(axis=2)) + np.eye(len(x)) * 1e10
+    return (law(r)[:, :, None] * d).sum(axis=1)
+
+
+def test_parameters_of_a_force_are_what_they_say():
+    def right(x, eps=0.5, sigma=1.1):
+        return pair_law(x, lambda r: 24 * eps * (2 * sigma**12 / r**14 - sigma**6 / r**8))
+
+    def of_half_the_depth(x, eps=0.5, sigma=1.0):
+        return right(x, eps, sigma)
+
+    def no_sigma(x, eps=0.7, sigma=1.2):
+        return pair_law(x, lambda r: 24 * eps * (2 * sigma**12 / r**14 - 1 / r**8))
+
+    def no_epsilon(r, eps=2.0):
+        return 48 / r**13 - 24 / r**7
+
+    def no_length(x, k=2.0, r0=1.1):
+        return np.array([k * (x[1] - x[0]), k * (x[0] - x[1])])
+
+    assert md.grade(right).passed
+    assert md.grade(of_half_the_depth).passed
+    assert "attractive term" in (fault := md.grade(no_sigma).faults[0])
+    assert "σ^6 is missing" in fault
+    assert "eps is without effect" in md.grade(no_epsilon).faults[0]
+    assert "without rest length" in md.grade(no_length, positions=np.array([[0.0, 0.0, 0.0], [0.9, 0.5, 0.2]])).faults[0]
+
+
+def test_a_force_that_falls_as_the_inverse_of_r_is_remarked():
+    grade = md.grade(lambda x: pair_law(x, lambda r: 1 / r**2))
+    assert grade["powers of r"].passed is None
+    assert "a factor 1/r is missing" in grade.remarks[0]
+    assert not md.grade(lambda x: pair_law(x, lambda r: 1 / r**3)).remarks
 
 
 def test_forces_are_compared_with_those_of_a_potential():
@@ -105,6 +253,9 @@ def wrong_shape(x, v, force, m, dt):
     (lambda: md.grade(lambda x: x[0]), ValueError, "shape of the positions"),
     (lambda: md.grade(lambda x, charges: x), TypeError, "charges"),
     (lambda: md.grade(lambda x: -x, cell=-1.0), ValueError, "cell must be"),
+    (lambda: md.grade(lambda x, v, thing, m, dt, force: x), TypeError, "what thing is"),
+    (lambda: md.grade(lambda self, x, v, force, dt: (x, v)), TypeError, "method without its object"),
+    (lambda: md.grade(lambda y, t, dt, f: y + dt * f(y, t)), ValueError, "as SciPy takes it"),
 ])  # fmt: skip
 def test_what_cannot_be_graded_is_refused_in_a_sentence(call, error, words):
     with pytest.raises(error) as caught:
@@ -116,6 +267,7 @@ def test_a_grade_shows_itself():
     grade = md.grade(lambda r: 48 / r**13 - 24 / r**6)
     assert "✗" in grade._repr_html_() or "?" in grade._repr_html_()
     assert "fault" in str(grade)
+    assert [finding.name for finding in grade][:1] == ["powers of r"]
     with pytest.raises(KeyError, match="those that were"):
         grade["order"]
 

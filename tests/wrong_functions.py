@@ -340,6 +340,19 @@ def one_direction(x, box, cutoff):
     return forces
 
 
+def in_a_cube(x, box, cutoff, of_positions=False):
+    x = x - box * np.round(x / box) if of_positions else x
+    d = x[:, None] - x
+    d = d if of_positions else d - box * np.round(d / box)
+    r2 = (d * d).sum(axis=2) + np.eye(len(x)) * 1e10
+    inside = r2 < cutoff**2 if of_positions else (np.abs(d) < cutoff).all(axis=2)
+    return (np.where(inside, 48 / r2**7 - 24 / r2**4, 0.0)[:, :, None] * d).sum(axis=1)
+
+
+def wrapped_positions(x, box, cutoff):
+    return in_a_cube(x, box, cutoff, True)
+
+
 def itself(x):
     d = x[:, None] - x
     r = np.sqrt((d * d).sum(axis=2))
@@ -366,6 +379,8 @@ WRONG_FORCES = {
     "cutoff not applied": (lambda x: lennard_jones(x, cutoff=1e3), {"cutoff": 2.5}, "cutoff 2.5 is not applied"),
     "no minimum image": (lambda x: lennard_jones(x), {"cell": 8.0}, "minimum image is missing"),
     "one direction": (one_direction, {}, "one direction"),
+    "cutoff of components": (in_a_cube, {"cell": 8.0, "cutoff": 2.5}, "acts on the components"),
+    "wrapped positions": (wrapped_positions, {"cell": 8.0, "cutoff": 2.5}, "differences are not"),
     "with itself": (itself, {}, "meets itself"),
     "no gradient": (not_a_gradient, {}, "no gradient"),
     "a component missing": (planar, {}, "component"),

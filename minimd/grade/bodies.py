@@ -80,6 +80,25 @@ class Bodies:
         edge = float(np.round(guesses[k], 3))
         return edge if abs(at(edge + 1.5) - first) < 0.05 * abs(first) else None
 
+    def cube(self, farthest: float) -> float | None:
+        """Half the edge of the cube in which pairs feel each other; None if it is no cube, or without end."""
+        if self.d == 1:
+            return None
+        start, unit, largest = WHERE[: self.d], np.eye(self.d)[0], float(self.along.max())
+
+        def feels(r: float, along: Array) -> bool:
+            return bool(np.any(self.f(np.array([start, start + r * along]))))
+
+        r = np.arange(0.9, farthest, 0.05)
+        felt = [k for k, one in enumerate(r) if feels(float(one), unit)]
+        if not felt or felt[-1] == len(r) - 1 or felt[-1] + 1 != len(felt):
+            return None
+        low, high = float(r[felt[-1]]), float(r[felt[-1] + 1])
+        for _ in range(30):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if feels(middle, unit) else (low, middle)
+        return low if feels(0.99 * low / largest, self.along) and not feels(1.01 * low / largest, self.along) else None
+
     def findings(self) -> list[Finding]:
         """All laws."""
         forces = self.f(self.x)
@@ -199,6 +218,10 @@ class Bodies:
                 off = float(np.abs(across - inside).max() / np.abs(inside).max())
                 if off > 1e-8:
                     (missing if np.abs(across).max() < 0.2 * np.abs(inside).max() else wrong).append((axis, sign))
+            if self._wraps_positions(lengths):
+                self.faults.append("positions are wrapped into the cell, but differences are not: a pair at a face of the wrapped cell does not feel "
+                                   "each other, in neither direction; take dx − L · round(dx/L) of the differences")  # fmt: skip
+                return [Finding("nearest image", False, "pairs apart by less than half the cell do not feel each other at half of it")]
             n_bad = len(missing) + len(wrong)
             words = "pairs across all faces feel each other as inside" if not n_bad else f"pairs across {n_bad} of {2 * self.d} faces do not"
             answers.append(Finding("nearest image", not n_bad, words, float(n_bad)))
@@ -210,6 +233,20 @@ class Bodies:
         if off > 1e-8 and not missing and not wrong:
             self.faults.append(f"atoms outside the cell have other forces (by {off:.1%}): subtract L · round(dx/L), which holds for any distance")
         return answers
+
+    def _wraps_positions(self, lengths: Array) -> bool:
+        """Whether pairs are felt near the origin and across it, but not across half the cell."""
+        for axis in range(self.d):
+            unit = np.eye(self.d)[axis]
+            if lengths[axis] < 4.0 * PROBE:
+                return False
+            one, across, half = (
+                float(np.abs(self.f(np.array([0.1 * lengths, 0.1 * lengths + PROBE * unit]) + shift * unit)).max())
+                for shift in (0.0, -0.1 * lengths[axis] - 0.5 * PROBE, 0.4 * lengths[axis] - 0.5 * PROBE)
+            )
+            if not (one > 0.0 and abs(across - one) < 1e-8 * one and half < 0.2 * one):
+                return False
+        return True
 
     def _tell_images(self, missing: list[tuple[int, int]], wrong: list[tuple[int, int]]) -> None:
         bad = missing + wrong

@@ -28,7 +28,7 @@ NAMES = {  # whole names, in small letters without underscores; what begins or c
     "x": ["x", "r", "q", "pos", "xyz", "rs", "xs", "qs", "x0", "r0", "q0", "xn", "rn", "qn"],
     "v": ["v", "vel", "vs", "v0", "vn", "u", "xdot", "qdot", "rdot"],
     "p": ["p", "mom", "ps", "p0", "pn"],
-    "force": ["f", "fn", "func", "fs", "f0", "fun"],
+    "force": ["f", "fn", "func", "fs", "f0", "fun", "frc", "frcs"],
     "acceleration": ["a", "a0", "an", "accel"],
     "m": ["m", "ms"],
     "dt": ["dt", "h", "tau", "step", "δt", "δ", "deltat", "dtime", "stepsize"],
@@ -55,6 +55,7 @@ PATTERNS = (  # in this order
 )
 IS_FUNCTION = r"func|fn|compute|calc|get|eval|callable|law|field"
 IS_BEFORE = r"old|prev|last|before|minus|m1"
+KNOWN = "pos, vel, frc, forces, compute_forces, acc, mass, h, timestep, p, x_old, v_half"
 FORCES = ("force", "acceleration", "gradient")
 ANSWERS = ("F", "(F, U)", "(U, F)")
 FAR = 1e6  # edge of a box that is handed to a step that asks for one
@@ -96,6 +97,10 @@ def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
         parameters = list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):
         raise TypeError(f"step must be a function, such as step(x, v, force, m, dt); got {function!r}") from None
+    if parameters and parameters[0].name == "self":
+        raise TypeError(
+            "step is a method without its object, its first parameter is self: hand over that of an object, as md.grade(Simulation().step)"
+        )
     pairs = [(one.name, role_of(one.name), one.default is one.empty) for one in parameters if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)]
     if not any(role in FORCES for _, role, _ in pairs):  # a step with a force of its own keeps its own mass
         pairs = [pair for pair in pairs if pair[1] != "m" or pair[2]]
@@ -108,8 +113,10 @@ def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
             roles[k] = left.pop(0)
     if "dt" not in roles or not ("state" in roles or ({"v", "p", "half", "old"} & set(roles) and "x" in roles)) or "" in roles:
         told = ", ".join(names)
+        unknown = [name for name in names if not role_of(name)]
+        nobody = f"; nobody can tell by its name what {' and '.join(unknown)} is" if unknown else ""
         raise TypeError(f"a step takes positions, velocities, a force function, masses and a time step, as step(x, v, force, m, dt); "
-                        f"the parameters of this one are ({told}): give them these names, m may be left out")  # fmt: skip
+                        f"the parameters of this one are ({told}){nobody}. Give them these names, m may be left out; known are {KNOWN}")  # fmt: skip
     return names, roles
 
 
@@ -141,7 +148,8 @@ class StudentStep:
 
     def __init__(self, function: Callable[..., Any], manner: Manner) -> None:
         self.function, self.manner = function, manner
-        self.n_evaluations = 0
+        self.n_evaluations, self.n_steps = 0, 1
+        self.path: list[Array] = []  # rows of positions and of velocities of a function that makes a path
         self.third: Array | None = None
         self.swapped = self.in_place = self.is_procedure = False
         self.stiffness = 0.0  # of the oscillator that a step brings with it that is given no force
@@ -216,7 +224,7 @@ class StudentStep:
             shapes = {"(N,)": where.m, "(N, 1)": where.m.reshape(-1, 1), "one number": float(np.ravel(where.m)[0])}
             return np.array(shapes[self.manner.masses]) if self.manner.masses != "one number" else shapes["one number"]
         arrays = {"x": x, "v": v, "p": where.mass * v, "half": half, "old": x - h * half}
-        return np.array(arrays[role]) if role in arrays else {"dt": h, "time": 0.0, "box": FAR, "steps": 1}[role]
+        return np.array(arrays[role]) if role in arrays else {"dt": h, "time": 0.0, "box": FAR, "steps": self.n_steps}[role]
 
     def _scaled(self, role: str, where: Problem, force: Array) -> Array:
         return {"force": force, "acceleration": force / where.mass, "gradient": -force}[role]
@@ -225,6 +233,9 @@ class StudentStep:
         def force(x: Any, *_: Any) -> Any:
             self.n_evaluations += 1
             x = np.array(x, dtype=float)
+            if x.size != where.x.size:
+                raise TypeError(f"the step hands numbers of shape {x.shape} to its force, positions have {where.x.shape}; f(y, t) of a whole "
+                                "state, as SciPy takes it, cannot be graded: write step(x, v, force, m, dt)")  # fmt: skip
             scaled = self._scaled(role, where, where.force(x))
             answer: Any = float(scaled) if x.ndim == 0 else scaled
             energy = where.potential(x) if self.manner.answers != "F" else 0.0
@@ -247,6 +258,7 @@ class StudentStep:
             answer = (answer,)
         parts = [np.array(part, dtype=float) for part in answer]
         if "steps" in self.manner.roles:  # a path: its end
+            self.path = [part for part in parts if part.ndim == len(shape) + 1 and part.shape[1:] == shape]
             parts = [part[-1] if part.ndim == len(shape) + 1 and part.shape[1:] == shape else part for part in parts]
         for name, part in zip(("x", "v"), parts, strict=False):
             if part.shape != shape:

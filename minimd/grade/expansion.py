@@ -35,6 +35,8 @@ SECOND_ORDER = {  # coefficients of Δt² F/m in x, and of Δt² J v in v, times
     "old force before it is computed again; order 1",
     (2, 1): "positions move by dt² F/m, twice the ½ dt² F/m that they should: the factor ½ is missing, or the first kick lasts a whole step",
     (0, 1): "positions move with the old velocity, x += dt v(t): the term ½ dt² F/m is missing (the drift must use the velocity at half a step)",
+    (1, 0.5): "the second half kick uses the force at the positions of half the step, F(x + dt/2 v), before the drift ends: it must be computed "
+    "at the new positions; order 1",
     (2, 2): "the new force and the new velocity stand where their means with the old ones should, as in an implicit Euler step: order 1",
 }
 
@@ -90,7 +92,8 @@ def expansion(step: Map, problems: list[Problem], has_masses: bool) -> Expansion
             matrix = np.array([np.concatenate([np.ravel(one[name]) for one in known]) for name in basis]).T
             found = np.linalg.lstsq(matrix, target, rcond=None)[0]
             rest = float(np.linalg.norm(target - matrix @ found) / max(np.linalg.norm(target), 0.1 * np.sqrt(target.size)))
-            answers[of_velocity].append({name: float(c) for name, c in zip(basis, found, strict=True) if abs(c) > SMALL})
+            small = SMALL * max(1.0, float(np.abs(found).max())) ** 3  # large terms leave more rounding
+            answers[of_velocity].append({name: float(c) for name, c in zip(basis, found, strict=True) if abs(c) > small})
             rests[of_velocity].append(rest)
     expected = [("", "v", "F/m"), ("", "F/m", "Jv")]
     places = []
@@ -163,7 +166,9 @@ def _jumps(found: Expansion) -> list[str]:
     if "F/m" in v or "F" in v or "F/m²" in v:
         mass = "" if "F/m" in v else " (and 1/m)" if "F" in v else " (and is divided by m twice)"
         faults.append(f"the kick lacks dt{mass}: velocities change by a multiple of the force however short the step")
-    if "v" in v:
+    if "v" in v and is_near(v["v"], 1.0):
+        faults.append("velocities are doubled in each step, however short: is it (x_new − x_old)/dt where (x_new − x_old)/(2 dt) belongs?")
+    elif "v" in v:
         faults.append(f"velocities are multiplied by {1.0 + v['v']:.4g} in each step, however short: a thermostat or a rescaling stands in the step")
     return faults
 
@@ -200,7 +205,7 @@ def _first_power_of_v(c: dict[str, float], next_c: dict[str, float]) -> list[str
     elif twice:
         faults.append(f"{'the kick' if not kick else 'a part of the kick'} is divided by m twice: {coefficient(twice)} dt F/m²")
     if times:
-        faults.append(f"the kick is multiplied by m where it should be divided: {coefficient(times)} dt m F")
+        faults.append(f"the kick is multiplied by m where it should be divided: {coefficient(times)} dt m F (/2*m for /(2*m)?)")
     total = kick + bare + twice + times
     if is_near(total, 0.0):
         faults.append(
@@ -209,6 +214,8 @@ def _first_power_of_v(c: dict[str, float], next_c: dict[str, float]) -> list[str
         )
     elif total < 0.0:
         faults.append(f"the kick has the wrong sign: velocities change by {coefficient(total)} dt F/m; F = −∇U is a force, not a gradient")
+    elif is_near(total, 0.5) and is_near(next_c.get("F/m", 0.0), 0.5):
+        faults.append("one half kick is multiplied by dt twice: ½ dt² F/m is added to the velocities (a dv that has its dt already, times dt)")
     elif is_near(total, 0.5):
         faults.append("only half of the kick is made: velocities change by ½ dt F/m. One of the two half kicks is missing, or the velocity that is "
                       "returned is that at half a step")  # fmt: skip
@@ -230,11 +237,14 @@ def _second_power(found: Expansion) -> list[str]:
     """Coefficients of Δt²: ½ F/m in x, ½ J v in v."""
     x, v, faults = found.x[2], found.v[2], []
     a, b = (c.get("F/m", 0.0) for c in (x, v))
-    total = a + x.get("F", 0.0) + x.get("F/m²", 0.0)
+    total = a + x.get("F", 0.0) + x.get("F/m²", 0.0) + x.get("mF", 0.0)
     if "F" in x or "F/m²" in x:
         word = "lacks 1/m" if "F" in x else "is divided by m twice"
         faults.append(f"the force term of the positions {word}: they move by {coefficient(x.get('F', x.get('F/m²', 0.0)))} dt² "
                       f"{'F' if 'F' in x else 'F/m²'}")  # fmt: skip
+    if "mF" in x:
+        faults.append(f"the force term of the positions is multiplied by m where it should be divided: {coefficient(x['mF'])} dt² m F; "
+                      "in Python /2*m is not /(2*m)")  # fmt: skip
     if "v" in x or "x" in x:
         faults.append(f"positions change by {coefficient(x.get('v', x.get('x', 0.0)))} dt² {'v' if 'v' in x else 'x'}, which belongs to no method")
     turning = v.get("Jv", 0.0) + v.get("mJv", 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
 
@@ -49,6 +50,10 @@ class Grade(Displayed):
     def passed(self) -> bool:
         """Whether every law that was tested holds and no fault was named."""
         return not self.faults and all(finding.passed is not False for finding in self.findings)
+
+    def __iter__(self) -> Iterator[Finding]:
+        """The findings, one after another."""
+        return iter(self.findings)
 
     def __getitem__(self, name: str) -> Finding:
         """The finding of a law, such as grade["order"].  Raises KeyError with the names that exist."""

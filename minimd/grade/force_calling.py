@@ -56,7 +56,9 @@ class StudentForce:
         optional = [one.name for one in parameters if one.default is not one.empty]
         if not needed:
             raise TypeError(f"{self.name} takes no positions; a force function is called as forces(positions)")
-        self.names = needed
+        if needed[0] == "self":
+            raise TypeError(f"{self.name} is a method without its object: hand over that of an object, as md.grade(Model().{self.name})")
+        self.names, self.defaults = needed, {one.name: one.default for one in parameters if one.default is not one.empty}
         self.is_of_two = len(needed) > 1 and all(re.search(ONE_OF_TWO, name.lower()) for name in needed[:2])
         self.extra = [option_of(name) for name in needed[1 + self.is_of_two :]]
         if unknown := [name for name, option in zip(needed[1 + self.is_of_two :], self.extra, strict=True) if option not in options]:
@@ -167,7 +169,8 @@ class StudentForce:
             else:
                 raise ValueError(f"{called} returned parts of shapes {shapes}; forces have the shape of the positions, {shape}")
         elif np.shape(answer) != shape:
-            raise ValueError(f"{called} returned {np.shape(answer)}; forces have the shape of the positions, {shape}")
+            raise ValueError(f"{called} returned {np.shape(answer)}; forces have the shape of the positions, {shape}. If it is written for a fixed "
+                             "number of atoms, name positions= of these")  # fmt: skip
         if self.kind == "law" and isinstance(answer, (tuple, list)):
             self.energy_first = self._energy_is_first()
 

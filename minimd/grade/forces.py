@@ -10,7 +10,8 @@ import numpy as np
 
 from minimd.grade.bodies import Bodies
 from minimd.grade.findings import Finding, Grade, coefficient
-from minimd.grade.force_calling import Array, StudentForce, checked_positions, edges
+from minimd.grade.force_calling import START, Array, StudentForce, checked_positions, edges
+from minimd.grade.parameters import places_of_epsilon_and_sigma, without_effect
 from minimd.grade.profile import (
     FARTHEST,
     NEAREST,
@@ -90,7 +91,21 @@ def _of_a_law(force: StudentForce, potential: Any, lengths: Array | None, cutoff
     findings += more[0]
     faults += more[1]
     remarks += more[3]
-    return findings, faults, more[2], remarks
+    trial = {"law": np.array(1.2 * START), "pair": np.array([START, 0.2, 0.1])}[force.kind]
+    return findings, _of_parameters(force, trial, lambda r: at(r)[0], cutoff, findings, faults), more[2], remarks
+
+
+def _of_parameters(force: StudentForce, x: Array, pair: Law | None, cutoff: float | None, findings: list[Finding], faults: list[str]) -> list[str]:
+    """Faults, with those of the function's own parameters before others that say less; its own ε and σ are not judged as ε = σ = 1."""
+    wrong = without_effect(force, x)
+    if pair is not None:
+        places = places_of_epsilon_and_sigma(force, pair, np.linspace(NEAREST + 0.05, min(0.9 * (cutoff or 2.5), 2.2), POINTS))
+        if places is not None:
+            faults = [fault for fault in faults if "ε = σ = 1" not in fault]
+            wrong += places
+        if places == []:
+            findings[:] = [replace(one, passed=True) if one.name == "powers of r" and one.passed is False else one for one in findings]
+    return wrong + [fault for fault in faults if not (wrong and "minimd's by" in fault)]
 
 
 def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None, farthest: float, is_law: bool = False) -> Answer:
@@ -116,7 +131,10 @@ def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None
         faults += [fault] if fault else []
         faults += _apart(values, r, u) if pair is None else []
     law, own = "", powers_of(values, r)
-    if own is not None:
+    if own is not None and own.exponents == (1,) and len(own.coefficients) == 1 and potential is None and u is None and not is_law:
+        remarks.append("the force of a pair falls as r^−1. If q²/r² is meant, a factor 1/r is missing: q² r_ij/r³, not q² r_ij/r²")
+        findings.append(Finding("powers of r", None, f"F = {own}"))
+    elif own is not None:
         law, suspected = lennard_jones_fault(own)
         findings.append(Finding("powers of r", not suspected if potential is None and u is None else None, f"F = {own}"))
         if potential is None and (u is None or not faults):
@@ -162,10 +180,22 @@ def _apart(values: Array, r: Array, u: Law) -> list[str]:
 
 def reference(potential: Any, r: float) -> float:
     """minimd's force of a pair at a distance, > 0 for repulsion."""
+    return float(evaluated(np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]]), potential, None).forces[1, 0])
+
+
+def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
+    """minimd's forces and energy. Bonds that name no pairs are between the two atoms, if there are two.  Raises ValueError if there are more."""
     from minimd.forces.forces import evaluate
+    from minimd.potentials.bonded import BondPotential
     from minimd.structure.system import System
 
-    return float(evaluate(System(np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]])), potential).forces[1, 0])
+    bonds = None
+    if isinstance(potential, BondPotential) and potential.pairs is None:
+        if len(x) != 2:
+            raise ValueError(f"{potential!r} does not say which of the {len(x)} atoms are bonded: give it pairs=[[0, 1]] and the like, or "
+                             "positions= of two atoms")  # fmt: skip
+        bonds = [[0, 1]]
+    return evaluate(System(x, cell=lengths, bonds=bonds), potential)
 
 
 def _of_bodies(force: StudentForce, potential: Any, lengths: Array | None, cutoff: float | None, given: Array | None) -> Answer:
@@ -182,6 +212,13 @@ def _of_bodies(force: StudentForce, potential: Any, lengths: Array | None, cutof
         findings += more[0]
         faults = more[1] + faults
         law = more[2]
+        remarks += more[3] if bodies.d == 3 else []
+        if (cube := bodies.cube(farthest)) is not None:
+            faults = [f"the cutoff acts on the components, not on the distance: pairs within a cube of half the edge {cube:.4g} are taken. "
+                      "Compare dx² + dy² + dz² with the square of the cutoff", *[s for s in faults if "is not applied" not in s]]  # fmt: skip
+    if not bodies.is_broken:
+        pair = bodies.of_a_pair if bodies.takes_pairs and not bodies.is_field else None
+        faults = _of_parameters(force, bodies.x, pair, cutoff, findings, faults)
     if bodies.multiple != 1.0 and not faults:
         faults.append(related((bodies.multiple, 0.0), "−∇U")[1])
     if lengths is not None and cutoff is None and bodies.takes_pairs and not (bodies.is_broken or bodies.is_field):
@@ -202,11 +239,8 @@ def _at_half_the_cell(bodies: Bodies, edge: float) -> Finding:
 
 def _beside(bodies: Bodies, potential: Any, lengths: Array | None) -> tuple[Finding, list[str]]:
     """All forces of a configuration beside minimd's."""
-    from minimd.forces.forces import evaluate
-    from minimd.structure.system import System
-
     own, x = bodies.f(bodies.x), np.pad(bodies.x, ((0, 0), (0, 3 - bodies.d)))
-    answer = evaluate(System(x, cell=None if lengths is None else lengths), potential)
+    answer = evaluated(x, potential, lengths)
     known = answer.forces[:, : bodies.d]
     off = float(np.abs(own - known).max() / np.abs(known).max())
     c = float(np.sum(own * known) / np.sum(known**2))

@@ -173,6 +173,8 @@ def stable_up_to(is_stable: Callable[[float], bool]) -> float:
 
 def cost(step: StudentStep, where: Problem) -> Finding:
     """Force evaluations in one step."""
+    if not step.is_given_forces:
+        return Finding("cost", None, "not counted: the step computes its force itself")
     step.n_evaluations = 0
     step(where, where.x, where.v, 0.05)
     n, more = step.n_evaluations, ""

@@ -11,10 +11,11 @@ import numpy as np
 from minimd.grade.calling import FORCES, StudentStep, understood
 from minimd.grade.expansion import Expansion, expansion, explained
 from minimd.grade.findings import Finding, Grade
+from minimd.grade.habits import clipped, same_rows
 from minimd.grade.motion import cost, energy, momenta, order_of, oscillator, reversal, symplecticity
 from minimd.grade.problems import Problem
 from minimd.grade.sequence import FEW, nearest_method, substeps_of, told
-from minimd.grade.variants import recognized
+from minimd.grade.variants import NOT_SYMPLECTIC, recognized
 
 ROUNDING = 1e-9  # relative differences below it are rounding
 SINGLE = 1e-8  # noise of a step above it: float32
@@ -38,7 +39,11 @@ def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
             findings[1:] = [replace(finding, passed=None) for finding in findings[1:]]
         findings += [*momenta(step, problems[0], noise), energy(step, problems[0]), oscillator(step), cost(step, problems[0])]
         method, wrong = recognized(step(problems[0], problems[0].x, problems[0].v, 0.1), problems[0], 0.1, max(ROUNDING, 10.0 * noise))
+        if wrong == NOT_SYMPLECTIC and order == int(method[2]) and findings[0].passed:
+            return Grade(called, _as_runge_kutta(findings), (), method, (*remarks, wrong))
         faults = [wrong] if wrong else _faults(step, problems, noise)
+        if wrong == NOT_SYMPLECTIC:
+            faults = [f"{wrong}. If it is meant, ask for its order: md.grade(step, order={method[2]})"]
         if not wrong and findings_of(findings, "energy").value == 0.0:
             faults = []
         parts = substeps_of(step, problems[0]) if not method else None
@@ -46,6 +51,11 @@ def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
         faults += _of_substeps(parts, findings, order) if parts and not (faults and _is_plain(parts)) else []
     faults += _structural(findings, step) if not faults else []
     return Grade(called, tuple(findings), tuple(faults), method, tuple(remarks))
+
+
+def _as_runge_kutta(findings: list[Finding]) -> tuple[Finding, ...]:
+    """Findings of a right Runge-Kutta method that was asked for: what no such method keeps is no fault of this one."""
+    return tuple(replace(finding, passed=None) if finding.passed is False else finding for finding in findings)
 
 
 def findings_of(findings: list[Finding], name: str) -> Finding:
@@ -97,10 +107,11 @@ def noise_of(step: StudentStep, where: Problem) -> float:
 
 
 def _faults(step: StudentStep, problems: list[Problem], noise: float) -> list[str]:
-    faults = []
+    faults = same_rows(step, problems[0])
     if noise > SINGLE:
         faults.append(f"the step rounds to {noise:.0e} of the coordinates: float32 stands somewhere in it, where float64 rounds to 1e-16")
     faults += _left_out(step, problems) or (_wrapped(step, problems[0]) if not faults else []) or _thermostat(step, problems)
+    faults += clipped(step, problems[0]) if not faults else []
     if not faults:
         faults += explained(expand(step, problems))
     if step.third is not None and any(role.startswith("known") for role in step.manner.roles):

@@ -15,6 +15,7 @@ from minimd.grade.problems import Array, Problem
 Acceleration = Callable[[Array], Array]
 Row = Callable[[Array, Array, Acceleration, float], tuple[Array, Array]]
 NOT_SYMPLECTIC = "a Runge-Kutta method: not symplectic, its energy drifts however high the order"
+CLASSICAL = [1 / 6, 1 / 3, 1 / 3, 1 / 6]  # weights of RK4
 
 
 def explicit_euler(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, Array]:
@@ -80,7 +81,28 @@ VARIANTS: dict[str, tuple[Row, str]] = {  # name: the step, and what is wrong wi
     "RK2, Heun": (tableau([[], [1.0]], [0.5, 0.5]), NOT_SYMPLECTIC),
     "RK2, Ralston": (tableau([[], [2 / 3]], [0.25, 0.75]), NOT_SYMPLECTIC),
     "RK3, Kutta": (tableau([[], [0.5], [-1.0, 2.0]], [1 / 6, 2 / 3, 1 / 6]), NOT_SYMPLECTIC),
-    "RK4, the classical Runge-Kutta method": (tableau([[], [0.5], [0.0, 0.5], [0.0, 0.0, 1.0]], [1 / 6, 1 / 3, 1 / 3, 1 / 6]), NOT_SYMPLECTIC),
+    "RK4, the classical Runge-Kutta method": (tableau([[], [0.5], [0.0, 0.5], [0.0, 0.0, 1.0]], CLASSICAL), NOT_SYMPLECTIC),
+    "RK4, the 3/8 rule": (tableau([[], [1 / 3], [-1 / 3, 1.0], [1.0, -1.0, 1.0]], [1 / 8, 3 / 8, 3 / 8, 1 / 8]), NOT_SYMPLECTIC),
+    "nearly RK4: k1 for k2": (
+        tableau([[], [0.5], [0.5], [0.0, 0.0, 1.0]], CLASSICAL),
+        "looks like RK4 with a wrong third stage: it uses k1 where k2 belongs, k3 = f(y + dt/2 k2); order 2, not 4",
+    ),
+    "nearly RK4: k2 for k3": (
+        tableau([[], [0.5], [0.0, 0.5], [0.0, 1.0]], CLASSICAL),
+        "looks like RK4 with a wrong fourth stage: it uses k2 where k3 belongs, k4 = f(y + dt k3); order 2, not 4",
+    ),
+    "nearly RK4: k1 for k3": (
+        tableau([[], [0.5], [0.0, 0.5], [1.0]], CLASSICAL),
+        "looks like RK4 with a wrong fourth stage: it uses k1 where k3 belongs, k4 = f(y + dt k3); order less than 4",
+    ),
+    "nearly RK4: a fourth stage of half a step": (
+        tableau([[], [0.5], [0.0, 0.5], [0.0, 0.0, 0.5]], CLASSICAL),
+        "looks like RK4 with a wrong fourth stage: it has dt/2 where dt belongs, k4 = f(y + dt k3); order less than 4",
+    ),
+    "nearly RK4: equal weights": (
+        tableau([[], [0.5], [0.0, 0.5], [0.0, 0.0, 1.0]], [0.25, 0.25, 0.25, 0.25]),
+        "looks like RK4 with wrong weights: all are 1/4 where (k1 + 2 k2 + 2 k3 + k4)/6 belongs; order 2, not 4",
+    ),
     "symplectic Euler, atom after atom": (
         one_after_another((1.0, 0.0)),
         "atoms are moved one after another: the force on each is computed when those "

@@ -57,6 +57,7 @@ def test_work_precision_of_minimd_falls_with_the_order_of_the_method(monkeypatch
     assert [p.forces for p in exact] == pytest.approx([100, 200, 400])
 
 
+@pytest.mark.slow
 def test_kepler_of_work_precision_counts_forces(monkeypatch):
     runs = {name: rest for name, *rest in work_precision.kepler.runs((400,), 1)}
     assert len(runs) == 18

@@ -262,6 +262,7 @@ def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsy
     assert read_file("melt.h5md").n_frames > 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_killed_run_can_be_resumed(folder):
     process = command("run", "melt.toml", "--steps", "1000000", "--quiet")
@@ -274,6 +275,7 @@ def test_killed_run_can_be_resumed(folder):
     assert read_file("melt.h5md").step == contents.step + 10
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_ctrl_c_ends_with_130_and_a_file_that_can_be_resumed(folder):
     process = command("run", "melt.toml", "--steps", "1000000", stdout=subprocess.PIPE, stderr=subprocess.PIPE)

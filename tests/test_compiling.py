@@ -158,6 +158,7 @@ def test_new_folders_are_for_this_user_alone_whatever_the_umask(tmp_path, monkey
     assert all(part.stat().st_mode & 0o777 == 0o700 for part in (folder, folder.parent, folder.parent.parent))
 
 
+@pytest.mark.slow
 @POSIX
 def test_without_a_cache_kernels_are_compiled_all_the_same(tmp_path):
     tmp_path.chmod(0o777)

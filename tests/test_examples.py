@@ -32,7 +32,9 @@ def run_shortened(name, folder):
     runpy.run_path(str(folder / name), run_name="__main__")
 
 
-LONG = ("ensemble_checks.py", "timestep_gain.py", "precision.py", "to_the_last_bit.py", "viscosity.py")  # some with kernels of their own
+KERNELS_OF_THEIR_OWN = ("precision.py", "to_the_last_bit.py", "viscosity.py", "constant_pressure.py", "stretched_chain.py")
+SMALL_SYSTEMS = ("stiff_spring.py", "henon_heiles.py", "smooth_cutoff.py", "coupled_wells.py", "mechanism.py", "three_body.py", "work_precision.py")
+LONG = ("ensemble_checks.py", "timestep_gain.py", *KERNELS_OF_THEIR_OWN, *SMALL_SYSTEMS)  # the gallery of the site runs them, too
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in SCRIPTS if name not in RUN_BELOW])
@@ -61,6 +63,7 @@ def test_a_ring_that_runs_along_itself_keeps_its_shape(tmp_path, monkeypatch, ca
     assert (tmp_path / "rigid_ring.png").stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_the_scan_of_an_equation_of_state_runs_in_worker_processes(tmp_path):
     """Of two temperatures only."""
     text = shortened("equation_of_state.py").replace("0.70, 1.69", "0.85, 0.91")

@@ -222,6 +222,7 @@ def test_a_force_that_falls_as_the_inverse_of_r_is_remarked():
     assert not md.grade(lambda x: pair_law(x, lambda r: 1 / r**3)).remarks
 
 
+@pytest.mark.slow
 def test_forces_are_compared_with_those_of_a_potential():
     law = md.LennardJones(1.0, 1.0, 2.5)
 

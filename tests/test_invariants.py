@@ -113,6 +113,7 @@ def test_a_rigid_body_keeps_both_its_invariants(wrapper):
     assert abs(plain.y[-1] @ plain.y[-1] - TURNING @ TURNING) > 1e-6
 
 
+@pytest.mark.slow
 def test_seven_invariants_of_the_outer_solar_system():
     """Energy, momentum and angular momentum of six bodies, q and v of shape (6, 3)."""
     sun = load("geometric/problems.json")["outer_solar_system"]

@@ -173,6 +173,7 @@ def test_laws_that_lepton_cannot_write_are_refused(body, why):
         energy_expression(checked_law(body), (1.0,))
 
 
+@pytest.mark.slow
 def test_the_code_of_the_page_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = Path(__file__).parents[1] / "docs" / "lammps.md"

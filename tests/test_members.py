@@ -161,6 +161,7 @@ def test_a_process_that_is_killed_anywhere_leaves_what_the_next_call_goes_on_wit
     assert_same_as(done, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_its_members_only(done, tmp_path):
     with pytest.warns(UserWarning, match=r"(?s)1 of 4 members have failed:.member 2 \(temperature = 0.6\): WorkerDied: .* was killed by SIGKILL"):
         table = run(tmp_path, members.one_is_killed, workers=1)
@@ -229,6 +230,7 @@ def test_a_damaged_file_begins_anew(done, tmp_path):
     assert_same_as(done, tmp_path)
 
 
+@pytest.mark.slow
 def test_half_a_line_of_the_journal_is_forgotten(done, tmp_path):
     run(tmp_path)
     journal = tmp_path / "members.jsonl"
@@ -252,6 +254,7 @@ def test_another_ensemble_is_refused_unless_it_is_to_be_replaced(done, tmp_path)
     assert_same_as(done, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_drawn_seed_is_written_down_and_used_again(tmp_path):
     run(tmp_path, seed=None, steps=35)
     drawn = json.loads((tmp_path / "ensemble.json").read_text())["seed"]

@@ -105,6 +105,7 @@ def assert_same_drift(double, mixed):
     assert mixed.energy_oscillation == pytest.approx(double.energy_oscillation, rel=0.2)
 
 
+@pytest.mark.slow
 def test_energy_drifts_no_more_than_in_double(liquid_melt):
     assert_same_drift(*drifts(liquid_melt, 1500, 5))
 

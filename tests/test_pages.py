@@ -10,6 +10,8 @@ from types import ModuleType
 import pytest
 
 import minimd as md
+from minimd.engine.observation import OBSERVABLES
+from minimd.engine.record import SERIES
 
 REPOSITORY = Path(__file__).parents[1]
 DOCS = REPOSITORY / "docs"
@@ -43,12 +45,22 @@ def blocks(path, language):
     return re.findall(rf"```{language}\n(.*?)```", path.read_text(encoding="utf-8"), re.S)
 
 
+@pytest.fixture
+def observables():
+    """Those that a page registers are forgotten."""
+    before = dict(OBSERVABLES), dict(SERIES)
+    yield
+    for table, names in zip((OBSERVABLES, SERIES), before, strict=True):
+        table.clear()
+        table.update(names)
+
+
 def name_of(path):
     return path.relative_to(DOCS).as_posix()
 
 
 @pytest.mark.parametrize("page", [pytest.param(path, marks=pytest.mark.slow if path.name in LONG else (), id=name_of(path)) for path in WITH_CODE])
-def test_the_code_of_the_page_runs(page, tmp_path, monkeypatch, capsys):
+def test_the_code_of_the_page_runs(page, tmp_path, monkeypatch, capsys, observables):
     monkeypatch.chdir(tmp_path)
     if page.name == "lammps.md":
         pytest.importorskip("lammps")

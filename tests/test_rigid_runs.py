@@ -89,6 +89,7 @@ def test_baths_keep_lengths_and_temperature(method):
     assert record.constraint_violation.max() < 1e-13
 
 
+@pytest.mark.slow
 def test_pressure_with_constraints_is_the_slope_of_the_free_energy():
     """Rigid molecules whose centers are scaled: p = (2 K_cm + Σ F_cm · r_cm)/3V, averaged, equals the atomic pressure with constraint forces."""
     sim = simulation(md.StochasticVelocityRescaling(0.004, 1.0, 0.2, 7))

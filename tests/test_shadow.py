@@ -62,6 +62,7 @@ def test_shadow_energy_of_a_liquid_is_conserved_to_the_fourth_order(name):
     assert np.diff(np.log(spread)) / np.log(0.5) == pytest.approx([4.0, 4.0], abs=0.5)  # truncation, measured on one short path
 
 
+@pytest.mark.slow
 def test_shadow_energy_changes_nothing_and_shows_a_smaller_error_of_the_drift(tmp_path):
     made = [md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "smooth"), md.VelocityVerlet(0.003)) for _ in range(2)]
     made[0].extra_observables = ("shadow_energy",)

@@ -146,6 +146,7 @@ def test_bonds_that_are_not_used_are_told(folder, form):
         assert scene(folder, form, more="bonds = [[0, 1]]").system().bonds.tolist() == [[0, 1]]
 
 
+@pytest.mark.slow
 def test_a_command_tells_it_in_words_of_commands(folder):
     scene(folder, "pdb", more="")
     code = "import sys, minimd_command; sys.argv = ['minimd', 'run', 'melt.toml', '--steps', '0']; minimd_command.main()"

@@ -69,10 +69,9 @@ def fene(r2, k, longest, epsilon, sigma):
     if rest <= 0.0:
         return nan, nan
     u, f = -0.5 * k * longest * longest * log(rest), -k / rest
-    s2 = sigma * sigma / r2
-    s6 = s2 * s2 * s2
-    if 2.0 * s6 > 1.0:
-        u, f = u + 4.0 * epsilon * s6 * (s6 - 1.0) + epsilon, f + 24.0 * epsilon * s6 * (2.0 * s6 - 1.0) / r2
+    if 2.0 * (sigma * sigma / r2) ** 3 > 1.0:
+        repulsion, push = lennard_jones(r2, epsilon, sigma)
+        u, f = u + repulsion + epsilon, f + push
     return u, f
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from minimd.diagnosis.contacts import Contact, contacts
 from minimd.diagnosis.timestep import StepAdvice, advice_at
-from minimd.engine.engine import Engine, Snapshot
+from minimd.engine.engine import Engine
+from minimd.engine.snapshots import Snapshot
 from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair
 from minimd.structure.bond_graph import among

@@ -1,5 +1,6 @@
 """A barostat at work on an engine: it strains cell, positions and velocities every few steps, and counts what it gives."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -94,32 +95,28 @@ class CellRescaling:
         found: Any = theirs if own is None else own
         return float(found)
 
-    def advance(self, engine: Any, n_steps: int, with_energy: bool) -> int:
-        """See Engine.advance.  engine : an Engine, of which this is a part.  Raises ValueError for a cell that somebody has opened."""
+    def check_cell(self) -> None:
+        """Raise ValueError if somebody has opened the cell."""
         check_cell(self._system)
-        done, every = 0, self.barostat.every
-        while done < n_steps:
-            wanted = min(n_steps - done, every - (engine.step + done) % every)
-            is_due = (engine.step + done + wanted) % every == 0
-            made = engine.advance(wanted, is_due or (with_energy and done + wanted == n_steps), done)
-            done += made
-            if is_due and made == wanted:
-                self.apply(engine, done)
-            if engine.surroundings.stop_requested:
-                break
-        return done
 
-    def apply(self, engine: Any, done: int) -> None:
-        """One strain of the whole scene.  done : steps made since engine.step; the number of the present step chooses the noise.
+    def is_due(self, step: int) -> bool:
+        """Whether the cell is strained at the end of a step."""
+        return step % self.barostat.every == 0
+
+    def next_step(self, step: int) -> int:
+        """The first step after this one at which the cell is strained."""
+        return step + self.barostat.every - step % self.barostat.every
+
+    def apply(self, method: Splitting, noise_number: int, bath: Bath, forces_follow: Callable[[], None]) -> None:
+        """One strain of the whole scene, whose forces, energy and virial are current.
+
+        noise_number : chooses the noise.  forces_follow : called when cell and positions have changed; makes forces, energy and virial current.
 
         Raises RangeError if the strain is too large.  ValueError if there is no virial.
         """
-        duration, thermal = self.barostat.every * engine.method.timestep, self._system.units.k_B * self.temperature(engine.method)
-        bath = engine.surroundings.bath
-        engine.turned()
-        engine.evaluate(done)
+        duration, thermal = self.barostat.every * method.timestep, self._system.units.k_B * self.temperature(method)
         before = self._scene(thermal, bath)
-        strain = self.barostat.strain(before, duration, engine.step + done + engine.noise_shift)
+        strain = self.barostat.strain(before, duration, noise_number)
         largest = float(np.abs(strain).max())
         if not largest <= LARGEST_STRAIN:
             why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {self.barostat.pressure:.3g}"
@@ -127,9 +124,7 @@ class CellRescaling:
                 f"the barostat would strain the cell by {largest:.1e} at once ({why}): take a longer relaxation_time, or equilibrate first"
             )
         back = self._move(exponential(strain), bath)
-        engine.moved()
-        self._interactions.follow()
-        engine.evaluate(done)
+        forces_follow()
         after = self._scene(thermal, bath, back)
         bath.energy += after.energy - before.energy - self.barostat.change_of_conserved(before, after, strain, duration)
 
@@ -195,15 +190,17 @@ class CellRescaling:
         return whole - translations, velocities
 
 
-def rescaling_of(barostat: StochasticCellRescaling | None, engine: Any) -> CellRescaling | None:
-    """The barostat of an engine at work, if it has one.  Raises TypeError for anything else, and ValueError as CellRescaling."""
+def rescaling_of(
+    barostat: StochasticCellRescaling | None, system: System, interactions: Forces, constraints: ConstraintSet, method: Splitting, holds_center: bool
+) -> CellRescaling | None:
+    """A barostat at work on the parts of an engine, if there is one.  Raises TypeError for anything else, and ValueError as CellRescaling."""
     if barostat is None:
         return None
     if not isinstance(barostat, StochasticCellRescaling):
         raise TypeError(f"barostat must be a StochasticCellRescaling; got {shown(barostat)}")
-    if engine.holds_center:
+    if holds_center:
         raise ValueError("atoms.constraints holds FixCom, but a barostat moves the center of mass with the cell: remove FixCom")
-    return CellRescaling(barostat, engine.system, engine.interactions, engine.constraint_set, engine.method)
+    return CellRescaling(barostat, system, interactions, constraints, method)
 
 
 def check(system: System, interactions: Forces, constraints: ConstraintSet) -> None:

@@ -15,7 +15,8 @@ from collections import namedtuple
 from math import sqrt
 
 from minimd.compiled.kernels import inlined, type_of
-from minimd.constraints.vectors import NOTHING, dot, separation
+from minimd.constraints.vectors import NOTHING
+from minimd.structure.vectors import dot, separation
 
 
 @inlined

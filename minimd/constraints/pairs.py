@@ -12,7 +12,8 @@ from math import sqrt
 import numpy as np
 
 from minimd.compiled.kernels import inlined, type_of
-from minimd.constraints.vectors import NOTHING, add_opposite, dot, moved, separation
+from minimd.constraints.vectors import NOTHING, add_opposite, moved
+from minimd.structure.vectors import dot, separation
 
 
 @inlined

@@ -26,7 +26,8 @@ from collections import namedtuple
 from math import sqrt
 
 from minimd.compiled.kernels import inlined, type_of
-from minimd.constraints.vectors import NOTHING, combined, cross, dot, moved, separation, unit
+from minimd.constraints.vectors import NOTHING, moved
+from minimd.structure.vectors import combined, cross, dot, separation, unit
 
 
 @inlined

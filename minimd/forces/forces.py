@@ -1,12 +1,12 @@
-"""Forces: the sum of all terms of a scene at each step, with energies and virial on request; the plan decides which list a pair law gets."""
+"""Forces: the sum of all terms of a scene at each step, with energies and virial on request."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numba.core.errors import NumbaError
@@ -14,25 +14,16 @@ from numpy.typing import NDArray
 
 from minimd.compiled.fixed_point import GridSums
 from minimd.compiled.kernels import announce_compilation
-from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import FIXED_POINT, Options
-from minimd.forces.pair_laws import PairLaws, deepest
-from minimd.forces.pair_list_term import PairListTerm
+from minimd.forces.pair_laws import deepest
+from minimd.forces.planning import plan
 from minimd.integrators.splitting.state import Cycle, State, steps_of
-from minimd.neighbors.queries import closest_pair
 from minimd.neighbors.verlet_list import Built, VerletList
-from minimd.potentials.laws import Scaled
-from minimd.potentials.pair_loop import FixedPairs
-from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, as_potentials, bound
+from minimd.potentials.term import BOND_LOOP, FORCES, TOTALS, Potential, Term, as_potentials, bound
 from minimd.structure.console import outside_minimd
-from minimd.structure.display import Displayed, Rows
-from minimd.structure.errors import NonFiniteError, RangeError, why_not_compiled
+from minimd.structure.errors import RangeError, why_not_compiled
 from minimd.structure.grid import TOO_LARGE, Grid
-from minimd.structure.observables import longest
 from minimd.structure.system import System, check_resolution
-
-if TYPE_CHECKING:
-    import ase
 
 CHANGED_SPEED = 2.0  # the skin is chosen anew when atoms have become faster or slower by this factor: its optimum is flat
 KNOWN = nullcontext()
@@ -328,72 +319,3 @@ def _lists(terms: Sequence[Term]) -> list[VerletList]:
 
 def _n_builds(terms: Sequence[Term]) -> int:
     return sum(one.n_builds for one in _lists(terms))
-
-
-def plan(terms_bound: Sequence[Term], system: System, options: Options, displacement: float, skins: Sequence[float] = ()) -> list[Term]:
-    """The terms to run: those that add their forces themselves, and one term with a list for all pair laws of one bonded_scale.
-
-    terms_bound : the terms that the potentials were bound to.  displacement : of the fastest atom in a step [length], 0 if unknown.
-    skins : of the lists [length], if they are known.
-    """
-    terms = [term for term in terms_bound if term.pair_law is None]
-    pair_laws = [term.pair_law for term in terms_bound if term.pair_law is not None]
-    for k, scale in enumerate(dict.fromkeys(one.bonded_scale for one in pair_laws)):
-        known = replace(options, skin=skins[k]) if skins else options
-        laws = PairLaws(system, [one for one in pair_laws if one.bonded_scale == scale])
-        with_list = ClusterTerm if laws.fit_clusters(system, known, displacement) else PairListTerm
-        terms.append(with_list(system, laws, known, displacement))
-        terms.extend(scaled_terms(system, laws))
-    return terms
-
-
-def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
-    """Terms for the pairs one, two and three bonds apart, which the list leaves out: each law times its factor."""
-    for one in laws.members:
-        for pairs, factor in laws.special:
-            if factor != 0.0:
-                species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
-                rows = one.table[species[:, 0], species[:, 1]]
-                rows = np.column_stack([rows[:, 0], np.full(len(rows), factor), rows[:, 1:]])  # the factor is the first parameter of Scaled
-                yield FixedPairs(system, pairs, Scaled(one.law), rows)
-
-
-@dataclass(frozen=True, repr=False)
-class Evaluation(Displayed):
-    """potential_energy : U [energy].  forces : (N, 3) [energy/length].  virial : (3, 3) W = Σ f r_ij ⊗ r_ij [energy].
-
-    energies : (N,) each atom's share of U [energy].
-    """
-
-    potential_energy: float
-    forces: NDArray[np.float64]
-    virial: NDArray[np.float64]
-    energies: NDArray[np.float64]
-
-    def __repr__(self) -> str:
-        return f"Evaluation(potential_energy={self.potential_energy:.10g}, forces of {len(self.forces)} atoms)"
-
-    def display_rows(self) -> Rows:
-        """See Displayed."""
-        atom, force = longest(self.forces)
-        virial = [" ".join(f"{x:>14.6g}" for x in row) for row in self.virial]
-        energies = f"of single atoms: least {self.energies.min():.6g}, largest {self.energies.max():.6g}"
-        energy, largest = f"{self.potential_energy:.10g}", f"{force:.4g}, on atom {atom}"
-        return [("energy", energy), ("", energies), ("largest force", largest), *zip(("virial", "", ""), virial, strict=True)]
-
-
-def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potential]) -> Evaluation:
-    """Potential energy, forces, virial and energies per atom of a System, or of ase.Atoms, as they stand.
-
-    Raises
-    ------
-    NonFiniteError : if a force or an energy is not finite, as for two atoms on one spot; it names the closest pair.
-    ValueError, TypeError : as Forces.
-    """
-    system = system if isinstance(system, System) else System.from_ase(system)
-    forces = Forces(system, potentials, Options(skin=0.0))
-    forces.compute(PER_ATOM)
-    result = Evaluation(forces.potential_energy, forces.forces, forces.virial, forces.energies)
-    if not (np.isfinite(result.forces).all() and np.isfinite(result.energies).all()):
-        raise NonFiniteError(f"forces or energies are not finite; the closest pair is {closest_pair(system)}: move them apart")
-    return result

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.compiled.kernels import kernel, scalar, without_cache
+from minimd.compiled.kernels import kernel, without_cache
 from minimd.potentials.accumulators import force_along, in_steps, watch
 from minimd.potentials.each import Array, checked_each, columns_of
 from minimd.potentials.law import checked_law, evaluate_law
@@ -22,6 +22,7 @@ from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.checks import shown
 from minimd.structure.system import System
+from minimd.structure.vectors import cross, dot, separation
 
 STRAIGHT2 = 1e-16  # least sin² of the angle between two neighboring bonds that forces are divided by: it is rounded to this
 N_COEFFICIENTS = 6  # of the polynomial of Ryckaert and Bellemans
@@ -199,26 +200,6 @@ class Dihedrals(namedtuple("Dihedrals", "atoms first middle last")):
     """atoms : (D, 4) int, i, j, k, l.  first, middle, last : (D, 3) [length], added to r_i − r_j, r_j − r_k and r_l − r_k."""
 
 
-@scalar
-def _between(positions, i, j, translation):
-    """r_j − r_i + translation."""
-    return (
-        positions[j, 0] - positions[i, 0] + translation[0],
-        positions[j, 1] - positions[i, 1] + translation[1],
-        positions[j, 2] - positions[i, 2] + translation[2],
-    )
-
-
-@scalar
-def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@scalar
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
 @kernel
 def add_dihedral_forces(positions, dihedrals, law, parameters, detail, sums):
     """Add a law of dihedral angles, without a division by sin φ.
@@ -235,15 +216,15 @@ def add_dihedral_forces(positions, dihedrals, law, parameters, detail, sums):
     forces, energies, virials = sums[0], sums[1], sums[2]
     for t in range(dihedrals.atoms.shape[0]):
         i, j, k, l = dihedrals.atoms[t]
-        f = _between(positions, j, i, dihedrals.first[t])
-        g = _between(positions, k, j, dihedrals.middle[t])
-        h = _between(positions, k, l, dihedrals.last[t])
-        a, b = _cross(f, g), _cross(h, g)
-        g2, fg, hg, a2, b2 = _dot(g, g), _dot(f, g), _dot(h, g), _dot(a, a), _dot(b, b)
+        f = separation(positions, j, i, dihedrals.first[t])
+        g = separation(positions, k, j, dihedrals.middle[t])
+        h = separation(positions, k, l, dihedrals.last[t])
+        a, b = cross(f, g), cross(h, g)
+        g2, fg, hg, a2, b2 = dot(g, g), dot(f, g), dot(h, g), dot(a, a), dot(b, b)
         length = g2**0.5
-        phi = np.arctan2(_dot(g, _cross(b, a)) / length, _dot(a, b))
+        phi = np.arctan2(dot(g, cross(b, a)) / length, dot(a, b))
         u, slope = evaluate_law(law, phi, parameters_of_pair(parameters, t, 0, 0))
-        a2, b2 = max(a2, STRAIGHT2 * g2 * _dot(f, f)), max(b2, STRAIGHT2 * g2 * _dot(h, h))
+        a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
         size2 = 0.0
         for c in range(3):
             force_i, force_l = slope * length / a2 * a[c], -slope * length / b2 * b[c]

@@ -127,7 +127,25 @@ class Wall(OwnWall):
         return distances
 
 
-class CylinderWall(OwnWall):
+class RoundWall(OwnWall):
+    """Base of walls with atoms inside, around a point that stands for all its images."""
+
+    around = Curved
+    point: Array
+
+    def _distances(self, system: System, positions: Array) -> Array:
+        cell, (axis, radius) = system.cell, self._place()
+        away = positions - self.point
+        away = away - np.where(cell.pbc, np.rint(np.einsum("ij,jk->ik", away, cell.inverse)), 0.0) @ cell.lattice
+        across = away - (away * axis).sum(axis=1)[:, None] * axis
+        distances: Array = radius - np.linalg.norm(across, axis=1)
+        return distances
+
+    def _anchors(self, n: int) -> Array:
+        return np.tile(self.point, (n, 1))
+
+
+class CylinderWall(RoundWall):
     """The wall of a cylinder with atoms inside: u(d) of the distance d = R − ρ from it.
 
     Parameters
@@ -142,8 +160,7 @@ class CylinderWall(OwnWall):
     ValueError : as Wall, and for a radius that is not positive.
     """
 
-    around = Curved
-    names: ClassVar[tuple[str, ...]] = ("point", "axis", "radius")
+    names = ("point", "axis", "radius")
 
     def __init__(
         self,
@@ -163,19 +180,8 @@ class CylinderWall(OwnWall):
     def _place(self) -> tuple[Array, float]:
         return self.axis, self.radius
 
-    def _distances(self, system: System, positions: Array) -> Array:
-        cell, axis = system.cell, self._place()[0]
-        away = positions - self.point
-        away = away - np.where(cell.pbc, np.rint(np.einsum("ij,jk->ik", away, cell.inverse)), 0.0) @ cell.lattice
-        across = away - (away * axis).sum(axis=1)[:, None] * axis
-        distances: Array = self.radius - np.linalg.norm(across, axis=1)
-        return distances
 
-    def _anchors(self, n: int) -> Array:
-        return np.tile(self.point, (n, 1))
-
-
-class SphereWall(CylinderWall):
+class SphereWall(RoundWall):
     """The wall of a sphere with atoms inside: u(d) of the distance d = R − |r − p| from it.
 
     Parameters
@@ -199,8 +205,11 @@ class SphereWall(CylinderWall):
         law: WallLaw = "9-3",
         atoms: ArrayLike | None = None,
     ) -> None:
-        super().__init__(point, (0.0, 0.0, 1.0), radius, epsilon, sigma, cutoff, law, atoms)
-        self.axis = np.zeros(3)
+        self.point, self.radius = _vector("point", point), checked_number("radius", radius, "positive and finite")
+        self._hold(epsilon, sigma, cutoff, law, atoms)
+
+    def _place(self) -> tuple[Array, float]:
+        return np.zeros(3), self.radius  # the distance from the center, not from an axis
 
 
 def _vector(name: str, values: ArrayLike) -> Array:

@@ -120,7 +120,7 @@ def test_fields_of_the_user_are_tried_before_they_are_trusted():
         md.evaluate(system, md.Field(saddle, (1.0, 2.0)))
     with pytest.raises(ValueError, match="fields that stay the same"):
         md.Simulation(system, FIELDS["user's"][0], md.VelocityVerlet(0.01), precision="fixed-point")
-    with pytest.warns(UserWarning, match="not periodic along a"):
+    with pytest.warns(UserWarning, match="periodic along a, but the field is not"):
         md.evaluate(atoms_in("skewed"), FIELDS["user's"][0])
 
 

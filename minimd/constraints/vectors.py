@@ -1,6 +1,6 @@
-"""Atoms, bonds and molecules as the solvers of constraints are given them, and what solvers do to their vectors.
+"""Atoms, bonds and molecules in the form that constraint solvers take, and what solvers do to their vectors.
 
-Solvers return the worst case: a number of iterations, negative if the constraint (or molecule) −1 − that number could not be kept.
+Solvers return the largest number of iterations; a negative number n says that the constraint (or molecule) −1 − n could not be kept.
 """
 
 from typing import Any, NamedTuple

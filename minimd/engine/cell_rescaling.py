@@ -1,4 +1,4 @@
-"""A barostat at work on an engine: it strains cell, positions and velocities every few steps, and counts what it gives."""
+"""A barostat acting on an engine: it strains cell, positions and velocities every few steps, and counts the energy it gives."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,11 +19,11 @@ from minimd.structure.observables import Array, kinetic_energy, momentum, moment
 from minimd.structure.strain import strained
 from minimd.structure.system import System
 
-LARGEST_STRAIN = 0.2  # of the cell at once: what strains it more is no slow bath
+LARGEST_STRAIN = 0.2  # of the cell at once: a bath that strains it more does not act slowly
 
 
 class Molecules:
-    """What moves as a whole when the cell is strained: atoms that rigid lengths tie together, and single atoms.
+    """The bodies that move as a whole when the cell is strained: atoms tied together by rigid lengths, and single atoms.
 
     bodies : Bodies.  masses : (B,) of the bodies [mass].
     """
@@ -38,12 +38,12 @@ class Molecules:
         return np.asarray(np.bincount(self.bodies.label, values), dtype=np.float64)
 
     def centers(self, vectors: Array) -> Array:
-        """Mean of (N, 3), weighted with masses, over each body: (B, 3)."""
+        """Mass-weighted mean of (N, 3) vectors over each body: (B, 3)."""
         weighted = self._system.masses[:, None] * vectors
         return np.column_stack([self._sums(weighted[:, c]) for c in range(3)]) / self.masses[:, None]
 
     def whole(self, bonds: Any) -> Array:
-        """Lattice translations, (N, 3) [length], that join the atoms of each body as its rigid bonds do. They are to follow the cell."""
+        """Lattice translations, (N, 3) [length], that join the atoms of each body as its rigid bonds do. They follow the cell when it is strained."""
         if bonds is not self._of:
             self._translations, self._of = self._joined(bonds), bonds
             self._system.cell.follow(self._system.cell, self._translations)
@@ -84,19 +84,19 @@ class CellRescaling:
         self._molecules = None if constraints.bonds is None else Molecules(system, constraints)
 
     def temperature(self, method: Splitting) -> float:
-        """T of the bath.  Raises ValueError if neither barostat nor thermostat has one, both have another, or time runs backwards."""
+        """T of the bath.  Raises ValueError if neither barostat nor thermostat has one, the two differ, or time runs backwards."""
         own, theirs = self.barostat.temperature, getattr(method, "temperature", None) if method.is_thermostat else None
         if method.timestep < 0.0:
             raise ValueError(f"time cannot run backwards with a barostat; timestep = {method.timestep!r}")
         if own is None and theirs is None:
-            raise ValueError(f"a barostat beside {method.name}, which has no temperature, needs temperature=..., that of its noise")
+            raise ValueError(f"a barostat with {method.name}, which has no temperature, needs temperature=... for its noise")
         if own is not None and theirs is not None and own != theirs:
-            raise ValueError(f"barostat and thermostat must have one temperature; they have {own} and {theirs}: leave out that of the barostat")
+            raise ValueError(f"barostat and thermostat must have the same temperature; they have {own} and {theirs}: leave out that of the barostat")
         found: Any = theirs if own is None else own
         return float(found)
 
     def check_cell(self) -> None:
-        """Raise ValueError if somebody has opened the cell."""
+        """Raise ValueError if the cell no longer has a volume."""
         check_cell(self._system)
 
     def is_due(self, step: int) -> bool:
@@ -108,9 +108,9 @@ class CellRescaling:
         return step + self.barostat.every - step % self.barostat.every
 
     def apply(self, method: Splitting, noise_number: int, bath: Bath, forces_follow: Callable[[], None]) -> None:
-        """One strain of the whole scene, whose forces, energy and virial are current.
+        """Strain the whole scene once; its forces, energy and virial must be current.
 
-        noise_number : chooses the noise.  forces_follow : called when cell and positions have changed; makes forces, energy and virial current.
+        noise_number : selects the noise.  forces_follow : called after cell and positions have changed, to make forces, energy and virial current.
 
         Raises RangeError if the strain is too large.  ValueError if there is no virial.
         """
@@ -129,15 +129,15 @@ class CellRescaling:
         bath.energy += after.energy - before.energy - self.barostat.change_of_conserved(before, after, strain, duration)
 
     def _scene(self, thermal: float, bath: Bath, back: Array | None = None) -> Scene:
-        """The present state.  back : (3, 3) rotation that turns its tensors.
+        """The present state.  back : (3, 3) rotation applied to its tensors.
 
-        Where the total momentum is a constant it is no part of the thermal motion, and its degrees of freedom count as k_B T/V of the pressure.
+        If the total momentum is constant, it is no part of the thermal motion, and its degrees of freedom contribute k_B T/V to the pressure.
         """
         system, volume = self._system, float(self._system.volume or 0.0)
         moving, masses = system.velocities, system.masses
         virial = self._interactions.virial
         if not np.isfinite(virial).all() and np.isfinite(self._interactions.forces).all():
-            raise ValueError("a barostat needs the virial, and a potential gives none: take one that does, such as a calculator with a stress")
+            raise ValueError("a barostat needs the virial, but a potential gives none: take one that does, such as a calculator with a stress")
         if self._molecules is not None:
             virial = virial - self._inner_virial()
             moving, masses = self._molecules.centers(moving), self._molecules.masses
@@ -150,14 +150,14 @@ class CellRescaling:
         return Scene(tensor / volume, volume, energy, thermal)
 
     def _inner_virial(self) -> Array:
-        """Σ (r − R) ⊗ F [energy], (3, 3): what the virial of atoms has more than that of molecules, whose rigid bonds do not matter."""
+        """Σ (r − R) ⊗ F [energy], (3, 3): the virial of atoms minus that of molecules, to which rigid bonds do not contribute."""
         molecules: Any = self._molecules
         whole = self._system.positions + molecules.whole(self._constraints.bonds)
         inner = whole - molecules.centers(whole)[molecules.bodies.label]
         return np.einsum("ia,ib->ab", inner, self._interactions.forces)
 
     def _move(self, stretch: Array, bath: Bath) -> Array | None:
-        """Cell, positions and velocities strained by a symmetric (3, 3) matrix; returns the rotation that came after, or None."""
+        """Strain cell, positions and velocities by a symmetric (3, 3) matrix; returns the rotation that followed, or None."""
         system, before, rotation = self._system, self._system.cell, None
         vectors = before.vectors @ stretch
         if self.barostat.coupling == "triclinic":
@@ -193,7 +193,7 @@ class CellRescaling:
 def rescaling_of(
     barostat: StochasticCellRescaling | None, system: System, interactions: Forces, constraints: ConstraintSet, method: Splitting, holds_center: bool
 ) -> CellRescaling | None:
-    """A barostat at work on the parts of an engine, if there is one.  Raises TypeError for anything else, and ValueError as CellRescaling."""
+    """A barostat acting on the parts of an engine, or None without one.  Raises TypeError for any other object, and ValueError as CellRescaling."""
     if barostat is None:
         return None
     if not isinstance(barostat, StochasticCellRescaling):
@@ -207,16 +207,16 @@ def check(system: System, interactions: Forces, constraints: ConstraintSet) -> N
     """Raise ValueError for a scene that cannot be at constant pressure."""
     check_cell(system)
     if constraints.n_fixed:
-        raise ValueError(f"a barostat moves all atoms, and {constraints.n_fixed} are held fixed: hold them with springs instead")
+        raise ValueError(f"a barostat moves all atoms, but {constraints.n_fixed} are held fixed: hold them with springs instead")
     if interactions.act_from_outside:
-        raise ValueError("a barostat needs the virial of all forces, and forces from outside, such as fields and walls, have none")
+        raise ValueError("a barostat needs the virial of all forces, but external forces, such as fields and walls, have none: remove them")
     if interactions.options.precision == FIXED_POINT:
-        raise ValueError("precision='fixed-point' is for a constant cell, whose vectors lie on its grid; with a barostat take precision='double'")
+        raise ValueError("precision='fixed-point' needs a constant cell, whose vectors lie on its grid; with a barostat take precision='double'")
 
 
 def check_cell(system: System) -> None:
     """Raise ValueError for a cell without a volume."""
     if system.volume is None:
         raise ValueError(
-            f"a barostat needs a cell that is periodic in all three directions, a slab too: give it an empty space; pbc = {system.cell.pbc.tolist()}"
+            f"a barostat needs a cell that is periodic in all three directions (for a slab, with empty space); pbc = {system.cell.pbc.tolist()}"
         )

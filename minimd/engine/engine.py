@@ -121,7 +121,7 @@ class Engine:
         return step - self.step
 
     def _rescale_cell(self, rescaling: CellRescaling, step: int) -> None:
-        """The contact with the barostat at the end of a step."""
+        """Contact with the barostat at the end of a step."""
 
         def forces_follow() -> None:
             self.moved()
@@ -155,11 +155,11 @@ class Engine:
         self.turned()
 
     def turned(self) -> None:
-        """Begin anew with the next block. To be called after velocities were changed."""
+        """Let the next block begin anew. To be called after velocities were changed."""
         self.surroundings.open_end, self._left = None, None
 
     def catch_up(self) -> None:
-        """Take notice of what somebody has changed since leave: forces are outdated, and images of rigid bonds chosen again."""
+        """If anything was changed since leave, mark the forces as outdated and choose the images of rigid bonds again."""
         if not self.is_as_left:
             self.moved()
             self.fit_images()
@@ -170,16 +170,16 @@ class Engine:
 
     @property
     def is_as_left(self) -> bool:
-        """Whether nobody has changed positions, velocities or cell since leave."""
+        """Whether positions, velocities, cell and masses are unchanged since leave."""
         return self._left is not None and self._left == self._digest()
 
     def _digest(self) -> tuple[int, ...]:
-        """CRC-32 of each array; that of a changed one is the same once in 4·10⁹ times."""
+        """CRC-32 of each array; a changed array has the same one with a probability of 1 in 4·10⁹."""
         arrays = self.positions, self.velocities, self.system.cell.vectors, self.system.cell.pbc, self.system.masses
         return tuple(zlib.crc32(np.ascontiguousarray(array).data) for array in arrays)
 
     def evaluate(self) -> None:
-        """Compute forces, energy, virial, unless they are current; the steps to come have the same bits without it."""
+        """Compute forces, energy and virial, unless they are current; this does not change the bits of the steps to come."""
         self._evaluate(self.step)
 
     def _evaluate(self, step: int) -> None:
@@ -228,13 +228,13 @@ class Engine:
             self.time = time
 
     def checkpoint(self) -> Checkpoint:
-        """A copy of all that decides the bits of the steps to come, for go_on_from."""
+        """A copy of all that determines the bits of the steps to come, for go_on_from."""
         bonds, interactions = self.constraint_set.bonds, self.interactions
         images = None if bonds is None else (bonds.offsets.copy(), bonds.tolerance)
         return Checkpoint(self.snapshot(), interactions.displacement, interactions.lists_built(), images, self.equilibrated, interactions.grid)
 
     def go_on_from(self, checkpoint: Checkpoint) -> None:
-        """Take the place of the engine that the checkpoint is of: the next steps have the bits that its next steps have."""
+        """Go on in place of the engine of a checkpoint: the next steps have the same bits as the next steps of that engine."""
         self.restore(checkpoint.state)
         self._lay(checkpoint.grid)
         self.equilibrated, self.is_whole = checkpoint.equilibrated, True
@@ -262,7 +262,7 @@ class Engine:
 
     @property
     def time(self) -> float:
-        """[time] since the start: that of the last step at which it was set, and the time steps since."""
+        """[time] since the start: the time that was set last, plus the time steps since then."""
         return self._time_at(self._step)
 
     @time.setter
@@ -275,7 +275,7 @@ class Engine:
         return time + (step - first) * self.method.timestep
 
     def count(self, n_steps: int) -> None:
-        """So many steps were made."""
+        """Count n_steps more steps."""
         self._step += n_steps
 
     @property
@@ -321,7 +321,7 @@ class Engine:
 
     @property
     def conserves_momentum(self) -> bool:
-        """Whether the total momentum is a constant: nothing acts from outside, no atom is held fixed, and no bath acts on atoms one by one."""
+        """Whether the total momentum is constant: nothing acts from outside, no atom is fixed, and no bath acts on each atom separately."""
         return self._is_still_under(self.method)
 
     def _is_still_under(self, method: Splitting) -> bool:

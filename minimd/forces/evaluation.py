@@ -51,7 +51,7 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
 
     Raises
     ------
-    NonFiniteError : if a force or an energy is not finite, as for two atoms on one spot; it names the closest pair.
+    NonFiniteError : if a force or an energy is not finite, as for two atoms at the same place; it names the closest pair.
     ValueError, TypeError : as Forces.
     """
     system = system if isinstance(system, System) else System.from_ase(system)

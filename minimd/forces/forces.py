@@ -65,7 +65,7 @@ class Forces:
             if term.warning:
                 warnings.warn(term.warning, stacklevel=outside_minimd())
         if self.options.skin is not None and self.options.skin > (widest := min(self.widest_skins, default=np.inf)):
-            why = "where bonded pairs are left out or scaled, cutoff + skin can be half the height of the cell"
+            why = "where bonded pairs are left out or scaled, cutoff + skin can be at most half the height of the cell"
             warnings.warn(f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used: {why}", stacklevel=outside_minimd())
         self.forces = np.zeros_like(system.positions)
         self._energies, self._virials, self._detail = np.zeros(0), np.zeros((0, 6)), FORCES
@@ -85,7 +85,7 @@ class Forces:
         self._compiled: set[int] = set()  # details that the terms have been computed with
 
     def _is_in_double(self) -> bool:
-        """Whether arithmetic is float64 although fixed-point was asked for: without a grid, as where nothing moves by a splitting."""
+        """Whether arithmetic is float64 although fixed-point was asked for: there is no grid if no splitting moves the atoms."""
         return self.grid is None and self.options.precision == FIXED_POINT
 
     def lay_grid(self, grid: Grid) -> None:
@@ -98,7 +98,7 @@ class Forces:
                 raise ValueError(f"precision='fixed-point' is for {kinds}; {type(term).__name__} cannot round its forces: take precision='double'")
 
     def depth(self) -> float:
-        """Of the deepest well of a pair law [energy], at distances from a tenth of the cutoff to the cutoff."""
+        """Depth of the deepest well of all pair laws [energy], see pair_laws.deepest."""
         laws = [term.pair_law for term in self._bound if term.pair_law is not None]
         return max((deepest(law) for law in laws), default=0.0)
 
@@ -116,21 +116,21 @@ class Forces:
             self._plan(self._bound)
 
     def follow(self) -> None:
-        """After atoms and cell were strained together: terms and lists go on in the new cell, if they can; if not, compute binds them again."""
+        """After atoms and cell were strained together: keep terms and lists in the new cell, if possible; if not, compute binds them again."""
         if sum(not term.follow(self.system) for term in self.terms) == 0:
             self._planned_for = self.system.cell
 
     def lists_built(self) -> tuple[Built, ...]:
-        """What build_lists needs to make the lists that are in use."""
+        """What build_lists needs to rebuild the lists that are in use."""
         return tuple(one.built() for one in _lists(self.terms))
 
     def build_lists(self, built: Sequence[Built]) -> None:
-        """The lists as they were."""
+        """Build the lists again as they were."""
         for one, as_it_was in zip(_lists(self.terms), built, strict=True):
             one.build_again(as_it_was, self.system.cell)
 
     def go_on_with(self, displacement: float, built: Sequence[Built]) -> None:
-        """Lists of the skins, and with the rows, of other Forces of the same scene; new ones if it is another."""
+        """Take over the skins and lists of other Forces of the same scene; choose new ones if the number of lists differs."""
         self.displacement = displacement
         self._plan(self._bound, [one.skin for one in built] if len(built) == len(_lists(self.terms)) else ())
         if len(built) == len(_lists(self.terms)):
@@ -209,13 +209,13 @@ class Forces:
 
     @contextmanager
     def _compiling(self, detail: int) -> Iterator[None]:
-        """Context of the first compute with a detail.  Raises TypeError if a law of the user's does not compile."""
+        """Context of the first compute with a detail.  Raises TypeError if a user's law does not compile."""
         try:
             with announce_compilation():
                 yield
         except NumbaError as error:
             laws, reason = ", ".join(map(repr, self.potentials)), why_not_compiled(str(error))
-            raise TypeError(f"a law among {laws} does not compile; laws are arithmetic on numbers, as numba.njit takes it: {reason}") from error
+            raise TypeError(f"a law of {laws} does not compile; laws must be arithmetic on numbers that numba.njit accepts: {reason}") from error
         self._compiled.add(detail)
 
     def _clear_accumulators(self, detail: int) -> None:
@@ -268,7 +268,7 @@ class Forces:
 
     @property
     def act_from_outside(self) -> bool:
-        """Whether a term acts from outside, so that the total momentum is no constant."""
+        """Whether a term acts from outside, so that the total momentum is not constant."""
         return any(term.acts_from_outside for term in self._bound)
 
     @property
@@ -293,12 +293,12 @@ class Forces:
 
     @property
     def widest_skins(self) -> list[float]:
-        """What each of them could be in this cell [length]."""
+        """The widest that each of them could be in this cell [length]."""
         return [term.widest_skin for term in self.terms if term.list is not None and np.isfinite(term.list.cutoff)]
 
     @property
     def pair_search(self) -> str:
-        """Which lists this scene got, for the report."""
+        """The lists that this scene uses, for the report."""
         return ", ".join(term.summary for term in self.terms if term.summary) or "no list"
 
     def skipped(self) -> list[str]:

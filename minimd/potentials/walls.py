@@ -20,13 +20,13 @@ from minimd.structure.system import System
 
 WALL_LAWS: dict[str, Any] = {"9-3": LennardJones93Law(), "12-6": LennardJonesLaw()}
 WallLaw = Literal["9-3", "12-6"]  # the keys of WALL_LAWS
-ALONG = 1e-9  # of a lattice vector: a wall that it leads through so far is along it
+ALONG = 1e-9  # of a lattice vector: one that leaves the plane of a wall by less counts as parallel to it
 
 
 class OwnWall(OwnField):
-    """Base of walls.
+    """Base class of walls.
 
-    epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.  cutoff : distance from which on there is no force [length];
+    epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.  cutoff : distance beyond which there is no force [length];
     None for none. The energy is shifted to be zero there.  law : "9-3", ε [2/15 (σ/d)⁹ − (σ/d)³], or "12-6", 4ε [(σ/d)¹² − (σ/d)⁶].
     """
 
@@ -46,7 +46,7 @@ class OwnWall(OwnField):
         return placed | self.parameters | {"cutoff": self.cutoff, "law": self.law, "atoms": self.atoms}
 
     def _place(self) -> tuple[Array, float]:
-        """Normal or axis, three numbers, and the place on it or the radius [length]."""
+        """Normal, three numbers, and the position of the plane along it; or axis and radius [length]."""
         raise NotImplementedError
 
     def _distances(self, system: System, positions: Array) -> Array:
@@ -89,7 +89,7 @@ class Wall(OwnWall):
     ----------
     point : p, a point of the plane, three numbers [length].  normal : n, three numbers of any length, towards the atoms.
     epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.
-    cutoff : distance from which on there is no force [length]; None for none. The energy is shifted to be zero there.
+    cutoff : distance beyond which there is no force [length]; None for none. The energy is shifted to be zero there.
     law : "9-3", u = ε [2/15 (σ/d)⁹ − (σ/d)³], of a half-space of atoms; or "12-6", u = 4ε [(σ/d)¹² − (σ/d)⁶], of a layer.
     atoms : indices; all if not given.
 
@@ -128,7 +128,7 @@ class Wall(OwnWall):
 
 
 class RoundWall(OwnWall):
-    """Base of walls with atoms inside, around a point that stands for all its images."""
+    """Base class of walls with atoms inside, around a point that stands for all its images."""
 
     around = Curved
     point: Array
@@ -151,7 +151,7 @@ class CylinderWall(RoundWall):
     Parameters
     ----------
     point : on the axis, three numbers [length].  axis : direction, three numbers of any length.  radius : R [length].
-    epsilon, sigma, cutoff, law, atoms : as for Wall. The law is that of a flat wall, of the distance to the nearest point of this one.
+    epsilon, sigma, cutoff, law, atoms : as for Wall. The law is that of a flat wall; its distance is that to the nearest point of this wall.
 
     Positions count relative to the nearest image of the point.
 

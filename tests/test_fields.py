@@ -172,6 +172,18 @@ def test_work_and_time_survive_pauses_copies_and_files(method, tmp_path):
     assert resumed.time == whole.time
 
 
+def test_looking_changes_no_bit_of_the_work_though_it_evaluates_the_forces_again():
+    """A bath at the end of a step leaves no energy there: it is evaluated at the same time, to the last bit, as the last kick."""
+    bath = md.StochasticVelocityRescaling(0.003, temperature=1.0, relaxation_time=0.2, seed=2)
+    seen, unseen = (
+        md.Simulation(md.System(np.diag([0.01, 0.02, 0.03])), md.SteeredSpring(10.0, [0, 0, 0], [0.3, 0.2, 0], start=0.02), bath) for _ in "ab"
+    )
+    for simulation, every in ((seen, 1), (unseen, 60)):
+        simulation.set_temperature(1.0, seed=1)
+        simulation.run(60, every=every, progress=False)
+    assert seen.work == unseen.work != 0.0
+
+
 def test_the_report_judges_the_energy_minus_the_work(tmp_path):
     simulation = pulled(md.VelocityVerlet(0.02))
     record = simulation.run(4000, every=10, progress=False)

@@ -26,6 +26,8 @@ from minimd.structure.grid import Grid
 from minimd.structure.observables import Array, kinetic_energy
 from minimd.structure.system import AnySystem, System
 
+DIGITS_OF_PHASE = 12  # so that coefficients that add up to one are one
+
 
 class Engine:
     """One system, its forces, its constraints and one method; see Simulation for the parameters.
@@ -136,7 +138,8 @@ class Engine:
     def _compute_forces(self, state: State, with_energy: bool) -> None:
         if self.interactions.depend_on_time:
             step = self._bath.step - self.noise_shift  # the one that is being made
-            self.interactions.time = self._time_at(step) + self.surroundings.phase * self.method.timestep
+            phase = round(self.surroundings.phase, DIGITS_OF_PHASE)
+            self.interactions.time = self._time_at(step + phase)  # at the end of a step, to the last bit that of evaluate
         self.interactions.compute(TOTALS if with_energy else FORCES, state.unit)
         self.surroundings.power = self.interactions.power
 
@@ -270,7 +273,7 @@ class Engine:
         self._clock = self._step, time
         self._state.forces_are_current &= not self.interactions.depend_on_time
 
-    def _time_at(self, step: int) -> float:
+    def _time_at(self, step: float) -> float:
         first, time = self._clock
         return time + (step - first) * self.method.timestep
 

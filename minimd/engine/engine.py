@@ -1,6 +1,5 @@
 """The engine: one system, its forces, its constraints and one method. It advances the state, and can go back to an earlier one."""
 
-import warnings
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -25,6 +24,7 @@ from minimd.structure.cell import Cell
 from minimd.structure.constraints import Constraint
 from minimd.structure.grid import Grid
 from minimd.structure.observables import Array, kinetic_energy
+from minimd.structure.quiet import quiet
 from minimd.structure.system import AnySystem, System
 
 
@@ -389,7 +389,7 @@ class Engine:
 
 def _copied(scene: tuple[Any, ...], checkpoint: Checkpoint, is_as_left: bool, counts: tuple[int, int], more: dict[str, Any]) -> Engine:
     """The engine that __reduce__ has described. Its warnings have been given."""
-    with warnings.catch_warnings(action="ignore"):
+    with quiet():
         engine = Engine(*scene)
     engine.go_on_from(checkpoint)
     if not is_as_left:  # somebody has changed its state, and its next run will begin anew

@@ -96,6 +96,11 @@ class Record(Displayed):
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self._series]
 
+    @property
+    def names(self) -> list[str]:
+        """Names of its series, step and time first."""
+        return list(self._series)
+
     def unit(self, name: str) -> str:
         """The unit of a series, in words; empty for a pure number, or one that minimd does not know."""
         return self.units.time if name == "time" else str(getattr(self.units, SERIES.get(name) or "", ""))

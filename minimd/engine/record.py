@@ -90,7 +90,9 @@ class Record(Displayed):
         if name in series:
             return np.array(series[name])
         if name == "pressure":
-            raise AttributeError("pressure was not recorded: the cell has no volume, it must be periodic in all three directions")
+            raise AttributeError(
+                "pressure was not recorded: the cell has no volume, it must be periodic in all three directions, pbc = (True, True, True)"
+            )
         raise AttributeError(f"a record has no {name!r}; it has {', '.join(series)}")
 
     def __dir__(self) -> list[str]:

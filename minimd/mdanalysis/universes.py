@@ -19,6 +19,7 @@ from MDAnalysis.analysis.rdf import InterRDF
 from numpy.typing import NDArray
 
 from minimd.files.h5md_reader import H5MDContents, read_file
+from minimd.files.h5md_schema import has_edges
 from minimd.files.turned_cell import Turn, turn_of
 from minimd.mdanalysis.memory import Frames, RecordedReader
 from minimd.mdanalysis.run_reader import RunReader
@@ -114,9 +115,15 @@ def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
 
 
 def _tell_cell(what: str, cell: Cell, turn: Turn | None) -> None:
-    """Warn of a cell that MDAnalysis places otherwise, or takes for periodic in other directions than it is."""
+    """Warn of a cell that MDAnalysis places otherwise, or cannot hold."""
     if turn is not None:
         warnings.warn(turn.in_words(what, ": R is ts.data['rotation']"), stacklevel=outside_minimd())
+    if cell.is_periodic and not has_edges(cell):
+        warnings.warn(
+            f"{what} has no cell, because MDAnalysis needs three vectors and this cell has fewer: distances are not those of nearest images; "
+            "give the open direction a length that all atoms fit in, beside pbc, as cell=[20, 20, 50] with pbc=(True, True, False)",
+            stacklevel=outside_minimd(),
+        )
 
 
 def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.engine.record import SERIES, Record
 from minimd.files.h5md_reader import damage, damage_told, velocities_of
+from minimd.files.turned_cell import as_in_run
 from minimd.integrators import LangevinBAOAB
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
 from minimd.structure.constraints import DistanceConstraints
@@ -123,9 +124,9 @@ def recompute(run: str | Path | RunUniverse) -> Recomputed:
         system, masses, rows = made.system.copy(), made.atoms.masses, []
         units, names = system.units, [name for name in OBSERVED if name in made.trajectory.ts.data]
         for ts in made.trajectory:
-            v = ts.velocities * np.float64(units.to_picosecond / units.to_angstrom)
+            v = as_in_run(ts, ts.velocities) * (units.to_picosecond / units.to_angstrom)
             moments = (observable(v, masses) for observable in (kinetic_energy, momentum, absolute_momentum))
-            system.positions[:] = ts.positions / np.float64(units.to_angstrom)
+            system.positions[:] = as_in_run(ts, ts.positions) / units.to_angstrom
             if "cell" in ts.data:
                 system.cell = system.cell.strained(ts.data["cell"])
             stored = (np.array(ts.data[name]) for name in names)

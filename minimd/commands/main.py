@@ -36,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return OK
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings():  # of the whole process, which is this command
             warnings.showwarning = _tell
             passed = arguments.command(arguments)  # None of a command that judges nothing
         return OK if passed is None or passed else FAILED

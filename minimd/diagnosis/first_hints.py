@@ -21,10 +21,15 @@ TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 
 def hints(engine: Engine) -> Iterator[str]:
     """Sentences about time step and lengths; none if there is nothing to say. The forces must be current."""
-    if hint := unstable_bond(engine) or _long_timestep(engine):
-        yield hint
+    if hint := too_long_a_step(engine):
+        yield f"{hint}; see advise_timestep, and the unit of the time step"
     yield from _no_pair_in_reach(engine)
     yield from _quick_barostat(engine)
+
+
+def too_long_a_step(engine: Engine) -> str | None:
+    """A clause if the time step is longer than a harmonic bond allows, or far longer than suits Lennard-Jones atoms, else None."""
+    return unstable_bond(engine) or _long_timestep(engine)
 
 
 def _quick_barostat(engine: Engine) -> Iterator[str]:
@@ -60,7 +65,7 @@ def _long_timestep(engine: Engine) -> str | None:
     shown = system.units.shown
     return (
         f"timestep {shown(abs(method.timestep))} is long for Lennard-Jones atoms as light as these: in a liquid {method.name} "
-        f"conserves the energy well up to {shown(recommended)}; see advise_timestep, and check the unit of the time step"
+        f"conserves the energy well up to {shown(recommended)}"
     )
 
 

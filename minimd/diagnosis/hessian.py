@@ -72,7 +72,7 @@ def _direction(arm: Array) -> Array:
 
 
 def unstable_bond(engine: Engine) -> str | None:
-    """A sentence if the time step is longer than a harmonic bond allows, else None. Other forces may allow still less."""
+    """A clause if the time step is longer than a harmonic bond allows, else None. Other forces may allow still less."""
     bond, method, shown = (
         stiffest_bond(engine.system, engine.interactions.potentials, engine.constraint_set),
         engine.method,
@@ -82,7 +82,7 @@ def unstable_bond(engine: Engine) -> str | None:
         return None
     return (
         f"timestep {shown(abs(method.timestep))} is longer than the bond of atoms {bond.i} and {bond.j} allows: "
-        f"{method.name} is stable up to {shown(limit)} for it; see advise_timestep"
+        f"{method.name} is stable up to {shown(limit)} for it"
     )
 
 

@@ -167,6 +167,7 @@ class Report(Displayed):
     temperatures : means of the first and of the last fifth of the run.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
     lines : results that need no run: see diagnosis.static_checks.
+    too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown, as for a file.
     is_at_rest : whether nothing moves except by rounding; changes of momentum then cannot be judged, for lack of a scale.
     """
 
@@ -193,6 +194,7 @@ class Report(Displayed):
     not_finite: str = ""
     temperature_error: float = np.nan
     is_at_rest: bool = False
+    too_long_a_step: str = ""
 
     @property
     def energy_is_conserved(self) -> bool | None:
@@ -284,9 +286,9 @@ class Report(Displayed):
             within = f"stays within {self.energy_range / self.kinetic_energy:.1g} of the kinetic energy" if self.is_quiet else "varies"
             return f"the {name} {within}; the run is too short to tell whether it drifts: fluctuations last nearly as long"
         if self.energy_is_conserved:
-            return f"the {name} is conserved"
-        why = "reduce the time step or smooth the cutoff"
-        if self.is_settling:
+            return f"the {name} does not drift, BUT {self.too_long_a_step}" if self.too_long_a_step else f"the {name} is conserved"
+        why = self.too_long_a_step or "reduce the time step or smooth the cutoff"
+        if self.is_settling and not self.too_long_a_step:
             why = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
         return f"THE {name.upper()} DRIFTS: {why}"
 

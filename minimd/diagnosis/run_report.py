@@ -1,9 +1,11 @@
 """The report of a run that a guard has made: its record, its cost, and the checks that need no run."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from minimd.diagnosis.first_hints import too_long_a_step
 from minimd.diagnosis.report import Cost, Line, Report, block_means, conservation_report
 from minimd.diagnosis.reversibility import Reversibility
 from minimd.diagnosis.run_guard import RunGuard
@@ -31,7 +33,8 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     )
     angular, lines = is_free and not engine.system.cell.is_periodic, static_checks(engine, reversibility)
     lines += pressure_lines(engine, record)
-    return conservation_report(record, linear=is_free, angular=angular, cost=cost, lines=lines)
+    report = conservation_report(record, linear=is_free, angular=angular, cost=cost, lines=lines)
+    return replace(report, too_long_a_step=too_long_a_step(engine) or "")
 
 
 def pressure_lines(engine: Engine, record: Record) -> Iterator[Line]:

@@ -1,6 +1,5 @@
 """The engine: one system, its forces, its constraints and one method. It advances the state, and can go back to an earlier one."""
 
-import warnings
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -24,6 +23,7 @@ from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.constraints import Constraint
 from minimd.structure.grid import Grid
 from minimd.structure.observables import Array, kinetic_energy
+from minimd.structure.quiet import quiet
 from minimd.structure.system import AnySystem, System
 
 DIGITS_OF_PHASE = 12  # so that coefficients that add up to one are one
@@ -380,7 +380,7 @@ class Engine:
 
 def _copied(scene: tuple[Any, ...], checkpoint: Checkpoint, is_as_left: bool, counts: tuple[int, int], more: dict[str, Any]) -> Engine:
     """The engine that __reduce__ has described. Its warnings have been given."""
-    with warnings.catch_warnings(action="ignore"):
+    with quiet():
         engine = Engine(*scene)
     engine.go_on_from(checkpoint)
     if not is_as_left:  # its state was changed, and its next run will begin anew

@@ -111,11 +111,16 @@ for _observable in (
     register(_observable)
 
 
+def recorded(engine: Engine) -> list[str]:
+    """Names of the observables that frames of this engine have."""
+    return [one.name for one in OBSERVABLES.values() if one.is_recorded(engine)]
+
+
 def observe(engine: Engine) -> Frame:
     """The present state with its observables; forces, energy and virial are evaluated if they are not current."""
     engine.evaluate()
     look = Look(engine)
-    values = {one.name: one.measure(look) for one in OBSERVABLES.values() if one.is_recorded(engine)}
+    values = {name: OBSERVABLES[name].measure(look) for name in recorded(engine)}
     return Frame(engine.step, engine.time, engine.positions, engine.velocities, engine.forces, values, engine.reservoir_energy, engine.system.cell)
 
 

@@ -90,11 +90,18 @@ class Record(Displayed):
         if name in series:
             return np.array(series[name])
         if name == "pressure":
-            raise AttributeError("pressure was not recorded: the cell has no volume; it must be periodic in all three directions")
+            raise AttributeError(
+                "pressure was not recorded: the cell has no volume, it must be periodic in all three directions, pbc = (True, True, True)"
+            )
         raise AttributeError(f"a record has no {name!r}; it has {', '.join(series)}")
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self._series]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of its series, step and time first."""
+        return list(self._series)
 
     def unit(self, name: str) -> str:
         """The unit of a series, in words; empty for a pure number, or one that minimd does not know."""

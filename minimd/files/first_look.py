@@ -6,11 +6,12 @@ import os
 import pickle
 import signal
 import sys
-import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
+
+from minimd.structure.quiet import quiet
 
 Found = TypeVar("Found")
 
@@ -27,7 +28,7 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
         return look()
     parent, (listening, telling) = os.getpid(), os.pipe()
     try:
-        with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of threads: h5py holds its lock in a fork
+        with quiet():  # Python warns of threads: h5py holds its lock in a fork
             child = os.fork()
     except OSError:
         os.close(listening)

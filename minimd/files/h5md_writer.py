@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 
 from minimd.engine.engine import Engine
-from minimd.engine.observation import extras_in
+from minimd.engine.observation import extras_in, recorded
 from minimd.engine.record import Frame
 from minimd.files import h5md_schema as layout
 from minimd.files.claim import Claim
@@ -30,6 +30,7 @@ from minimd.files.h5md_restart import set_aside_damaged, write_restart
 from minimd.files.journaled_file import JournaledFile
 from minimd.files.rehearsal import rehearse
 from minimd.observers.accumulator import Accumulator
+from minimd.structure.checks import listed
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 MOST_OFTEN = 50.0  # times as long as a flush takes, which then takes no more than 2 % of the time; sooner if there is no memory for more frames
@@ -282,5 +283,19 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
         )
     if set(wanted := extras_in(contents.record)) != set(engine.extra_observables):
         raise ValueError(f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set them so, or write to a new file")
+    _check_same_observables(file, contents, recorded(engine))
     if store_forces and not contents.has_forces:
         raise ValueError(f"trajectory {str(file)!r} was begun without forces; resume without storing them, or write to a new file")
+
+
+def _check_same_observables(file: Path, contents: H5MDContents, ours: Sequence[str]) -> None:
+    """Raise ValueError unless a run records the observables that a file holds: their series are as long as that of the frames."""
+    theirs = [name for name in contents.record.names if name not in ("step", "time")]
+    new, missing = ([name for name in one if name not in other] for one, other in ((ours, theirs), (theirs, ours)))
+    if new:
+        raise ValueError(
+            f"trajectory {str(file)!r} was begun without {listed(new)}, which this run records: a file has the same observables in all frames; "
+            "append before registering others, or write to a new file"
+        )
+    if missing:
+        raise ValueError(f"trajectory {str(file)!r} holds {listed(missing)}, which this run does not record: register it, or write to a new file")

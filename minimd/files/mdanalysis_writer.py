@@ -3,30 +3,27 @@
 import warnings
 from contextlib import suppress
 from errno import ENOSPC
-from functools import partial
 from shutil import disk_usage
 from typing import Any
 
 import MDAnalysis
-import numpy as np
-from MDAnalysis.lib.mdamath import triclinic_box, triclinic_vectors
-from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.claim import Claim
-from minimd.files.h5md_schema import has_edges
-from minimd.structure.cell import Cell
+from minimd.files.turned_cell import cell_dimensions, turn_of
 from minimd.structure.console import outside_minimd
+from minimd.structure.quiet import quiet
 
 FORMATS = {".nc": "NCDF"}  # of suffixes that are not their name
 XTC_DECIMALS = 4  # of nm, one more than usual, because σ is written as 0.1 nm
-quiet = partial(warnings.catch_warnings, action="ignore")  # MDAnalysis warns about what minimd files mean not to hold
 ROOM = 2**18  # B that must stay free beside a frame, for what C libraries buffer
 
 
 class MDAnalysisWriter:
     """Frames to .xtc, .dcd, .trr or .ncdf (.nc) through MDAnalysis: float32, positions unwrapped, Å and ps or reduced numbers.
+
+    A cell that MDAnalysis places otherwise is turned, with positions and velocities: see Turn.
 
     TRR and NCDF hold velocities; XTC, rounded to 0.001 Å, and DCD do not. A DCD states the time between its frames at
     its beginning, so that it is begun with the second frame.
@@ -44,15 +41,12 @@ class MDAnalysisWriter:
         self._cell = system.cell
         self._waiting: list[Frame] = []
         self._writer: Any = None
-        with quiet():
+        with quiet():  # MDAnalysis warns about what minimd files mean not to hold
             self._universe = MDAnalysis.Universe.empty(len(system), trajectory=True, velocities=True)
-        if is_turned(system.cell):
-            warnings.warn(
-                f"trajectory {claim.name!r} knows the cell by lengths and angles, as if its first vector lay along x and its second in the "
-                "xy plane, which they do not; distances across the boundary will be wrong, write .h5md too: it keeps the vectors, which "
-                "minimd.neighbor_list and minimd.mdanalysis.radial_distribution use",
-                stacklevel=outside_minimd(),
-            )
+        self._turn = turn_of(system.cell, self._angstrom)
+        if self._turn is not None:
+            back = "; write .h5md too: it holds them as they are"
+            warnings.warn(self._turn.in_words(f"trajectory {claim.name!r}", back), stacklevel=outside_minimd())
 
     def write(self, frame: Frame) -> None:
         """Append one frame."""
@@ -104,16 +98,10 @@ class MDAnalysisWriter:
         ts = self._universe.trajectory.ts
         ts.positions = frame.positions * self._angstrom
         ts.velocities = frame.velocities * (self._angstrom / self._picosecond)
-        ts.dimensions = cell_dimensions(frame.cell or self._cell, self._angstrom)
+        cell = frame.cell or self._cell
+        if self._turn is None:
+            ts.dimensions = cell_dimensions(cell, self._angstrom)
+        else:
+            ts.data["cell"] = cell.vectors
+            self._turn(ts)
         ts.time, ts.data["step"] = frame.time * self._picosecond, frame.step
-
-
-def is_turned(cell: Cell) -> bool:
-    """True if MDAnalysis, which knows lengths and angles alone, places a cell otherwise than its vectors lie."""
-    dimensions = cell_dimensions(cell, 1.0)
-    return dimensions is not None and not np.allclose(triclinic_vectors(dimensions), cell.vectors, atol=1e-4 * abs(cell.vectors).max())
-
-
-def cell_dimensions(cell: Cell, to_angstrom: float) -> NDArray[np.float32] | None:
-    """Lengths and angles of a cell [Å, °], or None where nothing repeats or three independent vectors are missing."""
-    return triclinic_box(*(cell.vectors * to_angstrom)) if has_edges(cell) else None

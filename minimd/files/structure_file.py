@@ -17,6 +17,7 @@ from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
 from minimd.structure.console import outside_minimd
 from minimd.structure.joined import Joined, joined_in
+from minimd.structure.quiet import quiet
 from minimd.structure.system import System
 from minimd.structure.units import ASE, LJ, UnitSystem
 
@@ -114,7 +115,7 @@ def _add_impropers(path: Path, atoms: Atoms) -> None:
     """The impropers of LAMMPS data, which ASE does not read, beside its dihedrals, which it does: see structure.joined."""
     from MDAnalysis.topology.LAMMPSParser import DATAParser
 
-    with warnings.catch_warnings(action="ignore"), DATAParser(str(path)) as parser:
+    with quiet(), DATAParser(str(path)) as parser:
         rows = np.array([line.split()[1:6] for line in parser.grab_datafile()[1].get("Impropers", ())], dtype=np.int64).reshape(-1, 5)
     if len(rows):
         place = {number: k for k, number in enumerate(atoms.arrays["id"].tolist())}
@@ -128,7 +129,7 @@ def _add_impropers(path: Path, atoms: Atoms) -> None:
 def _universe(path: Path, form: str | None, topology_only: bool = False) -> Any:
     import MDAnalysis
 
-    with warnings.catch_warnings(action="ignore"):
+    with quiet():
         formats = ("topology_format", "format") if form else ()
         made = MDAnalysis.Universe(str(path), **dict.fromkeys(formats, str(form).upper()))
         if not topology_only:

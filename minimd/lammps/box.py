@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.structure.system import System
+from minimd.structure.upright import handedness, upright
 
 Array = NDArray[np.float64]
 
@@ -15,8 +16,9 @@ class Box:
 
     Attributes
     ----------
-    turn : (3, 3) orthogonal; a vector r of minimd's is r @ turn in LAMMPS. It may contain a reflection, which no law of minimd's feels.
-    edges : (3, 3) [length], lower triangle; rows are the lattice vectors in LAMMPS, of minimd's reduced lattice.
+    turn : (3, 3) rotation; a vector r of minimd's is r @ turn in LAMMPS.
+    edges : (3, 3) [length], lower triangle; rows are the lattice vectors in LAMMPS, of minimd's reduced lattice. Of a left-handed one all three
+        are negated, which repeats the same lattice: a reflection would change the sign of dihedral angles.
     low, high : (3,) bounds along the diagonal [length].  open : (3,) bool.
     positions : (N, 3) [length], turned and wrapped.
 
@@ -25,10 +27,11 @@ class Box:
 
     def __init__(self, system: System) -> None:
         cell = system.cell
-        self.turn, self.edges = _turned(cell.lattice)
+        hand = handedness(cell.lattice)
+        self.turn, self.edges = upright(hand * cell.lattice)
         self.open = ~cell.pbc
-        images = np.where(self.open, 0.0, np.floor(system.positions @ cell.inverse))
-        self._shifts = images @ cell.lattice
+        images = np.where(self.open, 0.0, np.floor(hand * (system.positions @ cell.inverse)))
+        self._shifts = images @ (hand * cell.lattice)
         self.positions = self.turned(system.positions - self._shifts)
         self.low, self.high = np.zeros(3), np.diag(self.edges).copy()
 
@@ -76,12 +79,3 @@ class Box:
         lines = [f"{low:.17g} {high:.17g} {axis}lo {axis}hi" for low, high, axis in zip(self.low, self.high, "xyz", strict=True)]
         tilts = self.edges[[1, 2, 2], [0, 0, 1]]
         return lines + ([f"{' '.join(f'{tilt:.17g}' for tilt in tilts)} xy xz yz"] if self.is_tilted else [])
-
-
-def _turned(lattice: Array) -> tuple[Array, Array]:
-    """An orthogonal matrix q and a lower triangle with a positive diagonal, lattice @ q."""
-    if np.array_equal(lattice, np.tril(lattice)) and (np.diag(lattice) > 0.0).all():
-        return np.eye(3), np.array(lattice)
-    q, upper = np.linalg.qr(lattice.T)
-    signs = np.where(np.diag(upper) < 0.0, -1.0, 1.0)
-    return q * signs, np.tril((upper * signs[:, None]).T)

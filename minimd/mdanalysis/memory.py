@@ -6,7 +6,7 @@ import numpy as np
 from MDAnalysis.coordinates.memory import MemoryReader
 from numpy.typing import NDArray
 
-from minimd.files.mdanalysis_writer import cell_dimensions
+from minimd.files.turned_cell import ROTATION, Turn, cell_dimensions, turn_of
 from minimd.simulation.simulation import Simulation
 from minimd.structure.system import System
 
@@ -24,10 +24,12 @@ class Frames:
     Attributes
     ----------
     system : System, a copy made with the first frame, None before.
+    turn : Turn of a cell that MDAnalysis places otherwise; positions and velocities are kept turned by it. None if it takes them as they are.
     """
 
     def __init__(self) -> None:
         self.system: System | None = None
+        self.turn: Turn | None = None
         self._rows: list[dict[str, Any]] = []
         self._moving: list[tuple[NDArray[np.float32], ...]] = []
 
@@ -41,15 +43,19 @@ class Frames:
         """Keep the present state.  Raises ValueError for another number of atoms than before."""
         system = simulation.system
         if self.system is None:
-            self.system = system.copy()
+            self.system, self.turn = system.copy(), turn_of(system.cell, system.units.to_angstrom)
         if len(system) != len(self.system):
             raise ValueError(f"Frames keeps frames of one simulation, of {len(self.system)} atoms; this one has {len(system)}")
         frame, units = simulation.frame(), system.units
         if self._rows and self._rows[-1]["step"] == frame.step:
             return
-        self._rows.append({"step": frame.step, "time": frame.time * units.to_picosecond, **frame.observables})
+        row = {"step": frame.step, "time": frame.time * units.to_picosecond, **frame.observables}
         positions, velocities = frame.positions * units.to_angstrom, frame.velocities * (units.to_angstrom / units.to_picosecond)
         dimensions = cell_dimensions(system.cell, units.to_angstrom)
+        if self.turn is not None:
+            row[ROTATION], dimensions = self.turn.of(system.cell.vectors)
+            positions, velocities = positions @ row[ROTATION], velocities @ row[ROTATION]
+        self._rows.append(row)
         boxes = np.zeros(6) if dimensions is None else dimensions
         self._moving.append(tuple(np.asarray(one, dtype=np.float32) for one in (positions, velocities, boxes)))
 

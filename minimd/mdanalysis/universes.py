@@ -16,18 +16,20 @@ import MDAnalysis
 import numpy as np
 from MDAnalysis.analysis.msd import EinsteinMSD
 from MDAnalysis.analysis.rdf import InterRDF
-from MDAnalysis.lib.mdamath import triclinic_box, triclinic_vectors
 from numpy.typing import NDArray
 
 from minimd.files.h5md_reader import H5MDContents, read_file
-from minimd.files.mdanalysis_writer import is_turned, quiet
+from minimd.files.h5md_schema import has_edges
+from minimd.files.turned_cell import Turn, turn_of
 from minimd.mdanalysis.memory import Frames, RecordedReader
+from minimd.mdanalysis.run_reader import RunReader
 from minimd.mdanalysis.topology import bare_universe
 from minimd.observers.diffusion import finite_size_correction, is_cubic
 from minimd.simulation.simulation import Simulation
 from minimd.structure.cell import Cell
 from minimd.structure.console import outside_minimd
 from minimd.structure.display import Displayed, Rows
+from minimd.structure.quiet import quiet
 from minimd.structure.statistics import FEW, with_error
 from minimd.structure.system import System
 from minimd.structure.units import ASE
@@ -37,6 +39,7 @@ __all__ = [
     "Frames",
     "RadialDistribution",
     "RunUniverse",
+    "Turn",
     "diffusion_coefficient",
     "mean_square_displacement",
     "radial_distribution",
@@ -67,8 +70,9 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
 
     Each molecule is a residue: atoms that bonds or fixed lengths connect. Observables stand in ts.data.
 
-    MDAnalysis places a cell with its first vector along x and the second in the xy plane. Where the cell of the file lies
-    otherwise, its periodic distances are wrong until positions are turned likewise, as radial_distribution does; a warning says so.
+    MDAnalysis places a cell with a along x and b in the xy plane. Where the cell of the run lies otherwise, positions, velocities and forces are
+    turned with it, and a warning says so: r @ R, where R is ts.data["rotation"], so that r @ R.T leads back. ts.data and the system stay as they
+    were in the run. See Turn.
 
     run : a file; or, in memory, a simulation as it is now, or the Frames that it has filled.
     contents : of the file, if they have been read.
@@ -86,12 +90,14 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     if isinstance(run, Frames):
         return _in_memory(run)
     contents = contents or read_file(run)
-    _tell_turned(repr(str(run)), contents.system.cell)
-    spacing = _spacing(f"the frames of {str(run)!r}", contents.record.step, contents.record.time * contents.system.units.to_picosecond)
+    system = contents.system
+    turn = turn_of(system.cell, system.units.to_angstrom)
+    _tell_cell(f"the universe of {str(run)!r}", system.cell, turn)
+    spacing = _spacing(f"the frames of {str(run)!r}", contents.record.step, contents.record.time * system.units.to_picosecond)
     with quiet():
-        made = bare_universe(RunUniverse, contents.system)
-        made.contents, made.system = contents, contents.system
-        made.load_new(str(run), format="H5MD", **({} if spacing is None else {"dt": spacing}))
+        made = bare_universe(RunUniverse, system)
+        made.contents, made.system = contents, system
+        made.trajectory = RunReader(str(run), turn=turn, n_atoms=len(system), **({} if spacing is None else {"dt": spacing}))
     return made
 
 
@@ -99,7 +105,7 @@ def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
     """timestep : taken for the time between frames if there is only one [ps, or τ]."""
     if frames.system is None:
         raise ValueError("these Frames are empty; pass them to a run: observers=[frames]")
-    _tell_turned("the run", frames.system.cell)
+    _tell_cell("the universe in memory", frames.system.cell, frames.turn)
     spacing = _spacing("the frames in memory", frames.series("step"), frames.series("time")) or timestep
     with quiet():
         made = bare_universe(RunUniverse, frames.system)
@@ -108,13 +114,14 @@ def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
     return made
 
 
-def _tell_turned(what: str, cell: Cell) -> None:
-    """Warn of a cell that MDAnalysis places otherwise."""
-    if is_turned(cell):
+def _tell_cell(what: str, cell: Cell, turn: Turn | None) -> None:
+    """Warn of a cell that MDAnalysis places otherwise, or cannot hold."""
+    if turn is not None:
+        warnings.warn(turn.in_words(what, ": R is ts.data['rotation']"), stacklevel=outside_minimd())
+    if cell.is_periodic and not has_edges(cell):
         warnings.warn(
-            f"the cell of {what} lies otherwise than MDAnalysis places it, by lengths and angles with its first vector along x and the second in "
-            "the xy plane: its distances with box=u.dimensions are wrong; turn the positions likewise, or take minimd.neighbor_list and "
-            "radial_distribution, which know the vectors",
+            f"{what} has no cell, because MDAnalysis needs three vectors and this cell has fewer: distances are not those of nearest images; "
+            "give the open direction a length that all atoms fit in, beside pbc, as cell=[20, 20, 50] with pbc=(True, True, False)",
             stacklevel=outside_minimd(),
         )
 
@@ -178,29 +185,8 @@ def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
         stride = ceil(len(made.trajectory) / RDF_FRAMES)
         some = _every(made, RDF_DISTANCES * stride / len(made.trajectory) / len(system))
         # From one bin on, so that no atom is its own neighbor; the others of N atoms are N − 1.
-        result = _TurnedRDF(some, made.atoms, nbins=n_bins - 1, range=(r_max / n_bins, r_max)).run(step=stride).results
+        result = InterRDF(some, made.atoms, nbins=n_bins - 1, range=(r_max / n_bins, r_max)).run(step=stride).results
     return RadialDistribution(result.bins / system.units.to_angstrom, result.rdf * len(system) / (len(system) - 1))
-
-
-class _TurnedRDF(InterRDF):
-    """g(r) of frames rotated to MDAnalysis' orientation of the reduced lattice; distances between nearest images do not change."""
-
-    def _prepare(self) -> None:
-        super()._prepare()
-        self._turn_to(self.g2.universe.system.cell)
-
-    def _turn_to(self, cell: Cell) -> None:
-        to_angstrom = self.g2.universe.system.units.to_angstrom
-        self._dimensions = triclinic_box(*(cell.lattice * to_angstrom))
-        self._vectors, self._inverse = triclinic_vectors(self._dimensions, dtype=np.float64), cell.inverse / to_angstrom
-
-    def _single_frame(self) -> None:
-        if "cell" in self._ts.data:
-            self._turn_to(self.g2.universe.system.cell.strained(self._ts.data["cell"]))
-        fractions = self._ts.positions.astype(np.float64) @ self._inverse
-        self._ts.positions = (fractions - np.floor(fractions)) @ self._vectors
-        self._ts.dimensions = self._dimensions
-        super()._single_frame()
 
 
 def _every(made: MDAnalysis.Universe, n_atoms: float) -> MDAnalysis.AtomGroup:

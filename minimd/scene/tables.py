@@ -4,7 +4,6 @@ A scene that is stored in the file of its run goes on without other files: [tabl
 """
 
 import json
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -14,6 +13,7 @@ from pydantic import Field, FiniteFloat
 
 from minimd.potentials.tabulated import FEWEST
 from minimd.scene.section import KEY_UNITS, Dimension, Section
+from minimd.structure.quiet import quiet
 
 COLUMNS = 2
 Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]
@@ -36,7 +36,7 @@ class TableSection(Section):
 def read_table(path: Path) -> Numbers:
     """The two columns of a text file, in the units of the scene; '#' begins a comment.  Raises ValueError, naming the file, for anything else."""
     try:
-        with warnings.catch_warnings(action="ignore"):  # of an empty file, which is refused
+        with quiet():  # NumPy warns of an empty file, which is refused
             columns = np.loadtxt(path, ndmin=2, encoding="utf-8")
     except FileNotFoundError:
         raise ValueError(f"table {str(path)!r} does not exist; its place is that of the scene file") from None

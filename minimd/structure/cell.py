@@ -15,6 +15,7 @@ from minimd.structure.display import Displayed, Rows, as_text
 from minimd.structure.strain import follow_lattice
 
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
+OPEN = "in a direction that does not repeat give length 0, or any length and pbc=False there, such as pbc=(True, True, False) of a slab"
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 COMBINED = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])  # combinations of vectors that could be shorter
 
@@ -179,15 +180,17 @@ def minimum_image_translations(positions, first, second, lattice, inverse, pbc, 
 def _as_matrix(vectors: ArrayLike | None) -> NDArray[np.float64]:
     if vectors is None:
         return np.zeros((3, 3))
+    if isinstance(vectors, list | tuple) and any(one is None for one in vectors):
+        raise ValueError(f"cell must hold numbers; cell = {shown(vectors)}: {OPEN}")
     array = checked_numbers("cell", vectors, "one length, three lengths or a (3, 3) array of rows")
     if array.ndim == 0 or array.shape == (3,):
         if (array < 0.0).any():
             raise ValueError(f"lengths of a cell must not be negative; cell = {array.tolist()}")
         array = np.diag(np.broadcast_to(array, 3)).copy()
     if array.shape != (3, 3):
-        raise ValueError(f"cell must be one length, three lengths or a (3, 3) array of rows; its shape is {array.shape}")
+        raise ValueError(f"cell must be one length, three lengths or a (3, 3) array of rows; its shape is {array.shape}: {OPEN}")
     if not np.isfinite(array).all():
-        raise ValueError(f"cell must be finite; cell = {array.tolist()}")
+        raise ValueError(f"cell must be finite; cell = {array.tolist()}: {OPEN}")
     return array
 
 
@@ -202,7 +205,10 @@ def _as_flags(pbc: ArrayLike) -> NDArray[np.bool_]:
 def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> None:
     missing = np.flatnonzero(pbc & ~vectors.any(axis=1))
     if missing.size:
-        raise ValueError(f"pbc[{missing[0]}] is True but cell[{missing[0]}] is zero; give a lattice vector or set pbc to False there")
+        raise ValueError(
+            f"pbc[{missing[0]}] is True but cell[{missing[0]}] is zero; give a lattice vector there, or leave it open: "
+            f"pbc={tuple((pbc & vectors.any(axis=1)).tolist())}"
+        )
     rows = vectors[pbc]
     if rows.size == 0:
         return
@@ -213,7 +219,7 @@ def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> 
         raise ValueError(f"lengths of lattice vectors must not differ by more than a factor of {1.0 / EPS:.1g}; they are {rows.tolist()}")
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
-        raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}")
+        raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}: {OPEN}")
 
 
 def _reduced(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -78,7 +78,7 @@ class System(Displayed):
         self.masses = _masses(masses, len(self.positions), units)
         self.velocities = np.zeros_like(self.positions) if velocities is None else _vectors("velocities", velocities, len(self))
         if isinstance(cell, Cell) and pbc is not None:
-            raise ValueError("pbc is part of a Cell; give pbc only together with lattice vectors")
+            raise ValueError("pbc is part of a Cell: Cell.of(vectors, pbc); give pbc to System only together with lattice vectors")
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
         self.species_names, self.species_index = _species(species, len(self))
         self.bonds = checked_pairs("bonds", () if bonds is None else bonds, len(self))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from minimd.files.turned_cell import as_in_run
 from minimd.mdanalysis.universes import RunUniverse
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints
@@ -66,7 +67,8 @@ def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: 
     cell, record, atoms = system.cell, contents.record, chosen_atoms(len(system), marked)
     frames = chosen_frames(contents.n_frames, min(most, max(2, BYTES // (6 * len(atoms)))), latest)
     inverses = np.linalg.inv(cell.reduction @ record.cell[frames]) if "cell" in record else [cell.inverse] * len(frames)
-    places = (made.trajectory[int(k)].positions[atoms] / np.float64(system.units.to_angstrom) for k in frames)
+    looks = (made.trajectory[int(k)] for k in frames)
+    places = (as_in_run(ts, ts.positions[atoms]) / system.units.to_angstrom for ts in looks)
     fractions = np.array([place @ inverse for place, inverse in zip(places, inverses, strict=True)])
     if marked:
         middle = 0.5 * cell.vectors.sum(axis=0) @ cell.inverse

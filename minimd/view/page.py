@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.machine import version
+from minimd.structure.display import Rows
 from minimd.view.motion import Motion
 from minimd.view.stories import Story
 
@@ -45,6 +46,7 @@ def page(story: Story) -> str:
         "program": _text("motion.js") + _text("page.js"),
         "failure": failure(story.cause),
         "notes": " ".join(html.escape(words) for words in story.notes),
+        "parameters": table(story.parameters),
         "species_list": legend(motion, system.species_names, system.species_index),
         "version": html.escape(version("minimd")),
     }
@@ -90,6 +92,11 @@ def legend(motion: Motion, names: Sequence[Any], index: NDArray[np.int64]) -> st
         f'<li><svg viewBox="0 0 10 10" aria-hidden="true"><circle cx="5" cy="5" r="4.5" fill="{color}"/></svg> {html.escape(str(name))} ({n})</li>'
         for name, color, n in rows
     )
+
+
+def table(rows: Rows) -> str:
+    """Names and words as rows of a table."""
+    return "".join(f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(words)}</td></tr>' for name, words in rows)
 
 
 def failure(cause: Sequence[str]) -> str:

@@ -16,6 +16,8 @@ from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.forces.forces import Potential
 from minimd.mdanalysis.universes import RunUniverse, universe_of
+from minimd.structure.display import Rows
+from minimd.structure.units import ASE
 from minimd.view.motion import Motion, motion_of
 
 LARGEST_PICTURE = 1_500_000  # of an SVG in bytes; a larger one is drawn in pixels instead
@@ -38,6 +40,11 @@ class Story(NamedTuple):
     alternative: str
     report: str
     notes: tuple[str, ...]
+
+    @property
+    def parameters(self) -> Rows:
+        """System, method and potentials, with their units."""
+        return parameters(self.contents)
 
     @property
     def summary(self) -> str:
@@ -89,6 +96,29 @@ def _states(path: Path, findings: CrashReport, _potentials: Any, moved: Callable
 def _heading(path: Path, contents: H5MDContents) -> str:
     step = contents.system.units.shown(contents.timestep)
     return f"{path.name}: {len(contents.system)} atoms, {contents.method} with Δt = {step}, {contents.system.units.name} units"
+
+
+def parameters(contents: H5MDContents) -> Rows:
+    """What was run, in the units of the system; times and what is made of them in ps, or τ."""
+    system, units = contents.system, contents.system.units
+    mass, picosecond = ("u", f", of which {units.to_picosecond**-1:.5g} make a ps") if units is ASE else ("m", "")
+    named = f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, times in {units.time}{picosecond}"
+    rows = [*system.display_rows(), ("method", contents.method), ("time step", units.shown(contents.timestep))]
+    for name, value in contents.parameters.items():
+        if name == "temperature":
+            rows.append((name, f"{value:.10g} {units.temperature}"))
+        elif name == "friction":
+            rows.append((name, f"{value / units.to_picosecond:.10g} / {units.shown_time}"))
+        elif name.endswith("time"):
+            rows.append((name.replace("_", " "), units.shown(value)))
+        elif name != "timestep":
+            rows.append((name, str(value)))
+    rows += [("barostat", repr(contents.barostat))] if contents.barostat is not None else []
+    return [
+        *rows,
+        *(("potential", one.partition(": ")[2]) for one in contents.potentials),
+        ("numbers", f"{named}, temperatures in {units.temperature}"),
+    ]
 
 
 def _left_out(motion: Motion, repaired: str = "") -> tuple[str, ...]:

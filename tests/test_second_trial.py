@@ -1,0 +1,107 @@
+"""What a second round of sixteen tasks stumbled over."""
+
+import threading
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from h5md_runs import simulation
+
+import minimd as md
+from minimd.engine.observation import OBSERVABLES, Observable, register
+from minimd.engine.record import SERIES
+from minimd.files.h5md_reader import damage, read_file
+from minimd.structure.quiet import quiet
+
+SIDE = [[20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [20.0, 20.0, 0.0]]
+
+
+@pytest.mark.parametrize(
+    ("cell", "pbc", "cure"),
+    [
+        ([20, 20, None], None, r"None\]: in a direction that does not repeat give length 0, .* pbc=\(True, True, False\)"),
+        ([20, 20], None, r"shape is \(2,\): .* pbc=\(True, True, False\)"),
+        ([20, 20, np.inf], None, r"must be finite.* pbc=\(True, True, False\)"),
+        (SIDE, None, r"linearly independent.* pbc=\(True, True, False\)"),
+        ([20, 20, 0], True, r"cell\[2\] is zero; .* leave it open: pbc=\(True, True, False\)"),
+        ([20, 0, 20], [False, True, True], r"leave it open: pbc=\(False, False, True\)"),
+        (md.Cell.of(3.0), True, r"Cell\.of\(vectors, pbc\)"),
+    ],
+)
+def test_messages_about_cells_name_pbc_where_it_is_the_cure(cell, pbc, cure):
+    with pytest.raises(ValueError, match=cure):
+        md.System(np.eye(3), cell=cell, pbc=pbc)
+
+
+def test_a_universe_without_a_third_vector_says_that_it_has_no_cell():
+    from minimd.mdanalysis import universe
+
+    with pytest.warns(UserWarning, match=r"has no cell, because MDAnalysis needs three vectors.*pbc=\(True, True, False\)"):
+        universe(simulation("slab without height"))
+
+
+def test_the_verdict_says_that_the_time_step_is_too_long():
+    """Whether the energy drifts or not."""
+    made = simulation()
+    made.method = md.VelocityVerlet(0.02)
+    with pytest.warns(UserWarning, match=r"timestep 0.02 τ is long .*; see advise_timestep"):
+        record = made.run(20, every=1)
+    report = made.report()
+    clause = "timestep 0.02 τ is long for Lennard-Jones atoms as light as these: in a liquid velocity-verlet conserves the energy well up to"
+    assert clause in report.verdict
+    still = replace(report, energy_drift=replace(report.energy_drift, slope=0.0), energy_range=0.0)
+    assert still.verdict.startswith(f"the total energy does not drift, BUT {clause}")
+    falling = replace(report, energy_drift=replace(report.energy_drift, slope=-1.0, error=1e-3, is_unsure=False))
+    assert falling.verdict.startswith(f"THE TOTAL ENERGY DRIFTS: {clause}")
+    made.method = md.VelocityVerlet(0.002)
+    assert "timestep" not in made.report().verdict
+    assert len(record) == 21
+
+
+@pytest.fixture
+def forgetting():
+    """What a test registers is forgotten."""
+    yield
+    OBSERVABLES.pop("first_mass", None)
+    SERIES.pop("first_mass", None)
+
+
+def test_a_file_keeps_its_observables(tmp_path, forgetting):
+    """Appended to with others, its series would have different lengths."""
+    file, made = tmp_path / "run.h5md", simulation()
+    made.run(2, every=1, trajectory=file)
+    register(Observable("first_mass", "", lambda look: look.system.masses[0]))
+    with pytest.raises(ValueError, match=r"was begun without 'first_mass', which this run records: .* write to a new file"):
+        made.run(2, every=1, trajectory=file, append=True)
+    assert not damage(file)
+    assert read_file(file).n_frames == 3
+    made.run(2, every=1, trajectory=tmp_path / "new.h5md")
+    del OBSERVABLES["first_mass"]
+    with pytest.raises(ValueError, match=r"holds 'first_mass', which this run does not record: register it"):
+        made.run(2, every=1, trajectory=tmp_path / "new.h5md", append=True)
+    assert not damage(tmp_path / "new.h5md")
+
+
+def test_warnings_are_passed_over_in_one_thread_alone():
+    """Also where contexts of two threads end in the order in which they began, after which catch_warnings leaves all warnings ignored."""
+    inside, leave = threading.Event(), threading.Event()
+
+    def elsewhere():
+        with quiet():
+            inside.set()
+            leave.wait(10.0)
+            warnings.warn("nobody hears this", stacklevel=1)
+
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        with quiet():
+            other = threading.Thread(target=elsewhere)
+            other.start()
+            inside.wait(10.0)
+            warnings.warn("nor this", stacklevel=1)
+        warnings.warn("but this", stacklevel=1)
+        leave.set()
+        other.join()
+        warnings.warn("and this", stacklevel=1)
+    assert [str(one.message) for one in told] == ["but this", "and this"]

@@ -8,7 +8,7 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.graph import bodies_of
 from minimd.forces.forces import Forces
 from minimd.forces.options import FIXED_POINT
-from minimd.integrators.splitting.barostats import Scene, StochasticCellRescaling, exponential, turned_back
+from minimd.integrators.splitting.barostats import StochasticCellRescaling, ThermodynamicState, exponential, turned_back
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath
 from minimd.structure.cell import Cell
@@ -118,7 +118,7 @@ class CellRescaling:
         bath = engine.surroundings.bath
         engine.turned()
         engine.evaluate(done)
-        before = self._scene(thermal, bath)
+        before = self._thermodynamic_state(thermal, bath)
         strain = self.barostat.strain(before, duration, engine.step + done + engine.noise_shift)
         largest = float(np.abs(strain).max())
         if not largest <= LARGEST_STRAIN:
@@ -130,10 +130,10 @@ class CellRescaling:
         engine.moved()
         self._interactions.follow()
         engine.evaluate(done)
-        after = self._scene(thermal, bath, back)
+        after = self._thermodynamic_state(thermal, bath, back)
         bath.energy += after.energy - before.energy - self.barostat.change_of_conserved(before, after, strain, duration)
 
-    def _scene(self, thermal: float, bath: Bath, back: Array | None = None) -> Scene:
+    def _thermodynamic_state(self, thermal: float, bath: Bath, back: Array | None = None) -> ThermodynamicState:
         """The present state.  back : (3, 3) rotation that turns its tensors.
 
         Where the total momentum is a constant it is no part of the thermal motion, and its degrees of freedom count as k_B T/V of the pressure.
@@ -152,7 +152,7 @@ class CellRescaling:
             tensor += thermal * np.eye(3) - np.outer(total, total) / masses.sum()
         tensor = tensor if back is None else back @ tensor @ back.T
         energy = kinetic_energy(system.velocities, system.masses) + self._interactions.potential_energy
-        return Scene(tensor / volume, volume, energy, thermal)
+        return ThermodynamicState(tensor / volume, volume, energy, thermal)
 
     def _inner_virial(self) -> Array:
         """Σ (r − R) ⊗ F [energy], (3, 3): what the virial of atoms has more than that of molecules, whose rigid bonds do not matter."""

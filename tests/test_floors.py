@@ -48,7 +48,9 @@ BRIDGES = {  # modules that may import ase or MDAnalysis when they are imported
     "files/ase_writer.py",
     "files/structure_file.py",
     "files/mdanalysis_writer.py",
+    "files/turned_cell.py",
     "mdanalysis/memory.py",
+    "mdanalysis/run_reader.py",
     "mdanalysis/topology.py",
     "mdanalysis/universes.py",
 }

@@ -154,8 +154,15 @@ def test_frames_and_atoms_are_thinned():
     assert BYTES >= 4000 * 200 * 6
 
 
-def test_the_page_holds_report_picture_species_and_licences(made):
-    for words in ("check          passed", "A (6)", "B (6)", "data:image/svg+xml;base64,", "Copyright (c) 2014-2017, Alexander S Rose"):
+def test_the_page_holds_parameters_report_picture_species_and_licences(made):
+    for words in (
+        "check          passed",
+        "lengths in σ, energies in ε",
+        "A (6)",
+        "B (6)",
+        "data:image/svg+xml;base64,",
+        "Copyright (c) 2014-2017, Alexander S Rose",
+    ):
         assert words in made
     assert (PAGE / "ngl.js").read_text(encoding="utf-8").count("</script") == 0
 

@@ -238,7 +238,7 @@ def test_what_cannot_be_at_constant_pressure_is_refused():
         ((flat, law, verlet), {"barostat": bath}, "periodic in all three directions"),
         ((system, law, verlet, md.FixedAtoms([3])), {"barostat": bath}, "held fixed"),
         ((system, law, verlet), {"barostat": barostat()}, "needs temperature"),
-        ((system, law, md.LangevinBAOAB(0.003, 0.5, 1.0, 1)), {"barostat": bath}, "one temperature"),
+        ((system, law, md.LangevinBAOAB(0.003, 0.5, 1.0, 1)), {"barostat": bath}, "the same temperature"),
         ((system, law, verlet), {"barostat": bath, "precision": "fixed-point"}, "constant cell"),
         ((system, law, md.VelocityVerlet(-0.003)), {"barostat": bath}, "backwards"),
     ]:

@@ -12,7 +12,8 @@ from minimd.diagnosis.shadow_energy import shadow_energy
 from minimd.diagnosis.timestep import StepAdvice, advise_timestep
 from minimd.engine.record import Record
 from minimd.ensemble import EnsembleTable, Member, ensemble
-from minimd.forces.forces import Evaluation, Forces, evaluate
+from minimd.forces.evaluation import Evaluation, evaluate
+from minimd.forces.forces import Forces
 from minimd.grade import Grade, grade
 from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticCellRescaling, StochasticVelocityRescaling, VelocityVerlet
 from minimd.minimization.minimization import Minimization, minimize

@@ -187,7 +187,7 @@ def test_a_composition_refuses_what_it_does_not_know():
         compose(VelocityVerlet(0.1))
     with pytest.raises(TypeError, match="with weights only"):
         compose(SE1, Kick(1.0))
-    with pytest.raises(ValueError, match="as many weights; got 2 parts, 1 weights"):
+    with pytest.raises(ValueError, match="as many weights as parts; got 2 parts, 1 weights"):
         compose(SE1, SE2, weights=[1.0])
     with pytest.raises(ValueError, match="at least one part"):
         compose()

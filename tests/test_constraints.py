@@ -204,7 +204,7 @@ def test_bonds_across_a_boundary_are_given_by_offsets():
         (np.empty((0, 2), dtype=int), None, "at least one pair"),
         ([[0.5, 1.0]], None, "atom indices"),
         ([[0, 0]], None, "different atoms"),
-        ([[2, 1], [0, 1], [1, 0], [1, 2], [0, 1]], None, r"pairs\[0\] = \[2, 1\] comes 2 times"),  # the first of them, as it is given
+        ([[2, 1], [0, 1], [1, 0], [1, 2], [0, 1]], None, r"pairs\[0\] = \[2, 1\] is given 2 times"),  # the first of them, as it is given
         ([[0, 1]], -1.0, "lengths must be positive"),
         ([[0, 99]], None, "atom 99"),
     ],
@@ -225,7 +225,7 @@ def test_constraints_that_follow_from_others_are_named():
 
 
 def test_lengths_of_a_triangle_that_cannot_be_are_refused():
-    with pytest.raises(ValueError, match="more than the others together"):
+    with pytest.raises(ValueError, match="longer than the other two together"):
         ConstraintSolver(DistanceConstraints([[0, 1], [1, 2], [0, 2]], [1.0, 1.0, 2.5]), water(1)[0], np.ones(3))
 
 

@@ -137,7 +137,7 @@ def test_lengths_of_the_structure_file_are_measured_in_the_cell_of_the_scene(tmp
         ("pairs = 3", ["constraints.pairs must be a list or 'bonds'", "= 3"]),
         ('pairs = "bond"', ["constraints.pairs must be a list or 'bonds'", '"bond"']),
         ("pairs = [[0, 1, 2]]", ["constraints.pairs[0] must have at most 2 entries", "[0, 1, 2]"]),
-        ("pairs = [[0, 1], [1, 0]]", ["constraints: pairs must name each pair once", "pairs[0] = [0, 1] comes 2 times"]),
+        ("pairs = [[0, 1], [1, 0]]", ["constraints: pairs must name each pair once", "pairs[0] = [0, 1] is given 2 times"]),
         ("pairs = [[0, 0]]", ["constraints: pairs must name different atoms", "[0, 0]"]),
         ("pairs = [[0, 9]]", ["constraints must name atoms 0 to 3", "atom 9"]),
         (

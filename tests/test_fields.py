@@ -120,7 +120,7 @@ def test_fields_of_the_user_are_tried_before_they_are_trusted():
         md.evaluate(system, md.Field(saddle, (1.0, 2.0)))
     with pytest.raises(ValueError, match="fields that stay the same"):
         md.Simulation(system, FIELDS["user's"][0], md.VelocityVerlet(0.01), precision="fixed-point")
-    with pytest.warns(UserWarning, match="not periodic along a"):
+    with pytest.warns(UserWarning, match="periodic along a, but the field is not"):
         md.evaluate(atoms_in("skewed"), FIELDS["user's"][0])
 
 
@@ -170,6 +170,18 @@ def test_work_and_time_survive_pauses_copies_and_files(method, tmp_path):
     assert resumed.velocities.tolist() == whole.velocities.tolist()
     assert resumed.work == whole.work != 0.0
     assert resumed.time == whole.time
+
+
+def test_looking_changes_no_bit_of_the_work_though_it_evaluates_the_forces_again():
+    """A bath at the end of a step leaves no energy there: it is evaluated at the same time, to the last bit, as the last kick."""
+    bath = md.StochasticVelocityRescaling(0.003, temperature=1.0, relaxation_time=0.2, seed=2)
+    seen, unseen = (
+        md.Simulation(md.System(np.diag([0.01, 0.02, 0.03])), md.SteeredSpring(10.0, [0, 0, 0], [0.3, 0.2, 0], start=0.02), bath) for _ in "ab"
+    )
+    for simulation, every in ((seen, 1), (unseen, 60)):
+        simulation.set_temperature(1.0, seed=1)
+        simulation.run(60, every=every, progress=False)
+    assert seen.work == unseen.work != 0.0
 
 
 def test_the_report_judges_the_energy_minus_the_work(tmp_path):

@@ -44,7 +44,7 @@ def test_steps_of_other_methods_cannot_be_retraced():
     system = mixture(with_bonds=False)
     with pytest.raises(ValueError, match=r"symplectic-euler-1 cannot be retraced, because it is not symmetric"):
         simulated(system, SPLITTINGS["symplectic-euler-1"](0.004)).run_back(1)
-    with pytest.raises(ValueError, match="only precision='fixed-point' retraces its steps; it is 'double'"):
+    with pytest.raises(ValueError, match="only precision='fixed-point' retraces its steps; precision is 'double'"):
         simulated(system, precision="double", grid=None).run_back(1)
     simulation = simulated(system, SPLITTINGS["symplectic-euler-1"](0.004))
     total = total_momentum(simulation)

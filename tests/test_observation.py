@@ -26,7 +26,7 @@ def test_an_observable_of_ones_own_is_in_record_and_file(tmp_path, monkeypatch):
 
 
 def test_names_in_use_and_units_that_are_none_are_refused():
-    with pytest.raises(ValueError, match="'pressure' is known already"):
+    with pytest.raises(ValueError, match="'pressure' is already in use"):
         register(Observable("pressure", "pressure", lambda look: 0.0))
     with pytest.raises(ValueError, match="unit = 'speed'"):
         register(Observable("fastest", "speed", lambda look: 0.0))

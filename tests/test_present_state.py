@@ -102,7 +102,7 @@ def test_without_a_volume_there_is_no_stress_and_measured_values_cannot_be_set()
             getattr(sim, name)
     with pytest.raises(ValueError, match="pressure and stress need a volume"):
         sim.extra_observables = ("stress",)
-    with pytest.raises(ValueError, match=r"extra_observables must be a tuple of 'stress', 'shadow_energy', or empty; they are \('heat',\)"):
+    with pytest.raises(ValueError, match=r"extra_observables must be a tuple with any of 'stress', 'shadow_energy', or empty; it is \('heat',\)"):
         sim.extra_observables = ("heat",)
     assert sim.extra_observables == ()
     with pytest.raises(AttributeError, match="temperature of a Simulation is measured and cannot be set; see set_temperature"):

@@ -201,7 +201,7 @@ def test_every_registered_thermostat_is_built_from_its_own_parameters(monkeypatc
 def test_thermostat_that_cannot_be_made_from_a_relaxation_time_is_refused(monkeypatch):
     monkeypatch.setitem(THERMOSTATS, "unusual", Unusual)
     scene = scene_of(REDUCED.replace("seed = 3", 'method = "unusual"\nrelaxation_time = 0.5'))
-    with pytest.raises(ValueError, match=r"^scene\.toml: dynamics: unusual has no with_relaxation_time, by which a scene makes it; run it from"):
+    with pytest.raises(ValueError, match=r"^scene\.toml: dynamics: unusual cannot be used in a scene, because it has no with_relaxation_time; run"):
         scene.method()
 
 

@@ -29,7 +29,7 @@ def test_bonds_that_are_missing_are_told(potential):
 
 def test_constraints_of_a_kind_that_is_not_given_again_are_told():
     system = triple(constraints=[md.FixedAtoms([2])])
-    with pytest.warns(UserWarning, match=r"FixedAtoms\(1 atoms\) of the system are not kept"):
+    with pytest.warns(UserWarning, match=r"replace those of the system, and FixedAtoms\(1 atoms\) is lost"):
         md.Simulation(system, LJ, md.VelocityVerlet(0.001), md.DistanceConstraints([[0, 1]]))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

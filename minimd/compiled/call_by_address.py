@@ -1,4 +1,4 @@
-"""Calls of one kernel by another that does not contain it: it is compiled once, whoever calls it."""
+"""Calls of a kernel, by its address, from another one that does not contain it: it is compiled only once."""
 
 from numba import types
 from numba.core import cgutils

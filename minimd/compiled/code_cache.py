@@ -1,4 +1,4 @@
-"""The files of compiled kernels: what a process finds there it need not compile, and what one compiles the others wait for."""
+"""The files of compiled kernels: a process loads what it finds there; while one process compiles a kernel, the others wait for it."""
 
 import os
 import sys
@@ -15,7 +15,7 @@ class CodeFiles(IndexDataCacheFile):
     """The files of a kernel in Numba's cache: an index, and one file for the machine code of each signature.
 
     Numba numbers the files, and writes the index first. A process that is killed in between, or two at once, may leave an index that names the
-    machine code of another signature. Here a file has a name that no other ever has, and the index names it when it is there.
+    machine code of another signature. Here each file has a unique name, and the index names it only after it was written.
     """
 
     def save(self, key: Any, data: Any) -> None:
@@ -37,7 +37,7 @@ class KernelCache(FunctionCache):
         self._lock = -1
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Called by Numba before a compilation: what it can do without. None if it must compile, and then others wait for it."""
+        """Called by Numba before a compilation: the compiled code, if there is any. None if this process must compile, and others wait for it."""
         found = super().load_overload(sig, target_context)
         if found is None and self._lock < 0:
             self._wait_for_others()
@@ -54,7 +54,7 @@ class KernelCache(FunctionCache):
             self.let_others_go_on()
 
     def let_others_go_on(self) -> None:
-        """They look what is there now."""
+        """Release the lock, so that other processes look again."""
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
@@ -75,7 +75,7 @@ class KernelCache(FunctionCache):
 
 
 class FailedCompilations(event.Listener):
-    """Lets other processes go on where this one could not compile a kernel: then nothing is saved."""
+    """Lets other processes go on if this one could not compile a kernel, and so saves nothing."""
 
     def on_start(self, _event: event.Event) -> None:
         """Called by Numba."""

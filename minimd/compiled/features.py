@@ -12,12 +12,12 @@ WIDER = {  # beginnings of names of the features that each choice does without
 
 
 def restrict_features(choice: str) -> None:
-    """Let Numba compile for the vectors of an older processor: avx512, avx2 or sse. It has an effect before anything is compiled.
+    """Let Numba compile for the vectors of an older processor: avx512, avx2 or sse. It has an effect only before anything is compiled.
 
     Raises ValueError for another word.
     """
     if choice not in WIDER:
-        raise ValueError(f"MINIMD_VECTORS must be of {', '.join(WIDER)}; it is {choice!r}")
+        raise ValueError(f"MINIMD_VECTORS must be one of {', '.join(WIDER)}; it is {choice!r}")
     if WIDER[choice]:
         has = llvm.get_host_cpu_features()
         signs = ("-" if name.startswith(WIDER[choice]) or not has[name] else "+" for name in has)

@@ -1,11 +1,11 @@
-"""Arithmetic on grids: numbers that are whole multiples of a step, so that their sums have no rounding error, in whatever order.
+"""Arithmetic on grids: numbers that are whole multiples of a step, so that their sums have no rounding error, in any order.
 
-A step is a power of two. Its multiples are then float64 up to 2⁵³ of them, and adding two of them is exact. Forces of pairs are summed as
-int64: sums are then right modulo 2⁶⁴, and so right as soon as the last one is in range.
+A step is a power of two. Up to 2⁵³ steps, its multiples are float64 numbers, and adding two of them is exact. Forces of pairs are summed
+as int64: all sums are right modulo 2⁶⁴, so the final one is right if it is in range.
 
-Rounding uses how float64 are spaced: from 2⁵² to 2⁵³ they are the whole numbers. Who adds 1.5 · 2⁵² to a number between −2⁵¹ and 2⁵¹
-rounds it to a whole number, of two equally near ones to the even one, and finds it in the lowest bits of the sum. The rounding of −x is
-that of x with the other sign: so a force and its reaction stay opposite.
+Rounding uses the spacing of float64: from 2⁵² to 2⁵³ they are the whole numbers. Adding 1.5 · 2⁵² to a number between −2⁵¹ and 2⁵¹
+rounds it to a whole number (of two equally near ones, to the even one), which is then in the lowest bits of the sum. −x is rounded to
+the opposite of what x is rounded to: so a force and its reaction stay opposite.
 """
 
 from collections import namedtuple
@@ -39,7 +39,7 @@ def biased_product(a, b):
 
 
 def whole_product(a, b):
-    """a · b as a whole number (int64), rounded once; for |a b| < 2⁵¹. Of numbers or of vectors."""
+    """a · b as a whole number (int64), rounded once; for |a b| < 2⁵¹. For numbers or vectors."""
     return int(np.rint(a * b))
 
 
@@ -49,7 +49,7 @@ def _whole_product(a, b):
 
 
 def on_grid(x, step):
-    """x as a multiple of a step, a power of two; for |x| < 2⁵¹ steps. With step = 0 as it is. Of numbers or of vectors."""
+    """x rounded to a multiple of a step, a power of two; for |x| < 2⁵¹ steps. Unchanged if step = 0. For numbers or vectors."""
     return (x + MAGIC * step) - MAGIC * step
 
 

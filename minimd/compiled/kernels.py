@@ -49,7 +49,7 @@ def cache_folder() -> Path | None:
             if opened := open_to_others(folder):  # perhaps only now: somebody else may have been faster in a common folder
                 warnings.warn(
                     f"compiled code is not kept in {base}, because other users can change {opened}; "
-                    "take that right from them, or set NUMBA_CACHE_DIR to a folder of your own",
+                    "take that permission from them, or set NUMBA_CACHE_DIR to a folder of your own",
                     stacklevel=2,
                 )
                 continue
@@ -61,12 +61,12 @@ def cache_folder() -> Path | None:
 
 
 def open_to_others(folder: Path) -> Path | None:
-    """The first folder on the way to this one, and with it, that a user other than this one and root can change; None if there is none.
+    """The first folder, of this one and its parents from the root down, that users other than this one and root can change; None if there is none.
 
     Whoever can write to a folder can exchange the folders in it, unless it is sticky, as /tmp is: then only their owners can. Folders that do
-    not exist yet are nobody's. Windows keeps the folders of users apart by other means.
+    not exist yet belong to nobody. Windows keeps the folders of users apart by other means.
 
-    Raises OSError if it cannot be found out.
+    Raises OSError if the permissions cannot be read.
     """
     if not hasattr(os, "getuid"):
         return None
@@ -104,7 +104,7 @@ def shared_kernel(function):
 class PartOfKernel(CPUDispatcher):
     """A function that the compiler puts into the kernels that call it; in Python it runs as Python.
 
-    What Numba would make for calls from Python and from C is left out: it took a quarter of the time in which kernels are compiled.
+    Numba's wrappers for calls from Python and from C are left out: they took a quarter of the time of compilation.
     """
 
     def __call__(self, *arguments: object) -> Any:
@@ -118,20 +118,20 @@ def _part_of_kernel(function: Callable, **flags: bool) -> PartOfKernel:
 
 
 def inlined(function):
-    """Compile a part of a kernel that makes arrays of its own; the compiler puts it into the kernel."""
+    """Compile a part of a kernel that may create arrays; the compiler puts it into the kernel."""
     return _part_of_kernel(function)
 
 
 def scalar(function):
     """Compile a function that only kernels call; the compiler puts it into the kernel.
 
-    It must make no arrays. Then it needs no reference counts on those it is given, which would cost more than a small function does.
+    It must not create arrays. It then needs no reference counts for the arrays it is given, which would cost more than a small function.
     """
     return _part_of_kernel(function, _nrt=False)
 
 
 def by_type(choose: Callable) -> Callable:
-    """Decorator of a function for kernels only: it gets the Numba types of the arguments, and returns the function to compile for them."""
+    """Decorator of a function for kernels only: it takes the Numba types of the arguments, and returns the function to compile for them."""
 
     @functools.wraps(choose)
     def compiled_only(*arguments):
@@ -142,7 +142,7 @@ def by_type(choose: Callable) -> Callable:
 
 
 def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type], type]:
-    """Decorator of a NamedTuple class whose instances stand for a compiled function: kernels choose it by type, and so does the cache.
+    """Decorator of a NamedTuple class whose instances stand for a compiled function: kernels, and the cache, choose the function by this type.
 
     python : the same function for Python; if not given, the one that was compiled.
     """
@@ -156,9 +156,9 @@ def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type
 
 
 class DirectCalls:
-    """Calls of kernels by somebody who always gives them arguments of the same types, and arrays of the same layout.
+    """Calls of kernels by a caller that always passes arguments of the same types, and arrays of the same layout.
 
-    Numba looks at the types of all arguments in each call, which takes it 14 µs for 40 arrays in named tuples. Here it does so once.
+    Numba examines the types of all arguments in each call, which takes 14 µs for 40 arrays in named tuples. Here this happens once.
     """
 
     def __init__(self) -> None:
@@ -191,12 +191,12 @@ class DirectCalls:
 
 @functools.cache
 def without_cache(dispatcher):
-    """The same kernel, shared or not, compiled anew in each process: for laws of the user's that the cache cannot recognize."""
+    """The same kernel, shared or not, compiled anew in each process: for a user's laws that the cache cannot recognize."""
     return numba.njit(error_model="numpy", nogil=True)(dispatcher.py_func)
 
 
 class CompileClock(event.Listener, threading.local):
-    """Counts the seconds that each thread spends compiling, which are none of its steps; tells of long compilations if asked to."""
+    """Counts the seconds that each thread spends compiling, which are no part of its steps; announces long compilations if asked to."""
 
     was_told = False
 
@@ -238,7 +238,7 @@ event.register("numba:compile", FailedCompilations())
 
 @contextmanager
 def announce_compilation() -> Iterator[None]:
-    """Within this context tell, on standard error and once in a process, when a compilation takes more than a second."""
+    """Context in which a compilation of more than a second is announced, on standard error and once in a process."""
     compile_clock.is_to_tell = not CompileClock.was_told
     try:
         yield
@@ -247,7 +247,7 @@ def announce_compilation() -> Iterator[None]:
 
 
 def _make(folder: Path) -> None:
-    """Make a folder, and those on the way to it that are not there, for this user alone."""
+    """Make a folder and its missing parents, for this user alone."""
     for part in (*reversed(folder.parents), folder):
         if not part.is_dir():
             part.mkdir(mode=0o700, exist_ok=True)

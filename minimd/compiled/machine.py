@@ -27,7 +27,7 @@ def default_threads() -> int:
 
 @contextmanager
 def threads_by_default(n_threads: int) -> Iterator[None]:
-    """Context in which simulations are made with so many threads, unless they say otherwise."""
+    """Context in which simulations have this number of threads, unless they say otherwise."""
     before = _threads.set(n_threads)
     try:
         yield

@@ -1,7 +1,7 @@
 """Normal random numbers in compiled code: those of numpy, to the last bit.
 
-numpy.random.Generator(Philox(key, counter)).standard_normal(n) takes numpy longer to set up than to draw, where n is a hundred; here there is
-nothing to set up, and no need of Python's lock.
+If n is about a hundred, numpy.random.Generator(Philox(key, counter)).standard_normal(n) takes longer to set up than to draw the numbers; here
+there is nothing to set up, and Python's lock is not needed.
 
 Philox4x64-10, four words for each value of a counter: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, Random numbers: as easy as 1, 2, 3,
 SC11 (2011). The ziggurat, 256 layers of equal area under the curve: G. Marsaglia, W. W. Tsang, J. Stat. Softw. 5, 8 (2000).
@@ -58,7 +58,7 @@ def _normal(stream):
 
 @kernel
 def _at_edge(x, layer, mantissa, stream):
-    """A number that is not surely under the curve, and whether it is; or one of the tail."""
+    """A number that may lie above the curve, and whether it lies under it; or a number of the tail."""
     if layer > np.uint64(0):
         height = (HEIGHTS[layer - np.uint64(1)] - HEIGHTS[layer]) * _uniform(stream) + HEIGHTS[layer]
         return x, height < exp(-0.5 * x * x)

@@ -40,9 +40,9 @@ class Snapshot:
     ----------
     function : the copy, of the same kind, with the same compile options.
     python : the copy as a plain function; the functions that it calls are plain too, but for those with fixed signatures.
-    digest : 32 hexadecimal digits; the same for functions that compile to the same code. Empty for a function that reads something else
-        than numbers, strings, tuples and small arrays of numbers, functions compiled without fixed signatures, and what math, cmath,
-        numpy, numba and minimd name; for one that imports modules.
+    digest : 32 hexadecimal digits; the same for functions that compile to the same code. Empty for a function that imports modules, or
+        reads anything but numbers, strings, tuples and small arrays of numbers, functions compiled without fixed signatures, and names
+        from math, cmath, numpy, numba and minimd.
     """
 
     def __init__(self, function: Any) -> None:
@@ -91,7 +91,7 @@ class Snapshot:
         return array, array
 
     def _compiled(self, function: Any) -> tuple[Any, Any]:
-        """Copies of a function that Numba compiles; only noted again if it was met before, as in a recursion."""
+        """Copies of a function that Numba compiles; if it was met before, as in a recursion, it is only noted again."""
         if id(function) in self._copies:
             self._note("again", list(self._copies).index(id(function)))
             return self._copies[id(function)]
@@ -164,7 +164,7 @@ class Snapshot:
 
 
 def _copied(value: Any) -> Any:
-    """A copy that later changes do not reach, as far as there can be one: of a module with its names, not with what they hold."""
+    """A copy that later changes do not reach, as far as possible: the copy of a module has its names, but not copies of what they hold."""
     if isinstance(value, ModuleType):
         module = ModuleType(f"{value.__name__}, copy {uuid4().hex}")  # Numba tells modules apart by their names
         module.__dict__.update(vars(value), __name__=module.__name__, __spec__=None)

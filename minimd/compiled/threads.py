@@ -12,8 +12,8 @@ memory. So the result is the same, to the last bit, for any number of threads, a
 
 A barrier waits for chunks, not for threads. The calling thread starts at once; the others, which sleep if no task comes for a
 millisecond, join when they are awake (some 10 to 80 µs later), or not at all if the machine is busy: they can make a task faster, never delay it.
-The work of a chunk may not raise: no other thread would finish that chunk. It may call stop: after the phase, was_stopped tells all.
-Each thread begins with the same chunks in every task, whose memory is then in its cache, and goes on with those of the others.
+The work of a chunk must not raise: no other thread would finish that chunk. It may call stop: after the phase, was_stopped tells all
+threads. In every task each thread begins with the same chunks, whose memory is then in its cache, and then helps with the others.
 """
 
 import functools
@@ -94,7 +94,7 @@ class ThreadPool:
         calls.code(kernel, self._worker, 0, *arguments)
 
     def _keep_off_callers_core(self) -> None:
-        """Linux likes to wake a thread on the core of the one that wakes it, where it would wait for the end of the task."""
+        """Keep helpers off this core: Linux tends to wake a thread on the core of the one that wakes it, where it would wait for the task to end."""
         core = _current_core()
         if core != self._core:
             self._core, cores = core, os.sched_getaffinity(0)
@@ -115,7 +115,7 @@ class ThreadPool:
 
 
 def thread_pool(n_threads: int) -> ThreadPool:
-    """A pool with this number of threads. All simulations of a process share their helpers, and wait for each other; one thread needs nobody."""
+    """A pool with this number of threads. All simulations of a process share its helpers, and wait for each other, unless there is one thread."""
     return ThreadPool(1) if n_threads == 1 else _shared_pool(n_threads)
 
 
@@ -130,7 +130,7 @@ if hasattr(os, "register_at_fork"):
 
 @scalar
 def begin(worker, task):
-    """The first phase of a task; the calling thread opens it, the others wait until it has. So no thread is ever ahead of the open phase."""
+    """The first phase of a task; the calling thread opens it, and the others wait for that. So no thread is ever ahead of the open phase."""
     phase = task * PHASES
     if worker.thread == 0:
         _exchange(worker.counters, OPEN, phase)
@@ -178,18 +178,18 @@ def barrier(worker, phase):
 
 @scalar
 def stop(worker, phase):
-    """Called by a chunk: tell all threads that the work of the task ends with this phase, see was_stopped."""
+    """Called in a chunk: the work of the task ends with this phase, see was_stopped."""
     _exchange(worker.counters, STOPPED, phase)
 
 
 @scalar
 def was_stopped(worker, phase):
-    """Whether a chunk of this phase called stop. To be asked after its barrier; then all threads get the same answer, however late they are."""
+    """Whether a chunk of this phase called stop. Asked after its barrier, it gives all threads the same answer, however late they are."""
     return _read(worker.counters, STOPPED) == phase
 
 
 def _at(counters, emit: Callable) -> Callable:
-    """What an intrinsic does to a counter: emit(builder, address, *numbers)."""
+    """The code generator of an intrinsic that changes a counter by emit(builder, address, *numbers)."""
 
     def generate(context, builder, signature, arguments):
         data = context.make_array(counters)(context, builder, arguments[0]).data

@@ -1,4 +1,4 @@
-"""The constraints of a simulation, lengths and fixed atoms, and the degrees of freedom that they leave."""
+"""The constraints of a simulation (fixed lengths and fixed atoms), and the degrees of freedom that they leave."""
 
 import warnings
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from minimd.structure.images import images_of_length, nearest_images
 from minimd.structure.observables import degrees_of_freedom
 from minimd.structure.system import System, check_resolution
 
-TOLD = 1e-8  # relative violations above which the projection of a start is reported by a warning; files of single precision have more
+TOLD = 1e-8  # relative violations above this, as in files of single precision, cause a warning when the initial state is projected
 
 
 class ConstraintSet:
@@ -80,13 +80,13 @@ class ConstraintSet:
             self.bonds.iterations = iterations
 
     def follow(self, before: Cell, cell: Cell) -> None:
-        """The cell was strained: images of bonds are the same multiples of its vectors."""
+        """After the cell was strained: images of bonds become the same multiples of its new vectors."""
         if self.bonds is not None:
             self.bonds.follow(before, cell)
         self._cell = cell
 
     def restore(self, system: System, offsets: NDArray[np.float64], tolerance: float) -> None:
-        """The solver of another set with the same constraints: images of its bonds, (K, 3) [length], and its tolerance."""
+        """Take over the solver of another set with the same constraints: images of its bonds, (K, 3) [length], and its tolerance."""
         self.bonds = ConstraintSolver(self.kept[-1], system.positions, self.inverse_masses, offsets, self._threads, tolerance)
         self._cell = system.cell
 
@@ -96,7 +96,7 @@ class ConstraintSet:
         return ConstraintSet(light, self.kept, self._threads)
 
     def project(self, velocities: NDArray[np.float64], positions: NDArray[np.float64]) -> None:
-        """Velocities projected onto those that the constraints allow, in place. (N, 3) both."""
+        """Project velocities in place onto those that the constraints allow. (N, 3) both."""
         velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is not None:
             self.bonds.project_velocities(velocities, positions)
@@ -114,5 +114,5 @@ class ConstraintSet:
         if turned > self.bonds.tolerance:
             self.bonds.project_velocities(system.velocities, system.positions)
         if max(off, turned) > TOLD:
-            by = f"lengths were off by {0.5 * off:.1e} of themselves, velocities along bonds by {turned:.1e} of the speed"
-            warnings.warn(f"the start was projected onto the constraints: {by}", stacklevel=outside_minimd())
+            by = f"relative errors were {0.5 * off:.1e} in the lengths and {turned:.1e} in the velocities along bonds"
+            warnings.warn(f"the initial state was projected onto the constraints: {by}", stacklevel=outside_minimd())

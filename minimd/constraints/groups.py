@@ -1,4 +1,4 @@
-"""Groups of constraints of one shape, each with the solver that suits it, on several threads: no two components have an atom in common.
+"""Groups of constraints of one shape, each with the solver that suits it, on several threads: no two components share an atom.
 
 A solver is a function solver(first, last, *arguments) that treats components first to last − 1. It is named by a marker, a
 NamedTuple class that type_of(solver) ties to it, so that the next process finds the compiled kernel in the cache.
@@ -35,7 +35,7 @@ class SolverPool:
         self._calls: defaultdict[type, DirectCalls] = defaultdict(DirectCalls)
 
     def run(self, solver: tuple, atoms: tuple, *arguments: Any) -> int:
-        """The worst answer of a solver: that of the first components that failed, negative, or else the largest.
+        """The worst answer of a solver: the first negative one, if components failed, or else the largest.
 
         atoms : the fields of Atoms, of which compiled code makes one.  arguments : always of the same types for a solver.
         """
@@ -76,10 +76,10 @@ def _solve_some(solver, first, last, atoms, arguments):
 
 
 class Networks:
-    """Components of any shape.  every : the ConstraintSolver of all.  order : (K,) which of its constraints.  multipliers : (K,), last ones.
+    """Components of any shape.  every : the ConstraintSolver.  order : (K,) which of its constraints are here.  multipliers : (K,), the last ones.
 
-    Other shapes drift with other solvers: drifter is the marker of one, known is what it is given beside atoms, n_each the number of
-    constraints of one molecule, where it counts molecules.
+    Other shapes drift with other solvers: drifter is the marker of the solver, known are its arguments after the atoms, n_each is the
+    number of constraints of one molecule, if the solver counts molecules.
     """
 
     shape, drifter, n_each = "networks", DriftComponents(), 1
@@ -101,7 +101,7 @@ class Networks:
         return [self.bonds.offsets, *(one.offsets.reshape(-1, 3) for one in self.known if isinstance(one, Molecules))]
 
     def check(self, positions: Floats) -> None:
-        """ValueError if a constraint depends on the others."""
+        """Raise ValueError if a constraint depends on the others."""
         k = dependent_constraint(positions, self.graph.components, self.bonds, self.memory)
         if k >= 0:
             i, j = self.graph.first[k], self.graph.second[k]
@@ -157,7 +157,7 @@ class Triangles(Networks):
 
 
 class LinearTriatomics(Networks):
-    """Three atoms in a line with three constraints: the distance of the outer ones is kept, and the place of the middle one between them."""
+    """Three atoms in a line with three constraints: the distance of the outer atoms is kept, and the position of the middle one between them."""
 
     shape, drifter, n_each = "linear molecules", DriftLinear(), 3
 
@@ -173,7 +173,7 @@ class LinearTriatomics(Networks):
         self.known = (Molecules(corners[:, [1, 0, 2]], offsets, shapes),)  # the middle atom is the corner opposite the longest side
 
     def check(self, positions: Floats) -> None:
-        """Nothing: their constraints depend on each other, and their solver takes this into account."""
+        """Do nothing: these constraints do depend on each other, and their solver takes this into account."""
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """See Networks."""
@@ -209,7 +209,7 @@ def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Floats, inverse_ma
     if (excess > STRAIGHT * lengths.sum(axis=1)).any():
         k = starts[np.argmax(excess)]
         sides = graph.order[k : k + 3].tolist()
-        raise ValueError(f"lengths of the triangle of constraints {sides} contradict each other: one is more than the others together")
+        raise ValueError(f"lengths of the triangle of constraints {sides} contradict each other: one is longer than the other two together")
     is_straight = excess >= -STRAIGHT * lengths.sum(axis=1)
     base = _equal_sides(graph, starts, lengths2, inverse_masses)
     moves = [(inverse_masses[graph.first[s : s + 3]] > 0.0).all() and (inverse_masses[graph.second[s : s + 3]] > 0.0).all() for s in starts]

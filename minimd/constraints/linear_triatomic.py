@@ -1,4 +1,4 @@
-"""Rigid linear molecules of three atoms. Three lengths do not constrain them: at 180° their gradients depend on each other.
+"""Rigid linear molecules of three atoms. Three fixed lengths cannot constrain them: at 180° their gradients are linearly dependent.
 
     b = α a + β c,  |c − a| = d      with α = |bc|/|ac|, β = |ab|/|ac|
 
@@ -15,7 +15,8 @@ from collections import namedtuple
 from math import sqrt
 
 from minimd.compiled.kernels import inlined, type_of
-from minimd.constraints.vectors import NOTHING, dot, separation
+from minimd.constraints.vectors import NOTHING
+from minimd.structure.vectors import dot, separation
 
 
 @inlined

@@ -18,11 +18,12 @@ from typing import Any, NamedTuple
 
 from minimd.compiled.kernels import inlined, kernel, type_of
 from minimd.compiled.machine import EPS
-from minimd.constraints.vectors import NOTHING, add_opposite, dot, drift_some, separation
+from minimd.constraints.vectors import NOTHING, add_opposite, drift_some
+from minimd.structure.vectors import dot, separation
 
 MAX_ITERATIONS, MAX_SWEEPS = 50, 10_000
 ROUNDING = 4.0 * EPS  # of |r|² against d²: no iteration makes it smaller
-LAST = 1e-9  # residuals below: one more iteration squares them to rounding, even where the equations are stiff
+LAST = 1e-9  # of residuals below this, one more iteration makes rounding (it squares them), even where the equations are stiff
 DEPENDENT = 1e-10  # relative to its diagonal: a smaller pivot is rounding
 
 

@@ -3,7 +3,7 @@
     drift        r′ = p + λ w s,  |r′|² = d²        p = s + Δt v_ij,  w = 1/m_i + 1/m_j,  λ the root nearest to zero
     velocities   v′_ij = v_ij + μ w r,  r · v′_ij = 0
 
-s and r are r_j − r_i + offset before the drift and now. H. C. Andersen, J. Comput. Phys. 52, 24 (1983).
+s is r_j − r_i + offset before the drift, r is the same now. H. C. Andersen, J. Comput. Phys. 52, 24 (1983).
 """
 
 from collections import namedtuple
@@ -12,7 +12,8 @@ from math import sqrt
 import numpy as np
 
 from minimd.compiled.kernels import inlined, type_of
-from minimd.constraints.vectors import NOTHING, add_opposite, dot, moved, separation
+from minimd.constraints.vectors import NOTHING, add_opposite, moved
+from minimd.structure.vectors import dot, separation
 
 
 @inlined

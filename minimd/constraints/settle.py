@@ -1,7 +1,7 @@
 """SETTLE: the drift of rigid triangles with two equal sides and two equal masses, such as water, in closed form.
 
-Positions are relative to the center of mass: 0 before the drift, 1 after it, 3 where the triangle belongs. a is the apex, b and c are
-the others. r_a and r_b are the distances of the center of mass from a and from the middle of bc, r_c is half of |bc|. The axes are
+Positions are relative to the center of mass: 0 before the drift, 1 after it, 3 with the constraints. a is the apex, b and c are the
+other atoms. r_a and r_b are the distances of the center of mass from a and from the middle of bc, r_c is half of |bc|. The axes are
 z ∥ b₀ × c₀ (with b₀, c₀ taken from a), x ∥ a₁ × z and y = z × x. The new triangle is an upright one in the plane of x and y, turned by
 ψ around y, φ around x and θ around z:
 
@@ -14,7 +14,7 @@ z ∥ b₀ × c₀ (with b₀, c₀ taken from a), x ∥ a₁ × z and y = z × 
 θ solves α sin θ + β cos θ = γ: the forces of the constraints act along the old bonds, so that m (r₃ − r₁) has no moment about the old a.
 S. Miyamoto, P. A. Kollman, J. Comput. Chem. 13, 952 (1992), eq. A8-A17.
 
-So m (r₃ − r₁) is a sum of impulses along the old bonds, equal and opposite on the two atoms of each. They are what is applied: the
+So m (r₃ − r₁) is a sum of impulses along the old bonds, equal and opposite on the two atoms of each. These impulses are applied: the
 rounding of r₃, divided by a short Δt, then changes neither momentum nor angular momentum. With δ = r₃ − r₁, e₀ = c₀ − b₀, plane vectors
 u × w = x_u y_w − y_u x_w, and λ in units of the mass of b:
 
@@ -26,7 +26,8 @@ from collections import namedtuple
 from math import sqrt
 
 from minimd.compiled.kernels import inlined, type_of
-from minimd.constraints.vectors import NOTHING, combined, cross, dot, moved, separation, unit
+from minimd.constraints.vectors import NOTHING, moved
+from minimd.structure.vectors import combined, cross, dot, separation, unit
 
 
 @inlined

@@ -28,7 +28,7 @@ class ConstraintSolver:
     constraints : DistanceConstraints.  positions : (N, 3) [length].  inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
     offsets : (K, 3) [length], added to r_j − r_i: lattice translations of bonds across a periodic boundary.
     threads : maximum number of threads; results have the same bits for any number.
-    tolerance : of relative violations; that of the constraints, or the rounding of the positions if this is larger, if not given.
+    tolerance : of relative violations; if not given, that of the constraints, or the rounding of the positions if this is larger.
 
     Attributes
     ----------
@@ -141,11 +141,11 @@ class ConstraintSolver:
         return np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning)) / (self.lengths * np.where(speeds > 0.0, speeds, 1.0))
 
     def _fail(self, constraint: int, positions: Floats, velocities: Floats, duration: float) -> None:
-        """ConstraintError with the larger violation: closed forms fail before they move atoms, iterations afterwards."""
+        """Raise ConstraintError with the larger violation: closed forms fail before they move atoms, iterations afterwards."""
         i, j = self.pairs[constraint]
         off = max(self.violation(positions)[constraint], self.violation(positions + duration * velocities)[constraint])
-        what = f"{'drift' if duration else 'velocity projection'} of {duration:g}"
-        error = ConstraintError(f"constraint {constraint} (atoms {i}-{j}) cannot be kept in a {what}: it is off by {off:.1e} of its length squared")
+        what = f"drift of {duration:g}" if duration else "projection of velocities"
+        error = ConstraintError(f"constraint {constraint} (atoms {i}-{j}) cannot be kept in a {what}: the relative error of r² is {off:.1e}")
         error.atoms = int(i), int(j)
         raise error
 
@@ -163,5 +163,5 @@ def _checked_lengths(constraints: DistanceConstraints, positions: Floats, invers
     lengths = np.linalg.norm(bonds, axis=1) if constraints.lengths is None else constraints.lengths
     if not (lengths > 0.0).all():
         k = int(np.argmin(lengths > 0.0))
-        raise ValueError(f"constraint {k} has length 0: atoms {pairs[k, 0]} and {pairs[k, 1]} lie on one spot; give lengths")
+        raise ValueError(f"constraint {k} has length 0: atoms {pairs[k, 0]} and {pairs[k, 1]} are at the same place; give lengths")
     return lengths

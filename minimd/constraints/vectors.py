@@ -1,9 +1,8 @@
-"""Atoms, bonds and molecules as the solvers of constraints are given them, and vectors of three numbers.
+"""Atoms, bonds and molecules in the form that constraint solvers take, and what solvers do to their vectors.
 
-Solvers return the worst case: a number of iterations, negative if the constraint (or molecule) −1 − that number could not be kept.
+Solvers return the largest number of iterations; a negative number n says that the constraint (or molecule) −1 − n could not be kept.
 """
 
-from math import sqrt
 from typing import Any, NamedTuple
 
 from minimd.compiled.kernels import inlined, kernel
@@ -38,12 +37,6 @@ class Molecules(NamedTuple):
 
 
 @inlined
-def separation(positions, i, j, offset):
-    """r_j − r_i + offset [length]."""
-    return positions[j, 0] - positions[i, 0] + offset[0], positions[j, 1] - positions[i, 1] + offset[1], positions[j, 2] - positions[i, 2] + offset[2]
-
-
-@inlined
 def moved(s, velocities, i, j, duration):
     """s + Δt (v_j − v_i), a separation after the drift."""
     return (
@@ -51,31 +44,6 @@ def moved(s, velocities, i, j, duration):
         s[1] + duration * (velocities[j, 1] - velocities[i, 1]),
         s[2] + duration * (velocities[j, 2] - velocities[i, 2]),
     )
-
-
-@inlined
-def dot(a, b):
-    """a · b of two vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@inlined
-def cross(u, v):
-    """u × v."""
-    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-
-
-@inlined
-def unit(u):
-    """u/|u|."""
-    scale = 1.0 / sqrt(dot(u, u))
-    return u[0] * scale, u[1] * scale, u[2] * scale
-
-
-@inlined
-def combined(x, u, y, v):
-    """x u + y v."""
-    return x * u[0] + y * v[0], x * u[1] + y * v[1], x * u[2] + y * v[2]
 
 
 @inlined

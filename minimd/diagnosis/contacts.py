@@ -1,4 +1,4 @@
-"""The contacts of single atoms: how far their neighbors are, how hard each pair pushes, how stiff it is."""
+"""The contacts of single atoms: how far away their neighbors are, how strong the force of each pair is, and how stiff the pair is."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from minimd.structure.bond_graph import pairs_by_bonds_apart
 from minimd.structure.images import nearest_vectors
 from minimd.structure.system import System
 
-NEAREST = 16  # neighbors of each atom that are looked at: more than a dense shell of a liquid, 12 to 14, has
+NEAREST = 16  # neighbors of each atom that are examined: more than the 12 to 14 of a dense shell in a liquid
 STEP = 1e-5  # of a central difference, relative to the distance
 
 
@@ -28,11 +28,11 @@ STEP = 1e-5  # of a central difference, relative to the distance
 class Contact:
     """What one law does to one pair.
 
-    first, second : atoms.  law : name of the potential.  is_bond : whether the pair is fixed.  is_users : whether the law is a user's, or a table.
-    distance : r [length], of the nearest image.  ratio : r/σ, or r/r₀ of a harmonic bond; None where the law has no length of its own.
+    first, second : atoms.  law : name of the potential.  is_bond : whether the pair is bonded.  is_users : whether the law is a user's, or a table.
+    distance : r [length], of the nearest image.  ratio : r/σ, or r/r₀ of a harmonic bond; None if the law has no length of its own.
     energy, force : u(r), −u′(r) [energy], [energy/length]; positive where the pair repels.  frequency : √(u″/μ) [1/time], None where u″ ≤ 0.
     rest_frequency : √(u″/μ) at the minimum [1/time], of Lennard-Jones pairs and harmonic bonds; None of others.
-    sinks : whether the pair attracts, and the law falls on down to half the distance: nothing keeps its atoms apart.
+    sinks : whether the pair attracts, and the energy still falls at half the distance: nothing keeps the two atoms apart.
     """
 
     first: int
@@ -55,16 +55,16 @@ class Contact:
 
     @property
     def atoms(self) -> str:
-        """The pair in words."""
+        """The pair as text."""
         return f"atoms {self.first} and {self.second}"
 
     def apart(self, length: str) -> str:
-        """The distance in words.  length : its unit."""
+        """The distance as text.  length : its unit."""
         ratio = "" if self.ratio is None else f" (r/{'r₀' if self.is_bond else 'σ'} = {self.ratio:.3g})"
         return f"{self.distance:.3g} {length} apart{ratio}"
 
     def stiffness(self, timestep: float) -> str:
-        """Δt·ω in words; empty where the pair does not oscillate."""
+        """Δt·ω as text; empty if the pair does not oscillate."""
         return "" if self.frequency is None else f", Δt·ω = {self.frequency * abs(timestep):.3g}"
 
 

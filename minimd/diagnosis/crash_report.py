@@ -1,4 +1,4 @@
-"""What a failed run died of: rules tried in turn, each of which knows one cause, and the report on the last good state."""
+"""Why a run failed: rules that are tried in turn, each for one cause, and the report on the last good state."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +8,8 @@ import numpy as np
 
 from minimd.diagnosis.contacts import Contact, contacts
 from minimd.diagnosis.timestep import StepAdvice, advice_at
-from minimd.engine.engine import Engine, Snapshot
+from minimd.engine.engine import Engine
+from minimd.engine.snapshots import Snapshot
 from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair
 from minimd.structure.bond_graph import among
@@ -19,18 +20,18 @@ from minimd.structure.system import System
 from minimd.structure.units import LJ, SYSTEMS
 
 OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
-THROWN = 0.1  # of the distance by which a force moves a pair in one step: the same, of laws without a length of their own
+THROWN = 0.1  # of its distance: a pair that a force moves farther in one step overlaps; for laws without a length of their own
 HOT_STEP = 0.05  # of σ that the atoms move in a step, root mean square; a liquid at its usual step moves a fifth of this
 HOT_SPOT = 6.0  # times the root mean square speed; in 10⁹ atoms of a thermal ensemble none is as fast
-FAST = 0.3  # of ωσ at the minimum of a pair: speeds above are those of heat, k_B T > 3 ε, below it is the step that is too long
-NEAR_LIMIT = 0.5  # of the longest stable step: atoms that meet in motion are that much stiffer than those of the state
+FAST = 0.3  # of ωσ at the minimum of a pair: higher speeds are due to heat, k_B T > 3 ε; at lower ones the step is too long
+NEAR_LIMIT = 0.5  # of the longest stable step: collisions are that much stiffer than the state itself
 ADVICE_SECONDS = 10.0  # at most, for the search of the stiffest mode
 
 
 class Failure(NamedTuple):
     """How a run failed.  fault : in words.  step : in which.  constraint : atoms of one that could not be kept, or None.
 
-    at : (N, 3), positions in that moment, or None.  start : the earlier state that is known.  is_first : whether no step led to it.
+    at : (N, 3), positions at that moment, or None.  start : the earlier state that is known.  is_first : whether it is the first of the run.
     """
 
     fault: str
@@ -52,7 +53,7 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True)
 class CrashReport:
-    """The findings. str() puts them into lines.
+    """The findings about a failed run. str() puts them into lines.
 
     fault : what went wrong.  step : in which step.  last_good_step : of the state described.  first_step : from which it can be replayed.
     kind, pair, cause, advice : as Verdict.  closest : two atoms and their distance [length], or None.
@@ -104,7 +105,7 @@ def examine(engine: Engine, failure: Failure) -> CrashReport:
 class Evidence:
     """What is known about a failure.
 
-    suspects : atoms whose contacts are looked at.  found : their contacts in the last good state, and those without a finite force in the
+    suspects : atoms whose contacts are examined.  found : their contacts in the last good state, and those without a finite force at the
     moment of the failure.  strongest : the contact with the largest force, or None.
     """
 
@@ -120,7 +121,7 @@ class Evidence:
 
     @property
     def advice(self) -> StepAdvice | None:
-        """On the time step, for the last good state; None if it takes too long, or cannot be had."""
+        """Advice on the time step for the last good state; None if it takes too long or fails."""
         if not self._advice:
             try:
                 self._advice.append(advice_at(self.engine, ADVICE_SECONDS))
@@ -137,7 +138,7 @@ class Evidence:
         return f"take {self.system.units.shown(advice.recommended)}, as advise_timestep recommends for the last good state"
 
     def contacts(self, system: System, atoms: list[int]) -> list[Contact]:
-        """Of some atoms in some state."""
+        """The contacts of some atoms in some state."""
         return contacts(system, self.engine.interactions.potentials, self.engine.constraint_set.inverse_masses, atoms)
 
     def moved(self, positions: Array) -> System:
@@ -151,7 +152,7 @@ def law_without_number(evidence: Evidence) -> Verdict | None:
     for one in evidence.found:
         if not one.is_finite and not _is_overlap(one) and (one.is_users or one.is_bond):
             cause = f"the law of {one.law} gives no finite number for {one.atoms}, {one.apart(evidence.system.units.length)}"
-            return Verdict("law", one, cause, "mend the law at that distance, or keep the atoms from coming there")
+            return Verdict("law", one, cause, "correct the law at that distance, or keep atoms away from it")
     return None
 
 
@@ -168,16 +169,16 @@ def overlap_at_start(evidence: Evidence) -> Verdict | None:
         return None
     worst = min(over, key=lambda one: one.distance)
     cause = f"{worst.atoms} overlap at {f'step {step}' if step else 'the start'}, {worst.apart(evidence.system.units.length)}"
-    return Verdict("overlap", worst, cause, "minimize moves atoms apart; or lower the energy of the start in another way")
+    return Verdict("overlap", worst, cause, "minimize moves atoms apart; or start from another state with less energy")
 
 
 def broken_constraint(evidence: Evidence) -> Verdict | None:
-    """A constraint that the solver gave up."""
+    """A constraint that the solver could not keep."""
     if evidence.failure.constraint is None:
         return None
     i, j = evidence.failure.constraint
     cause = f"in one step of {evidence.shown_timestep} atoms {i} and {j} move too far for the constraint between them"
-    return Verdict("constraint", evidence.strongest, cause, "reduce the timestep, or look whether the constraints contradict each other")
+    return Verdict("constraint", evidence.strongest, cause, "reduce the timestep, or check whether the constraints contradict each other")
 
 
 def unstable_bond(evidence: Evidence) -> Verdict | None:
@@ -203,7 +204,7 @@ def bottomless_law(evidence: Evidence) -> Verdict | None:
 
 
 def too_hot(evidence: Evidence) -> Verdict | None:
-    """Atoms that were too fast before anything had gone wrong, all or one of them."""
+    """Atoms, all or one of them, that were too fast before anything had gone wrong."""
     pairs = [one for one in evidence.found if one.ratio and not one.is_bond]
     if not pairs:
         return None
@@ -222,7 +223,7 @@ def too_hot(evidence: Evidence) -> Verdict | None:
     else:
         return None
     cause = f"too hot, timestep {evidence.shown_timestep} too large: {passes}"
-    return Verdict("hot", evidence.strongest, cause, "cool the start, or reduce the timestep in proportion to the speed")
+    return Verdict("hot", evidence.strongest, cause, "start at a lower temperature, or reduce the timestep in proportion to the speed")
 
 
 def long_step(evidence: Evidence) -> Verdict:
@@ -231,20 +232,20 @@ def long_step(evidence: Evidence) -> Verdict:
     if pair is None:
         if verdict := _long_for_a_mode(evidence):
             return verdict
-        cause = "atoms fly apart though no pair of a known law pushes them: the forces come from elsewhere"
-        return Verdict("law", None, cause, "look at the forces in the last good state")
+        cause = "atoms fly apart although no pair with a known law pushes them: the forces come from elsewhere"
+        return Verdict("law", None, cause, "examine the forces in the last good state")
     what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}, {pair.apart(evidence.system.units.length)}{pair.stiffness(evidence.timestep)}"
-    return Verdict("pair", pair, f"timestep {evidence.shown_timestep} too large for the {what}", "halve it until the energy is conserved")
+    return Verdict("pair", pair, f"timestep {evidence.shown_timestep} too large for the {what}", "halve the timestep until the energy is conserved")
 
 
 def _long_for_a_mode(evidence: Evidence) -> Verdict | None:
-    """Forces that come from elsewhere, whose curvature is measured."""
+    """Forces that come from elsewhere: the curvature is measured."""
     advice, shown = evidence.advice, evidence.system.units.shown
     if advice is None or not advice.frequency or evidence.timestep <= NEAR_LIMIT * advice.limit:
         return None
     where = f"{advice.method} is stable up to {shown(advice.limit)} on the stiffest mode of the last good state"
     if evidence.timestep <= advice.limit:
-        where += ", and less where atoms come closer"
+        where += ", and up to less where atoms come closer"
     return Verdict("step", None, f"timestep {evidence.shown_timestep} too large: {where}", evidence.recommended)
 
 
@@ -260,7 +261,7 @@ RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (
 
 
 def _is_overlap(contact: Contact) -> bool:
-    """Whether two atoms are where no collision takes them."""
+    """Whether two atoms are closer than any collision takes them."""
     return contact.distance == 0.0 or (contact.ratio is not None and not contact.is_bond and contact.ratio < OVERLAP)
 
 

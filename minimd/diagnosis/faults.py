@@ -9,8 +9,8 @@ from minimd.structure.checks import LARGEST
 from minimd.structure.observables import longest
 
 RUNAWAY = 1e4  # growth of the energies: an unstable mode passes it within a few hundred steps, a stable run never does
-GROWTH = 2.0  # the same in a run that is known to have run away: from here on its states are not good ones
-HALF = 0.5  # of the energies: where they are exchanged, and not made, their sum changes by much less
+GROWTH = 2.0  # the same in a run that is known to have run away: states beyond it are not good
+HALF = 0.5  # of the energies: if energy is exchanged and not created, the sum changes by much less
 
 
 def fault_of(engine: Engine) -> str | None:
@@ -32,7 +32,7 @@ def fault_of(engine: Engine) -> str | None:
 
 
 def fault_at_start(engine: Engine) -> str | None:
-    """What would go wrong in the first step: accelerations that are not finite or throw atoms across the scene."""
+    """What would go wrong in the first step: accelerations that are not finite or throw atoms across the scene; None if nothing would."""
     sizes = np.sqrt(np.einsum("ij,ij->i", engine.forces, engine.forces))
     accelerations = np.einsum("i,i->i", engine.constraint_set.inverse_masses, sizes)  # |F|/m, without a warning of an overflow
     atom = int(np.argmax(accelerations))
@@ -45,7 +45,7 @@ def fault_at_start(engine: Engine) -> str | None:
 
 
 def runaway(engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY, since: str = "the run began") -> str | None:
-    """What a method does beyond its limit of stability: energies grow without bound. None if they do not.
+    """That energies have grown without bound, as they do beyond the stability limit of a method; None if they have not.
 
         K + |U| > growth (K₀ + |U₀| + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²
 

@@ -1,4 +1,4 @@
-"""Hints before the first step: what can be run, and is hardly what was meant."""
+"""Hints before the first step, about input that can be run but is hardly what was meant."""
 
 from collections.abc import Iterator
 from math import sqrt
@@ -14,15 +14,15 @@ from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.lennard_jones import curvature_at_minimum
 from minimd.potentials.pair import PairPotential
 
-CROWDED = 5.0  # ω of the stiffest mode of a liquid beside that of a pair at rest, by advise_timestep: 4.8 at T* 0.7, ρ* 0.85; 5.8 at 1.44, 0.8442
-QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then off by up to a tenth
-TOO_LONG = 3.3  # of the recommended step: six steps a period of that mode
+CROWDED = 5.0  # ω of the stiffest mode of a liquid, divided by that of a pair at rest; advise_timestep: 4.8 at T* 0.7, ρ* 0.85; 5.8 at 1.44, 0.8442
+QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth
+TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 
 
 def hints(engine: Engine) -> Iterator[str]:
     """Sentences about time step and lengths; none if there is nothing to say. The forces must be current."""
     if hint := too_long_a_step(engine):
-        yield f"{hint}; see advise_timestep, and the unit of the time step"
+        yield f"{hint}; see advise_timestep, and check the unit of the time step"
     yield from _no_pair_in_reach(engine)
     yield from _quick_barostat(engine)
 
@@ -33,18 +33,18 @@ def too_long_a_step(engine: Engine) -> str | None:
 
 
 def _quick_barostat(engine: Engine) -> Iterator[str]:
-    """That a barostat acts too seldom for its relaxation time."""
+    """A hint if a barostat acts too seldom for its relaxation time."""
     barostat, shown = engine.barostat, engine.system.units.shown
     if barostat is not None and barostat.every * engine.method.timestep > QUICK * barostat.relaxation_time:
         yield (
-            f"the barostat acts every {barostat.every} steps, {shown(barostat.every * engine.method.timestep)}, which is long beside its "
-            f"relaxation_time {shown(barostat.relaxation_time)}: volumes fluctuate too much; take at least {1.0 / QUICK:g} times as long a "
-            "relaxation_time, or a smaller every"
+            f"the barostat acts every {barostat.every} steps, {shown(barostat.every * engine.method.timestep)}, which is too long for its "
+            f"relaxation_time {shown(barostat.relaxation_time)}: the volume fluctuates too much; take a relaxation_time of at least "
+            f"{1.0 / QUICK:g} such intervals, or a smaller every"
         )
 
 
 def _long_timestep(engine: Engine) -> str | None:
-    """That collisions of Lennard-Jones atoms are faster than the method can follow.
+    """A hint if collisions of Lennard-Jones atoms are faster than the method can follow.
 
     ω = √(u″/μ) of a pair at rest, times CROWDED.
     """
@@ -70,7 +70,7 @@ def _long_timestep(engine: Engine) -> str | None:
 
 
 def _no_pair_in_reach(engine: Engine) -> Iterator[str]:
-    """That no pair interacts, as where lengths of the potential and of the positions have different units."""
+    """A hint if no pair interacts, as when lengths of the potential and of the positions have different units."""
     system, potentials = engine.system, engine.interactions.potentials
     cutoffs = [one.cutoff for one in potentials if isinstance(one, PairPotential) and np.isfinite(one.cutoff)]
     if not cutoffs or engine.interactions.potential_energy != 0.0 or engine.forces.any():

@@ -1,4 +1,4 @@
-"""The curvature of the potential energy around a state: how stiff its bonds are in closed form, and its stiffest mode of all."""
+"""The curvature of the potential energy around a state: the stiffness of its bonds in closed form, and its stiffest mode."""
 
 from collections.abc import Sequence
 from math import sqrt
@@ -21,12 +21,12 @@ from minimd.structure.system import System
 Array = NDArray[np.float64]
 
 DISPLACEMENT = 1e-6  # of the closest pair: central differences are then right to some 1e-9, and few pairs cross their cutoff
-ROUNDINGS = 1e-9  # of the largest coordinate: the least displacement, which rounding leaves with six digits
+ROUNDINGS = 1e-9  # of the largest coordinate: the smallest displacement, with six digits left after rounding
 ROUNDINGS_OF_FORCES = 100.0  # in a sum over some fifty neighbors and its projection
-SMALL = 90  # coordinates, up to which the whole matrix is as cheap as iterations
+SMALL = 90  # coordinates; up to this number the whole matrix is as cheap as iterations
 ACCURACY = 1e-4  # of ω², relative
 TRIED = 16  # bonds of the highest bare frequencies, whose freedom to stretch is examined
-RIGID = 1e-9  # of its bare 1/μ: a bond that constraints leave less cannot stretch
+RIGID = 1e-9  # of its bare 1/μ: a bond to which constraints leave less cannot stretch
 SEED = 1  # of the vector from which iterations start
 
 
@@ -41,7 +41,7 @@ class StiffBond(NamedTuple):
 def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: ConstraintSet) -> StiffBond | None:
     """The harmonic bond with the highest frequency of its own, ω² = k/μ; None if there is none that can stretch.
 
-    Beside other bonds, and where nothing is compressed, the stiffest mode is faster still: ω² is a lower bound of its square.
+    With other bonds, and if nothing is compressed, the stiffest mode is faster still: ω² is a lower bound for its square.
     """
     found: list[StiffBond] = []
     for potential in potentials:
@@ -56,7 +56,7 @@ def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: Con
 
 
 def _free_part(system: System, bond: StiffBond, constraint_set: ConstraintSet) -> float:
-    """What constraints leave of 1/μ of a bond: the relative velocity that a unit impulse along it causes, times μ. Between 0 and 1."""
+    """The fraction of 1/μ that constraints leave to a bond: the relative velocity that a unit impulse along it causes, times μ. From 0 to 1."""
     pair, inverse_masses = np.array([[bond.i, bond.j]]), constraint_set.inverse_masses[[bond.i, bond.j]]
     arm = _direction(nearest_vectors(system.positions, system.cell, pair)[0])
     velocities = np.zeros_like(system.positions)
@@ -67,12 +67,12 @@ def _free_part(system: System, bond: StiffBond, constraint_set: ConstraintSet) -
 
 
 def _direction(arm: Array) -> Array:
-    """The unit vector along a bond, (3,); any if its atoms lie on one spot."""
+    """The unit vector along a bond, (3,); an arbitrary one if its atoms are at the same place."""
     return arm / np.linalg.norm(arm) if arm.any() else np.full(3, 3.0**-0.5)
 
 
 def unstable_bond(engine: Engine) -> str | None:
-    """That a time step is longer than a harmonic bond allows, in a clause; None if it is not. Other forces may allow still less."""
+    """A clause if the time step is longer than a harmonic bond allows, else None. Other forces may allow still less."""
     bond, method, shown = (
         stiffest_bond(engine.system, engine.interactions.potentials, engine.constraint_set),
         engine.method,
@@ -82,7 +82,7 @@ def unstable_bond(engine: Engine) -> str | None:
         return None
     return (
         f"timestep {shown(abs(method.timestep))} is longer than the bond of atoms {bond.i} and {bond.j} allows: "
-        f"{method.name} is stable up to {shown(limit)} on it"
+        f"{method.name} is stable up to {shown(limit)} for it"
     )
 
 
@@ -119,12 +119,12 @@ class Curvature:
 
     @property
     def rounding(self) -> float:
-        """What the rounding of forces makes of D [1/time²]: smaller eigenvalues are none."""
+        """The error of D that rounding of the forces causes [1/time²]: smaller eigenvalues mean nothing."""
         largest = float(np.abs(self._first).max(initial=0.0)) * float(self._constraint_set.inverse_masses.max())
         return ROUNDINGS_OF_FORCES * EPS * largest / self.displacement
 
     def times(self, vector: Array) -> Array:
-        """D w, (3N,) both [1/time²]; what constraints do not allow is left out of w first."""
+        """D w, (3N,) both [1/time²]; first w is projected onto the directions that constraints allow."""
         steps = self._root * vector.reshape(-1, 3)
         self._constraint_set.project(steps, self._start)
         longest = float(np.sqrt(np.einsum("ij,ij->i", steps, steps).max()))
@@ -151,12 +151,12 @@ class Curvature:
         return float(squares[0]), modes[:, 0].reshape(-1, 3)
 
     def guess(self, bond: StiffBond | None) -> Array:
-        """A vector that has a part of every mode, and a large one of the stretching of a bond. (N, 3)."""
+        """A vector that contains a part of every mode, and a large part of the stretching of a bond. (N, 3)."""
         vector = np.random.default_rng(SEED).standard_normal(self._start.shape) / np.sqrt(self._start.size)
         return vector if bond is None else vector + self.stretching(np.array([[bond.i, bond.j]]))[0]
 
     def stretching(self, pairs: NDArray[np.int64]) -> Array:
-        """The mode of each pair by itself: its two atoms move apart, in any direction if they lie on one spot. (B, N, 3), each of length one."""
+        """The stretching mode of each pair alone: its atoms move apart, in any direction if they are at the same place. (B, N, 3), of length one."""
         modes = np.zeros((len(pairs), *self._start.shape))
         for mode, (i, j), arm in zip(modes, pairs, nearest_vectors(self._start, self._system.cell, pairs), strict=True):
             mode[i], mode[j] = np.outer((-self._root[i], self._root[j]), _direction(arm))

@@ -13,14 +13,14 @@ from minimd.structure.display import Displayed
 from minimd.structure.statistics import FEW, LINE, block_means, independent, mean_and_error, with_error
 
 BLOCKS = 40  # averages of the total energy between which the drift is fitted
-BLOCKS_OF_WALK = 20  # the same of a series that wanders
-SIGNIFICANT = 3.0  # standard errors, where these are known well: chance passes them 3 times in 1000
-MOST_SIGNIFICANT = 6.0  # standard errors, where these are known badly: no fluctuation looks so straight
-INDEPENDENT = 4.0  # entries, below which a series is too short to judge
+BLOCKS_OF_WALK = 20  # the same for a series that wanders like a random walk
+SIGNIFICANT = 3.0  # standard errors, if these are well known: chance exceeds them 3 times in 1000
+MOST_SIGNIFICANT = 6.0  # standard errors, if these are poorly known: no fluctuation looks so straight
+INDEPENDENT = 4.0  # entries: with fewer, a series is too short to judge
 LARGEST_RANGE = 0.5  # of the kinetic energy
 RANGE_OF_ROUNDING = 1e-11  # of the potential energy
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
-AT_REST = 1e-20  # of the potential energy, kinetic energy below which velocities are what rounding of forces leaves: its square
+AT_REST = 1e-20  # of the potential energy: a smaller kinetic energy comes from rounding of the forces, and is of its square
 QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
@@ -32,7 +32,7 @@ KEPT = {True: "conserved", False: "NOT CONSERVED"}
 
 @dataclass(frozen=True)
 class Line:
-    """One thing that was looked at.  name : at most 14 letters.  summary : with figures.  verdict : plain.  is_good : as it should be."""
+    """The result of one check.  name : at most 14 letters.  summary : with figures.  verdict : in words.  is_good : whether it is as it should be."""
 
     name: str
     summary: str
@@ -47,7 +47,7 @@ class Line:
 class Drift:
     """Slope of a straight line through block averages [per time], and its standard error.
 
-    Below four blocks the error is infinite and the slope that between the ends.
+    With fewer than four blocks, the error is infinite and the slope is that between the ends.
     n_independent : how many independent averages would leave this error.  is_unsure : whether they are too few to rule a drift out.
     """
 
@@ -61,9 +61,9 @@ class Drift:
 
     @property
     def is_significant(self) -> bool:
-        """True if chance makes such a slope less than 3 times in 1000, or if it is no number.
+        """True if chance produces such a slope less than 3 times in 1000, or if it is not a number.
 
-        It then differs from zero by more than three standard errors; by up to six where fluctuations are long beside the run, by Student's t.
+        It then differs from zero by more than three standard errors, or up to six (Student's t) if fluctuations last long compared with the run.
         """
         return not abs(self.slope) <= self._significant * self.error
 
@@ -77,20 +77,20 @@ class Drift:
 
     @property
     def is_too_short(self) -> bool:
-        """True if fluctuations last so long beside the run that nobody can tell them from a drift."""
+        """True if fluctuations last so long, compared with the run, that they cannot be told from a drift."""
         return self.is_unsure and not self.is_significant
 
 
 def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS, beside: NDArray[np.float64] | None = None) -> Drift:
-    """Least-squares slope of a series, with the standard error that its correlated fluctuations leave.
+    """Least-squares slope of a series, with the standard error that follows from its correlated fluctuations.
 
         error² = σ² / ((n − 2) Var t),   n = blocks (1 − ρ)/(1 + ρ)
 
     Averages over blocks scatter by σ about the line, and each resembles the next by ρ, the correlation of neighbors: n of them are
-    independent. A short series makes ρ too small by (2 + 4ρ)/blocks, since the line follows it; that is put right.
+    independent. A short series makes ρ too small by (2 + 4ρ)/blocks, since the line follows it; this is corrected.
     time, series : (T,). NaN if one of them is not finite.
-    beside : (T,) another series of the same run, of which n is taken if it is less. The error of a method's energy depends on the state, and
-    so do slow changes of the kinetic energy, which are plain to see where those of the energy hide below faster ones.
+    beside : (T,) another series of the same run, whose n is taken if it is smaller. The energy error of a method depends on the state, and slow
+    changes of the state are plain to see in the kinetic energy, while in the total energy faster changes hide them.
 
     H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989), on blocks; M. G. Kendall, Biometrika 41, 403 (1954), on the bias of ρ.
     """
@@ -116,11 +116,11 @@ def _line(t: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, NDArra
 
 
 def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS_OF_WALK) -> Drift:
-    """Slope of a series that wanders about its drift as a random walk does, with the standard error that this leaves.
+    """Slope of a series that wanders about its drift like a random walk, with the standard error that follows from this.
 
     Total energy minus reservoir energy is such a series: each contact with the bath also changes the difference between the energy and
-    the shadow Hamiltonian that the method conserves. Only the ends then tell the slope, and the steps of the walk its uncertainty. The
-    mean square of a step between two block averages is 2/3 of that of the walk over the same time.
+    the shadow Hamiltonian that the method conserves. The slope then follows from the two ends only, and its uncertainty from the steps of
+    the walk. The mean square of a step between two block averages is 2/3 of that of the walk over the same time.
     """
     blocks = min(blocks, len(series))
     if blocks < FEW or np.ptp(time) == 0.0 or not np.isfinite([time, series]).all():
@@ -131,7 +131,7 @@ def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run cost: steps, seconds, list builds, force evaluations; in words, its lists, its constraints and what it had no need to pay for."""
+    """What a run cost: steps, seconds, list builds, force evaluations; and in words its lists, its constraints and the work it did not need."""
 
     n_steps: int
     seconds: float
@@ -157,8 +157,8 @@ class Report(Displayed):
     ----------
     energy_drift : Drift of the total energy per atom [energy/time], minus reservoir energy if has_bath; time in ps, or τ in reduced units.
     energy_oscillation : standard deviation of the total energy per atom about that line [energy].
-    momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None where P is not a constant.
-    angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None where L is not a constant.
+    momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None if P is not a constant.
+    angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None if L is not a constant.
     constraint_violation : largest |r² − d²|/d², or None without constraints.
     mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.  temperature_error : standard error of the mean.
     duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run, if known.
@@ -167,8 +167,8 @@ class Report(Displayed):
     temperatures : means of the first and of the last fifth of the run.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
     lines : results that need no run: see diagnosis.static_checks.
-    too_long_a_step : a clause, where the time step of the run is; empty if it is not, or if nobody knows, as of a file.
-    is_at_rest : whether nothing moves but by rounding. Momenta have no scale then beside which a change could be judged.
+    too_long_a_step : a clause that says so of the time step; empty if it is not too long, or if nobody knows, as for a file.
+    is_at_rest : whether nothing moves except by rounding; changes of momentum then cannot be judged, for lack of a scale.
     """
 
     energy_drift: Drift
@@ -200,8 +200,8 @@ class Report(Displayed):
     def energy_is_conserved(self) -> bool | None:
         """True if the drift is zero within its error, or below 1e-6 of the kinetic energy in each ps or τ; None if the run is too short to tell.
 
-        Energies that differ by half the kinetic energy are not conserved, whatever the line through them: one bad step is no drift. Nor is
-        anything conserved where an observable is not finite.
+        An energy that varies by more than half the kinetic energy is not conserved, whatever its drift: one bad step is no drift. Nothing is
+        conserved if an observable is not finite.
         """
         if self.not_finite:
             return False
@@ -227,7 +227,7 @@ class Report(Displayed):
 
     @property
     def momentum_is_conserved(self) -> bool:
-        """True if the change is what rounding explains, which adds up like a random walk, or if the momentum is no constant."""
+        """True if rounding, which adds up like a random walk, explains the change, or if momentum need not be constant."""
         return not self.not_finite and (self.is_at_rest or (self.momentum_change or 0.0) < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5))
 
     @property
@@ -309,13 +309,13 @@ class Report(Displayed):
         return f"{energy}; THE TOTAL MOMENTUM CHANGES: a force is not pairwise."
 
 
-@np.errstate(all="ignore")  # the report tells what is not finite
+@np.errstate(all="ignore")  # the report says what is not finite
 def conservation_report(record: Record, angular: bool, cost: Cost | None = None, linear: bool = True, lines: Sequence[Line] = ()) -> Report:
     """The report of a record.
 
     linear, angular : whether the scene conserves momentum (no bath, nothing fixed) and angular momentum (nor anything periodic).
-    lines : to show beside them.  Of a run with a thermostat, total energy minus reservoir energy is judged, of one with forces that depend on
-    time minus their work.
+    lines : further lines of the report.  With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend
+    on time, the total energy minus their work.
     """
     units, has_bath = record.units, "conserved_energy" in record
     time, energy = record.time * units.to_picosecond, _constant_energy(record) / record.n_atoms
@@ -351,7 +351,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
 
 
 def _constant_energy(record: Record) -> NDArray[np.float64]:
-    """What a run should keep, (T,) [energy]: the total energy, minus what a bath has given and minus the work of forces that depend on time."""
+    """The energy that should be constant, (T,): the total energy, minus what a bath has given, and minus the work of forces that depend on time."""
     if "conserved_energy" in record:
         return record.conserved_energy
     return record.total_energy - record.work if "work" in record else record.total_energy

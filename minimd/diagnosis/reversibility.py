@@ -1,8 +1,8 @@
-"""Whether a simulation is reversible: some steps, all velocities reversed, as many steps again.
+"""Whether a simulation is reversible: some steps, all velocities reversed, and as many steps again.
 
-A symmetric method without a bath comes back to its start but for rounding, which grows along a chaotic path. How much it grows is
-measured on the same path: the way back is made twice, the second time from a turning point that is displaced by some roundings. Forces
-that depend on the past, a list that misses pairs, or a solver that stops early do not come back.
+A symmetric method without a bath returns to its start except for rounding, which grows along a chaotic path. This growth is measured
+on the same path: the way back is made twice, the second time from a turning point displaced by some rounding errors. A run with forces
+that depend on the past, a list that misses pairs, or a solver that stops early does not return.
 """
 
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from minimd.structure.display import Displayed, Rows
 from minimd.structure.observables import longest
 
 ROUNDING = {"double": 2.0**-52, "mixed": 2.0**-23, "fixed-point": 2.0**-52}  # of the forces
-AMPLIFIED = 1e3  # how many roundings the turning point is moved by, so that nothing else is taken for their growth
-ENOUGH = 3.0  # times what one rounding grows to, times the square root of the steps: rounding; anything worse is not
+AMPLIFIED = 1e3  # rounding errors by which the turning point is displaced, so that their growth stands out
+ENOUGH = 3.0  # times what one rounding grows to, times the square root of the steps: up to this, a distance is due to rounding
 CHAOS = 0.01  # of the way that atoms went: beyond it, rounding has grown too much to tell
 
 
@@ -27,7 +27,7 @@ class Reversibility(Displayed):
 
     Attributes
     ----------
-    n_steps : in each direction.  distance : largest of an atom from its start, at the end [length].  way : the same, at the reversal [length].
+    n_steps : in each direction.  distance : the largest of any atom from its start, at the end [length].  way : the same, at the reversal [length].
     rounding : growth of one rounding error from the turning point to the end, times √(2 n_steps) [length]; infinite if too chaotic to tell.
         Not measured, and 0, if is_exact.
     is_exact : whether all bits of positions and velocities came back.
@@ -42,7 +42,7 @@ class Reversibility(Displayed):
 
     @property
     def is_reversible(self) -> bool | None:
-        """True if the distance is that of rounding; None if rounding has grown too large to tell."""
+        """True if rounding explains the distance; None if rounding has grown too much to tell."""
         if self.distance == 0.0:
             return True
         return None if self.rounding > CHAOS * self.way else self.distance <= ENOUGH * self.rounding
@@ -61,15 +61,15 @@ class Reversibility(Displayed):
 
 
 def make_steps_back(guard: RunGuard, n_steps: int) -> None:
-    """See Simulation.run_back. At the end step, time and velocities are those of the run that is retraced.
+    """See Simulation.run_back. At the end, step, time and velocities are those of the run that is retraced.
 
     Raises ValueError for an engine whose steps cannot be retraced to the last bit.
     """
     engine = guard.engine
     if engine.interactions.grid is None:
-        raise ValueError(f"only precision='fixed-point' retraces its steps; it is {engine.interactions.options.precision!r}")
+        raise ValueError(f"only precision='fixed-point' retraces its steps; precision is {engine.interactions.options.precision!r}")
     if engine.constraint_set.bonds is not None:
-        raise ValueError("steps with constraints cannot be retraced to the last bit: their impulses are rounded after they were solved for")
+        raise ValueError("steps with constraints cannot be retraced to the last bit: constraint impulses are rounded after they are computed")
     if not engine.method.is_symmetric:
         symmetric = "velocity Verlet, position Verlet, leapfrog and symmetric compositions"
         raise ValueError(f"steps of {engine.method.name} cannot be retraced, because it is not symmetric: take {symmetric}")
@@ -97,9 +97,9 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
     engine = guard.engine
     if engine.has_bath:
         bath = f"{engine.method.name} is a thermostat" if engine.method.is_thermostat else "there is a barostat"
-        raise ValueError(f"{bath}: its noise cannot be undone, so that no run of it is reversible")
+        raise ValueError(f"{bath}: its noise cannot be undone, so no run with it is reversible")
     if engine.interactions.depend_on_time:
-        raise ValueError("forces that depend on time have no run back: time goes on while atoms return; probe the scene without them")
+        raise ValueError("a run with forces that depend on time has no way back: time goes on while atoms return; probe the scene without them")
     before = engine.snapshot()
     with guard.uncounted():
         guard.check_start()
@@ -111,7 +111,7 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
 
 
 def _probed(guard: RunGuard, n_steps: int) -> Reversibility:
-    """The state is not restored."""
+    """Probe, without restoring the state."""
     engine = guard.engine
     start = engine.snapshot()
     guard.make_steps(n_steps)

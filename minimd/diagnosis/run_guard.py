@@ -1,4 +1,4 @@
-"""The run guard: makes steps in blocks; a block that fails is undone, made again step by step, and its failure explained."""
+"""The run guard makes steps in blocks; if a block fails, it is undone and made again step by step, and the failure is explained."""
 
 import warnings
 from collections.abc import Iterator, Mapping
@@ -11,9 +11,10 @@ from minimd.compiled.kernels import compile_clock
 from minimd.diagnosis.crash_report import Failure, examine
 from minimd.diagnosis.faults import GROWTH, RUNAWAY, fault_at_start, fault_of, runaway
 from minimd.diagnosis.first_hints import hints
-from minimd.engine.engine import Engine, Snapshot
+from minimd.engine.engine import Engine
 from minimd.engine.observation import observe
 from minimd.engine.record import Frame
+from minimd.engine.snapshots import Snapshot
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM
 from minimd.structure.console import outside_minimd
@@ -22,11 +23,11 @@ from minimd.structure.observables import Array, longest
 
 BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
 SMALL, LONGEST_BLOCK = 50_000, 500  # atoms times steps of a block of few atoms, and its steps, at most: its checks cost as much as 30 steps
-RUN_BEGAN, FAILED_AS_BLOCK = "the run began", "a block of steps failed that succeeded one by one"
-LEAST_SNAPSHOTS, MOST_SNAPSHOTS, ROOM = 2, 16, 10**6  # that are kept: as many as hold so many atoms in all
+RUN_BEGAN, FAILED_AS_BLOCK = "the run began", "a block of steps failed, although its steps succeeded one by one"
+LEAST_SNAPSHOTS, MOST_SNAPSHOTS, ROOM = 2, 16, 10**6  # numbers of snapshots kept, and of atoms in all of them
 SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
 SAME_ENERGY = 1e-3  # of K + |U|: a potential that gives another energy for the same atoms has been changed
-LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the failure, if there were as many
+LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the failure, if there were that many
 
 
 class RunGuard:
@@ -64,7 +65,7 @@ class RunGuard:
 
     @contextmanager
     def uncounted(self) -> Iterator[None]:
-        """What is computed inside is no part of the last run, of which the report tells."""
+        """Context for computations that do not count as part of the last run, which the report describes."""
         interactions = self.engine.interactions
         counted = self.seconds, self.n_steps, interactions.counts
         try:
@@ -73,19 +74,19 @@ class RunGuard:
             self.seconds, self.n_steps, interactions.counts = counted
 
     def judge_by(self, first: Mapping[str, Any] | None, growth: float) -> None:
-        """Judge the runs to come by the energies at the first look of another run, of which they are a part. See faults.runaway."""
+        """Judge later runs by the energies at the start of another run, of which they are a part. See faults.runaway."""
         self._judged_by = first, growth
 
     @property
     def judgment(self) -> tuple[Mapping[str, Any] | None, float]:
-        """By what the present run is judged, for judge_by."""
+        """The energies and the growth by which the present run is judged, for judge_by."""
         return self._first, self._growth
 
     def check_start(self, is_same_run: bool = False) -> None:
         """Take the state as it is now. Raise NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution.
 
-        A state that nobody has changed since the last step goes on as if there had been no pause.
-        is_same_run : energies and snapshots of the steps before still count, if the energy is what it was.
+        A state that was not changed since the last step continues as if there had been no pause.
+        is_same_run : energies and snapshots of earlier steps remain valid, if the energy is still the same.
         """
         engine = self.engine
         self._reason = self._before = None
@@ -121,9 +122,9 @@ class RunGuard:
             self.engine.leave()
 
     def advance(self, n_steps: int, with_energy: bool) -> None:
-        """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out at which and why.
+        """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out which step failed and why.
 
-        Raises NonFiniteError, ConstraintError if a step fails; the engine is then in the last good state. KeyboardInterrupt: after Ctrl-C.
+        Raises NonFiniteError, ConstraintError if a step fails; the engine is then in the last good state. KeyboardInterrupt after Ctrl-C.
         ValueError if the scene no longer fits the list it needs.
         """
         engine = self.engine
@@ -152,7 +153,7 @@ class RunGuard:
             raise KeyboardInterrupt(f"stopped after step {engine.step}")
 
     def _replay(self, before: Snapshot, n_steps: int, otherwise: str) -> NoReturn:
-        """Repeat failed steps one by one, up to the last good state; raise the error of the next step.  otherwise : the fault, should none fail."""
+        """Repeat failed steps one by one, up to the last good state; raise the error of the next step.  otherwise : the fault if none fails."""
         engine = self.engine
         engine.restore(before)
         for _ in range(n_steps):
@@ -161,7 +162,7 @@ class RunGuard:
                 engine.advance(1)
                 fault = fault_of(engine)
                 if not fault:
-                    engine.evaluate()  # a method that ends with a drift has not
+                    engine.evaluate()  # a method that ends with a drift has not done so
                     fault = self._fault_of_energy()
             except (NonFiniteError, ConstraintError) as reason:
                 words = str(reason) if isinstance(reason, RangeError) else "the forces are not finite"
@@ -192,7 +193,7 @@ class RunGuard:
         return frame
 
     def _fault_of_energy(self) -> str | None:
-        """What is wrong with the energies, which are current; None if they are good."""
+        """What is wrong with the energies, which must be current; None if they are good."""
         if not isfinite(self.engine.interactions.potential_energy):
             return "the potential energy is not finite"
         return None if self._first is None else runaway(self.engine, self._first, self._growth, self._since)
@@ -213,21 +214,21 @@ class RunGuard:
         self._fail_if(f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}" if kinetic > most else None)
 
     def is_hot(self) -> bool:
-        """Whether the kinetic energy alone, which costs nothing, makes a look at the energies worthwhile."""
+        """Whether the kinetic energy alone, which costs nothing, is a reason to check all energies."""
         first = self._first
         return first is not None and self.engine.kinetic_energy > RUNAWAY * (first["kinetic_energy"] + abs(first["potential_energy"]))
 
     def forget(self) -> None:
-        """The state was changed from outside: energies and snapshots from before say nothing about it."""
+        """Forget energies and snapshots: the state was changed from outside."""
         self._snapshots, self._first_step = [], self.engine.step
         self._first, self._growth, self._since, self._seen = None, RUNAWAY, RUN_BEGAN, (self.engine.step, 0.0)
 
     def drop_snapshots(self) -> None:
-        """The velocities were rescaled: a replay from before would not come to the present state."""
+        """Drop the snapshots: the velocities were rescaled, and a replay from one of them would not lead to the present state."""
         self._snapshots = []
 
     def _fail_if(self, fault: str | None) -> None:
-        """Fail with the first step that is not good, for a fault that was found some steps later."""
+        """If there is a fault, fail at the first bad step, which may be some steps earlier."""
         if not fault:
             return
         if self._before is None:
@@ -238,7 +239,7 @@ class RunGuard:
         self._replay(start, end - start.step, fault)
 
     def _good_start(self, before: Snapshot) -> Snapshot:
-        """The latest stored state in which no energy had run away yet, and from which nobody has looked since; else that before the last block."""
+        """The latest stored state, since the last observation, in which no energy had run away yet; else the state before the last block."""
         self._growth, growth = min(GROWTH, self._growth), self._growth
         known = {one.step: one for one in (*self._snapshots, before) if self._seen[0] <= one.step <= before.step}
         for step in sorted(known, reverse=True):

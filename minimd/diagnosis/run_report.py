@@ -14,7 +14,7 @@ from minimd.engine.engine import Engine
 from minimd.engine.record import Record
 
 BLOCKS = 10  # means of the pressure, from which its standard error is taken
-FAR = 4.0  # standard errors, known from so few means, within which a mean is that of the barostat
+FAR = 4.0  # standard errors, themselves estimated from few means, within which a mean counts as that of the barostat
 
 
 def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | None) -> Report:
@@ -38,9 +38,9 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
 
 
 def pressure_lines(engine: Engine, record: Record) -> Iterator[Line]:
-    """What a barostat did: the volume, and the mean pressure beside its own. No line without one.
+    """What a barostat did: the mean volume, and the mean pressure compared with its target. No line without a barostat.
 
-    Where the total momentum is a constant, its degrees of freedom are missing in the pressure, k_B T/V.
+    If the total momentum is constant, its degrees of freedom are missing in the recorded pressure; their k_B T/V is added.
     """
     barostat, units = engine.barostat, engine.system.units
     if barostat is None or len(record) < 2 * BLOCKS or not np.isfinite(record.pressure).all():

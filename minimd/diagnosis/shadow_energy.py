@@ -1,7 +1,7 @@
 """The shadow energy: what a Verlet step conserves instead of the energy, to the next order.
 
-A symplectic step of length Δt is the exact flow of a Hamiltonian close by. For velocity Verlet (kick, drift, kick), and so for
-leapfrog looked at where its velocities meet its positions,
+A symplectic step of length Δt is the exact flow of a Hamiltonian close to H. For velocity Verlet (kick, drift, kick), and for
+leapfrog at the end of a run, where its velocities are at the time of its positions,
 
     H̃ = H + Δt² [ 1/12 v·(∇²U) v − 1/24 F·M⁻¹F ] + O(Δt⁴)
 
@@ -9,7 +9,7 @@ and for position Verlet (drift, kick, drift), where both halves have changed pla
 
     H̃ = H + Δt² [ −1/24 v·(∇²U) v + 1/12 F·M⁻¹F ] + O(Δt⁴)
 
-H itself oscillates by Δt² along the path, H̃ by Δt⁴: what is left of a drift can be seen 1/Δt² times as clearly.
+Along the path H itself oscillates by O(Δt²), H̃ only by O(Δt⁴): a drift that remains is seen 1/Δt² times as clearly.
 E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IX.3; R. D. Engle, R. D. Skeel, M. Drees, J. Comput. Phys. 206, 432 (2005).
 """
 
@@ -66,13 +66,13 @@ def check_has_shadow(engine: Engine) -> None:
     """Raise ValueError where the shadow energy is not known, as shadow_energy says."""
     method = engine.method
     if method.is_thermostat:
-        raise ValueError(f"there is no shadow energy with a thermostat, which takes energy and gives it; the method is {method.name}")
+        raise ValueError(f"there is no shadow energy with a thermostat, which exchanges energy with the system; the method is {method.name}")
     if engine.barostat is not None:
-        raise ValueError("there is no shadow energy with a barostat, which takes energy and gives it")
+        raise ValueError("there is no shadow energy with a barostat, which exchanges energy with the system")
     if method.sequence() not in COEFFICIENTS:
-        raise ValueError(f"there is a shadow energy of velocity-verlet, leapfrog and position-verlet only; the method is {method.name}")
+        raise ValueError(f"the shadow energy is known only for velocity-verlet, leapfrog and position-verlet; the method is {method.name}")
     if engine.constraint_set.bonds is not None:
-        raise ValueError("there is no shadow energy of a system with rigid bonds; leave the constraints out, or do not ask for it")
+        raise ValueError("there is no shadow energy for a system with rigid bonds; leave the constraints out, or do not ask for it")
 
 
 register(Observable("shadow_energy", "energy", lambda look: look.total_energy + correction(look.engine), demand=check_has_shadow))

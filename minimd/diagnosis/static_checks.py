@@ -1,4 +1,4 @@
-"""Lines of the report that need no run: jumps at the cutoff, number of steps that a list lasts, velocities along rigid bonds."""
+"""Lines of the report that need no run: jumps at the cutoff, the number of steps that a list lasts, velocities along rigid bonds."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -13,10 +13,10 @@ from minimd.potentials.pair import PairPotential
 from minimd.structure.observables import longest
 from minimd.structure.system import System
 
-CONTINUOUS = 1e-9  # of what the law is at INSIDE r_c: a jump below is rounding
-INSIDE = (0.9, 0.99, 0.999)  # the first at which the law has a value: a table may begin late
-FEW_STEPS = 3.0  # that a list lasts: it is rebuilt so often that a wider skin is cheaper
-ROOM = 0.99  # of the widest skin: from there on it cannot be wider
+CONTINUOUS = 1e-9  # of the law at INSIDE r_c: a smaller jump is rounding
+INSIDE = (0.9, 0.99, 0.999)  # of these, the first at which the law has a value: a table may begin late
+FEW_STEPS = 3.0  # a list that lasts no longer is rebuilt so often that a wider skin is cheaper
+ROOM = 0.99  # of the widest skin: beyond this it cannot be made wider
 TURNING = 1e-8  # of the speed, along a rigid bond
 
 
@@ -50,7 +50,7 @@ def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
 
 
 def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float, float, float, float]:
-    """|u|, |u′| at the cutoff, and the sizes beside which they are large or small."""
+    """|u|, |u′| at the cutoff, and the sizes with which they are compared."""
     u, f = np.abs(law_at(law, cutoff, numbers))
     known = ((inside, np.abs(law_at(law, inside * cutoff, numbers))) for inside in INSIDE)
     inside, (u_inside, f_inside) = next((one for one in known if np.isfinite(one[1]).all()), (0.0, (u, f)))

@@ -1,4 +1,4 @@
-"""Advice on the time step: the stiffest mode of a state, and how long a step of a method may be beside it."""
+"""Advice on the time step: the stiffest mode of a state, and how long a time step it allows."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from minimd.structure.system import AnySystem, System
 from minimd.structure.units import UnitSystem
 
 OSCILLATION = 1.0 / 80.0  # of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
-EVALUATIONS = 200  # of the forces, with which the stiffest mode of many atoms is mostly found
+EVALUATIONS = 200  # of the forces: as many mostly suffice to find the stiffest mode of many atoms
 SHOWN_ATOMS = 4  # of the stiffest mode, at most
-HALF = 0.5  # of a mode: a bond whose stretching makes up more is named
+HALF = 0.5  # of a mode: a bond is named if its stretching makes up more
 SHOWN_SHARE = 0.05  # of its kinetic energy, at least
 
 
@@ -43,7 +43,7 @@ class StepAdvice(Displayed):
     limit : the longest stable step of the method [time].
     recommended : the step at which the energy of this mode oscillates by ±1/80 of its mean, at most half the limit [time].
     method : name of the method.  timestep : of the method, if it has one [time].
-    atoms, shares : those that move most in the mode, and the fraction of its kinetic energy that each of them has.
+    atoms, shares : the atoms that move most in the mode, and the fraction of its kinetic energy that each of them has.
     n_moving : over how many atoms the mode is spread, 1/Σ share².
     bond : (i, j), if the mode is the stretching of one bond.
     n_evaluations : of the forces.  units : of the system.
@@ -64,7 +64,7 @@ class StepAdvice(Displayed):
 
     def __str__(self) -> str:
         if self.frequency == 0.0:
-            return "stiffest mode  none: nothing oscillates in this state, which limits no time step"
+            return "stiffest mode  none: nothing oscillates in this state, so it sets no limit to the time step"
         shares = ", ".join(f"{atom} ({100.0 * share:.0f} %)" for atom, share in zip(self.atoms, self.shares, strict=True))
         motion = f"{f'mostly of atoms {shares}, ' if shares else ''}spread over some {self.n_moving:.3g} atoms"
         if self.bond is not None:
@@ -94,9 +94,9 @@ def advise_timestep(
     The Hessian is never built: Lanczos iterations need only its products with vectors, central differences of the forces. With
     constraints the modes are those of the allowed directions, and the curvature of the constraints counts too.
 
-    The advice is for the state that is given. In a run at a finite temperature atoms come closer to each other than in a crystal
-    or at a minimum, where the forces are stiffer: ask again with a state from the run. Forces that jump at the cutoff ("truncated",
-    "shifted") have no Hessian there; the jumps are left out except where a pair stands at the cutoff to six digits.
+    The advice is for the state that is given. In a run at a finite temperature, atoms come closer to each other than in a crystal
+    or at a minimum, and the forces are stiffer there: ask again with a state from the run. Forces that jump at the cutoff ("truncated",
+    "shifted") have no Hessian there; the jumps are left out unless the distance of a pair agrees with the cutoff to six digits.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def advise_timestep(
 
 
 def advice_at(engine: Engine, seconds: float) -> StepAdvice | None:
-    """advise_timestep for the present state of an engine, which is left as it is; None if that would take longer than so many seconds.
+    """advise_timestep for the present state of an engine, which is left as it is; None if that would take more than this number of seconds.
 
     Raises NonFiniteError as advise_timestep, and whatever a potential raises.
     """
@@ -154,7 +154,7 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
 
 
 def _stiffest_mode(curvature: Curvature, system: System, potentials: Sequence[Potential], held: ConstraintSet) -> tuple[float, NDArray[np.float64]]:
-    """ω² and the mode, (N, 3) mass-weighted; or what is wrong with the state."""
+    """ω² and the mode, (N, 3) mass-weighted.  Raises NonFiniteError if the forces are not finite."""
     if curvature.is_finite:
         square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, held)))
         if np.isfinite(square):

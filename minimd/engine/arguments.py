@@ -1,4 +1,4 @@
-"""The checks of what an engine is made of."""
+"""Checks of the arguments of an engine."""
 
 import warnings
 from collections.abc import Sequence
@@ -23,4 +23,4 @@ def warn_of_dropped(those_of_system: Sequence[Constraint], given: Constraint | S
     kinds = {type(one) for one in (given if isinstance(given, Sequence) else [given])}
     dropped = [repr(one) for one in those_of_system if type(one) not in kinds]
     if kinds and dropped:
-        warnings.warn(f"{', '.join(dropped)} of the system are not kept: other constraints are given in their place", stacklevel=outside_minimd())
+        warnings.warn(f"the constraints given replace those of the system, and {', '.join(dropped)} is lost", stacklevel=outside_minimd())

@@ -1,5 +1,6 @@
-"""A barostat at work on an engine: it strains cell, positions and velocities every few steps, and counts what it gives."""
+"""A barostat acting on an engine: it strains cell, positions and velocities every few steps, and counts the energy it gives."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,11 @@ from minimd.structure.observables import Array, kinetic_energy, momentum, moment
 from minimd.structure.strain import strained
 from minimd.structure.system import System
 
-LARGEST_STRAIN = 0.2  # of the cell at once: what strains it more is no slow bath
+LARGEST_STRAIN = 0.2  # of the cell at once: a bath that strains it more does not act slowly
 
 
 class Molecules:
-    """What moves as a whole when the cell is strained: atoms that rigid lengths tie together, and single atoms.
+    """The bodies that move as a whole when the cell is strained: atoms tied together by rigid lengths, and single atoms.
 
     bodies : Bodies.  masses : (B,) of the bodies [mass].
     """
@@ -37,12 +38,12 @@ class Molecules:
         return np.asarray(np.bincount(self.bodies.label, values), dtype=np.float64)
 
     def centers(self, vectors: Array) -> Array:
-        """Mean of (N, 3), weighted with masses, over each body: (B, 3)."""
+        """Mass-weighted mean of (N, 3) vectors over each body: (B, 3)."""
         weighted = self._system.masses[:, None] * vectors
         return np.column_stack([self._sums(weighted[:, c]) for c in range(3)]) / self.masses[:, None]
 
     def whole(self, bonds: Any) -> Array:
-        """Lattice translations, (N, 3) [length], that join the atoms of each body as its rigid bonds do. They are to follow the cell."""
+        """Lattice translations, (N, 3) [length], that join the atoms of each body as its rigid bonds do. They follow the cell when it is strained."""
         if bonds is not self._of:
             self._translations, self._of = self._joined(bonds), bonds
             self._system.cell.follow(self._system.cell, self._translations)
@@ -83,43 +84,39 @@ class CellRescaling:
         self._molecules = None if constraints.bonds is None else Molecules(system, constraints)
 
     def temperature(self, method: Splitting) -> float:
-        """T of the bath.  Raises ValueError if neither barostat nor thermostat has one, both have another, or time runs backwards."""
+        """T of the bath.  Raises ValueError if neither barostat nor thermostat has one, the two differ, or time runs backwards."""
         own, theirs = self.barostat.temperature, getattr(method, "temperature", None) if method.is_thermostat else None
         if method.timestep < 0.0:
             raise ValueError(f"time cannot run backwards with a barostat; timestep = {method.timestep!r}")
         if own is None and theirs is None:
-            raise ValueError(f"a barostat beside {method.name}, which has no temperature, needs temperature=..., that of its noise")
+            raise ValueError(f"a barostat with {method.name}, which has no temperature, needs temperature=... for its noise")
         if own is not None and theirs is not None and own != theirs:
-            raise ValueError(f"barostat and thermostat must have one temperature; they have {own} and {theirs}: leave out that of the barostat")
+            raise ValueError(f"barostat and thermostat must have the same temperature; they have {own} and {theirs}: leave out that of the barostat")
         found: Any = theirs if own is None else own
         return float(found)
 
-    def advance(self, engine: Any, n_steps: int, with_energy: bool) -> int:
-        """See Engine.advance.  engine : an Engine, of which this is a part.  Raises ValueError for a cell that somebody has opened."""
+    def check_cell(self) -> None:
+        """Raise ValueError if the cell no longer has a volume."""
         check_cell(self._system)
-        done, every = 0, self.barostat.every
-        while done < n_steps:
-            wanted = min(n_steps - done, every - (engine.step + done) % every)
-            is_due = (engine.step + done + wanted) % every == 0
-            made = engine.advance(wanted, is_due or (with_energy and done + wanted == n_steps), done)
-            done += made
-            if is_due and made == wanted:
-                self.apply(engine, done)
-            if engine.surroundings.stop_requested:
-                break
-        return done
 
-    def apply(self, engine: Any, done: int) -> None:
-        """One strain of the whole scene.  done : steps made since engine.step; the number of the present step chooses the noise.
+    def is_due(self, step: int) -> bool:
+        """Whether the cell is strained at the end of a step."""
+        return step % self.barostat.every == 0
+
+    def next_step(self, step: int) -> int:
+        """The first step after this one at which the cell is strained."""
+        return step + self.barostat.every - step % self.barostat.every
+
+    def apply(self, method: Splitting, noise_number: int, bath: Bath, forces_follow: Callable[[], None]) -> None:
+        """Strain the whole scene once; its forces, energy and virial must be current.
+
+        noise_number : selects the noise.  forces_follow : called after cell and positions have changed, to make forces, energy and virial current.
 
         Raises RangeError if the strain is too large.  ValueError if there is no virial.
         """
-        duration, thermal = self.barostat.every * engine.method.timestep, self._system.units.k_B * self.temperature(engine.method)
-        bath = engine.surroundings.bath
-        engine.turned()
-        engine.evaluate(done)
+        duration, thermal = self.barostat.every * method.timestep, self._system.units.k_B * self.temperature(method)
         before = self._scene(thermal, bath)
-        strain = self.barostat.strain(before, duration, engine.step + done + engine.noise_shift)
+        strain = self.barostat.strain(before, duration, noise_number)
         largest = float(np.abs(strain).max())
         if not largest <= LARGEST_STRAIN:
             why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {self.barostat.pressure:.3g}"
@@ -127,22 +124,20 @@ class CellRescaling:
                 f"the barostat would strain the cell by {largest:.1e} at once ({why}): take a longer relaxation_time, or equilibrate first"
             )
         back = self._move(exponential(strain), bath)
-        engine.moved()
-        self._interactions.follow()
-        engine.evaluate(done)
+        forces_follow()
         after = self._scene(thermal, bath, back)
         bath.energy += after.energy - before.energy - self.barostat.change_of_conserved(before, after, strain, duration)
 
     def _scene(self, thermal: float, bath: Bath, back: Array | None = None) -> Scene:
-        """The present state.  back : (3, 3) rotation that turns its tensors.
+        """The present state.  back : (3, 3) rotation applied to its tensors.
 
-        Where the total momentum is a constant it is no part of the thermal motion, and its degrees of freedom count as k_B T/V of the pressure.
+        If the total momentum is constant, it is no part of the thermal motion, and its degrees of freedom contribute k_B T/V to the pressure.
         """
         system, volume = self._system, float(self._system.volume or 0.0)
         moving, masses = system.velocities, system.masses
         virial = self._interactions.virial
         if not np.isfinite(virial).all() and np.isfinite(self._interactions.forces).all():
-            raise ValueError("a barostat needs the virial, and a potential gives none: take one that does, such as a calculator with a stress")
+            raise ValueError("a barostat needs the virial, but a potential gives none: take one that does, such as a calculator with a stress")
         if self._molecules is not None:
             virial = virial - self._inner_virial()
             moving, masses = self._molecules.centers(moving), self._molecules.masses
@@ -155,14 +150,14 @@ class CellRescaling:
         return Scene(tensor / volume, volume, energy, thermal)
 
     def _inner_virial(self) -> Array:
-        """Σ (r − R) ⊗ F [energy], (3, 3): what the virial of atoms has more than that of molecules, whose rigid bonds do not matter."""
+        """Σ (r − R) ⊗ F [energy], (3, 3): the virial of atoms minus that of molecules, to which rigid bonds do not contribute."""
         molecules: Any = self._molecules
         whole = self._system.positions + molecules.whole(self._constraints.bonds)
         inner = whole - molecules.centers(whole)[molecules.bodies.label]
         return np.einsum("ia,ib->ab", inner, self._interactions.forces)
 
     def _move(self, stretch: Array, bath: Bath) -> Array | None:
-        """Cell, positions and velocities strained by a symmetric (3, 3) matrix; returns the rotation that came after, or None."""
+        """Strain cell, positions and velocities by a symmetric (3, 3) matrix; returns the rotation that followed, or None."""
         system, before, rotation = self._system, self._system.cell, None
         vectors = before.vectors @ stretch
         if self.barostat.coupling == "triclinic":
@@ -195,31 +190,33 @@ class CellRescaling:
         return whole - translations, velocities
 
 
-def rescaling_of(barostat: StochasticCellRescaling | None, engine: Any) -> CellRescaling | None:
-    """The barostat of an engine at work, if it has one.  Raises TypeError for anything else, and ValueError as CellRescaling."""
+def rescaling_of(
+    barostat: StochasticCellRescaling | None, system: System, interactions: Forces, constraints: ConstraintSet, method: Splitting, holds_center: bool
+) -> CellRescaling | None:
+    """A barostat acting on the parts of an engine, or None without one.  Raises TypeError for any other object, and ValueError as CellRescaling."""
     if barostat is None:
         return None
     if not isinstance(barostat, StochasticCellRescaling):
         raise TypeError(f"barostat must be a StochasticCellRescaling; got {shown(barostat)}")
-    if engine.holds_center:
+    if holds_center:
         raise ValueError("atoms.constraints holds FixCom, but a barostat moves the center of mass with the cell: remove FixCom")
-    return CellRescaling(barostat, engine.system, engine.interactions, engine.constraint_set, engine.method)
+    return CellRescaling(barostat, system, interactions, constraints, method)
 
 
 def check(system: System, interactions: Forces, constraints: ConstraintSet) -> None:
     """Raise ValueError for a scene that cannot be at constant pressure."""
     check_cell(system)
     if constraints.n_fixed:
-        raise ValueError(f"a barostat moves all atoms, and {constraints.n_fixed} are held fixed: hold them with springs instead")
+        raise ValueError(f"a barostat moves all atoms, but {constraints.n_fixed} are held fixed: hold them with springs instead")
     if interactions.act_from_outside:
-        raise ValueError("a barostat needs the virial of all forces, and forces from outside, such as fields and walls, have none")
+        raise ValueError("a barostat needs the virial of all forces, but external forces, such as fields and walls, have none: remove them")
     if interactions.options.precision == FIXED_POINT:
-        raise ValueError("precision='fixed-point' is for a constant cell, whose vectors lie on its grid; with a barostat take precision='double'")
+        raise ValueError("precision='fixed-point' needs a constant cell, whose vectors lie on its grid; with a barostat take precision='double'")
 
 
 def check_cell(system: System) -> None:
     """Raise ValueError for a cell without a volume."""
     if system.volume is None:
         raise ValueError(
-            f"a barostat needs a cell that is periodic in all three directions, a slab too: give it an empty space; pbc = {system.cell.pbc.tolist()}"
+            f"a barostat needs a cell that is periodic in all three directions (for a slab, with empty space); pbc = {system.cell.pbc.tolist()}"
         )

@@ -1,11 +1,11 @@
-"""A center of mass that is to be held: what FixCom of ASE asks of a run."""
+"""Runs whose center of mass must not move, as FixCom of ASE demands."""
 
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.structure.system import AnySystem, System
 
 
 def holds_center(system: AnySystem) -> bool:
-    """Whether it is an ase.Atoms with FixCom; a System remembers none."""
+    """Whether the system is an ase.Atoms with FixCom; a System never has it."""
     if isinstance(system, System):
         return False
     from minimd.structure.ase_constraints import fixes_center  # here, because it loads ase
@@ -14,7 +14,7 @@ def holds_center(system: AnySystem) -> bool:
 
 
 def refused(method: Splitting) -> ValueError:
-    """The error of a run of atoms with FixCom whose center of mass would move."""
+    """The error for atoms with FixCom whose center of mass would move."""
     cause = "a force from outside or a fixed atom moves the center of mass: remove one of them"
     if not method.conserves_momentum:
         cause = f"{method.name} moves the center of mass: take StochasticVelocityRescaling or minimd.ase.Langevin, or remove FixCom"

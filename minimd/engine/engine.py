@@ -3,64 +3,30 @@
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.graph import bodies_of
 from minimd.engine.arguments import checked_method, warn_of_dropped
-from minimd.engine.cell_rescaling import rescaling_of
+from minimd.engine.cell_rescaling import CellRescaling, rescaling_of
 from minimd.engine.center import holds_center, refused
+from minimd.engine.snapshots import Checkpoint, Snapshot
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import FIXED_POINT, Options
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.state import Bath, GridState, OpenEnd, State, Surroundings
+from minimd.integrators.splitting.state import Bath, GridState, State, Surroundings
 from minimd.integrators.splitting.substeps import Kick
-from minimd.neighbors.verlet_list import Built
 from minimd.potentials.term import FORCES, TOTALS
-from minimd.structure.cell import Cell
 from minimd.structure.constraints import Constraint
 from minimd.structure.grid import Grid
 from minimd.structure.observables import Array, kinetic_energy
 from minimd.structure.quiet import quiet
 from minimd.structure.system import AnySystem, System
 
-
-class Snapshot(NamedTuple):
-    """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy].  open_end : see Surroundings.
-
-    clock : a step, and the time at it, from which the time of others is counted.  work : done by forces that depend on time [energy].
-    cell : with a barostat, else None.
-    """
-
-    step: int
-    time: float
-    positions: Array
-    velocities: Array
-    reservoir_energy: float
-    open_end: OpenEnd | None = None
-    clock: tuple[int, float] | None = None
-    work: float = 0.0
-    cell: Cell | None = None
-
-
-class Checkpoint(NamedTuple):
-    """All that decides the bits of the steps to come, beside system, potentials, method, constraints and options; see Engine.go_on_from.
-
-    state : Snapshot.
-    displacement : of the fastest atom in a step, for which skins were chosen [length].  lists : Built of each list of neighbors.
-    images : (K, 3) lattice vectors of rigid bonds [length], and their tolerance; None without.  equilibrated : of the engine.
-    grid : of fixed-point arithmetic; None without.
-    """
-
-    state: Snapshot
-    displacement: float
-    lists: tuple[Built, ...]
-    images: tuple[Array, float] | None
-    equilibrated: int
-    grid: Grid | None = None
+DIGITS_OF_PHASE = 12  # so that coefficients that add up to one are one
 
 
 class Engine:
@@ -103,7 +69,8 @@ class Engine:
         self._left: tuple[int, ...] | None = None
         self.is_whole = True
         self._describe_bath()
-        self.barostat, self._rescaling = barostat, rescaling_of(barostat, self)
+        self.barostat = barostat
+        self._rescaling = rescaling_of(barostat, self.system, self.interactions, self.constraint_set, method, self.holds_center)
 
     def _laid_out(self) -> State:
         """The state; in fixed-point arithmetic on a grid."""
@@ -135,23 +102,44 @@ class Engine:
         kick = next(substep for substep in self.method.sequence() if isinstance(substep, Kick))
         interactions.unit = state.unit = self.method.units([kick])[kick] * self.method.timestep
 
-    def advance(self, n_steps: int, with_energy: bool = True, done: int | None = None) -> int:
+    def advance(self, n_steps: int, with_energy: bool = True) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many. step and time stay as they are.
 
         Blocks of any size have the same bits as one, if nothing is changed in between.
-        done : given by a barostat that acts between the steps: how many of them it has made since step.
 
         Raises NonFiniteError, ConstraintError if a step fails; the state is then invalid, and a snapshot must be restored.
         """
-        if self._rescaling is not None and done is None:
-            return self._rescaling.advance(self, n_steps, with_energy)
-        self._bath.step, self._bath.contact = self.step + (done or 0) + self.noise_shift, 0
-        return self.method.advance(self._state, self._compute_forces, n_steps, with_energy, self.surroundings, self.interactions.march)
+        rescaling, step, end = self._rescaling, self.step, self.step + n_steps
+        while step < end:
+            at = end if rescaling is None else min(end, rescaling.next_step(step))
+            is_due = rescaling is not None and rescaling.is_due(at)
+            self._bath.step, self._bath.contact = step + self.noise_shift, 0
+            wants_energy, march = is_due or (with_energy and at == end), self.interactions.march
+            step += self.method.advance(self._state, self._compute_forces, at - step, wants_energy, self.surroundings, march)
+            if rescaling is not None and is_due and step == at:
+                self._rescale_cell(rescaling, at)
+            if self.surroundings.stop_requested:
+                break
+        return step - self.step
+
+    def _rescale_cell(self, rescaling: CellRescaling, step: int) -> None:
+        """Contact with the barostat at the end of a step."""
+
+        def forces_follow() -> None:
+            self.moved()
+            self.interactions.follow()
+            self._evaluate(step)
+
+        rescaling.check_cell()
+        self.turned()
+        self._evaluate(step)
+        rescaling.apply(self.method, step + self.noise_shift, self._bath, forces_follow)
 
     def _compute_forces(self, state: State, with_energy: bool) -> None:
         if self.interactions.depend_on_time:
             step = self._bath.step - self.noise_shift  # the one that is being made
-            self.interactions.time = self._time_at(step) + self.surroundings.phase * self.method.timestep
+            phase = round(self.surroundings.phase, DIGITS_OF_PHASE)
+            self.interactions.time = self._time_at(step + phase)  # at the end of a step, to the last bit that of evaluate
         self.interactions.compute(TOTALS if with_energy else FORCES, state.unit)
         self.surroundings.power = self.interactions.power
 
@@ -170,11 +158,11 @@ class Engine:
         self.turned()
 
     def turned(self) -> None:
-        """Begin anew with the next block. To be called after velocities were changed."""
+        """Let the next block begin anew. To be called after velocities were changed."""
         self.surroundings.open_end, self._left = None, None
 
     def catch_up(self) -> None:
-        """Take notice of what somebody has changed since leave: forces are outdated, and images of rigid bonds chosen again."""
+        """If anything was changed since leave, mark the forces as outdated and choose the images of rigid bonds again."""
         if not self.is_as_left:
             self.moved()
             self.fit_images()
@@ -185,22 +173,25 @@ class Engine:
 
     @property
     def is_as_left(self) -> bool:
-        """Whether nobody has changed positions, velocities or cell since leave."""
+        """Whether positions, velocities, cell and masses are unchanged since leave."""
         return self._left is not None and self._left == self._digest()
 
     def _digest(self) -> tuple[int, ...]:
-        """CRC-32 of each array; that of a changed one is the same once in 4·10⁹ times."""
+        """CRC-32 of each array; a changed array has the same one with a probability of 1 in 4·10⁹."""
         arrays = self.positions, self.velocities, self.system.cell.vectors, self.system.cell.pbc, self.system.masses
         return tuple(zlib.crc32(np.ascontiguousarray(array).data) for array in arrays)
 
-    def evaluate(self, done: int = 0) -> None:
-        """Compute forces, energy, virial, unless they are current; the steps to come have the same bits without it.  done : see advance."""
+    def evaluate(self) -> None:
+        """Compute forces, energy and virial, unless they are current; this does not change the bits of the steps to come."""
+        self._evaluate(self.step)
+
+    def _evaluate(self, step: int) -> None:
         if self._state.forces_are_current and self.interactions.has_energy:
             return
         end = self.surroundings.open_end
         is_aside = end is not None and end.drifts_next  # the run itself needs no forces here
         before, n_builds = self.interactions.lists_built() if is_aside else (), self.interactions.n_builds
-        self.interactions.time = self._time_at(self._step + done)
+        self.interactions.time = self._time_at(step)
         self.interactions.compute(TOTALS, self._state.unit)
         self._state.forces_are_current, self.surroundings.power = True, self.interactions.power
         if is_aside and self.interactions.n_builds != n_builds:
@@ -240,13 +231,13 @@ class Engine:
             self.time = time
 
     def checkpoint(self) -> Checkpoint:
-        """A copy of all that decides the bits of the steps to come, for go_on_from."""
+        """A copy of all that determines the bits of the steps to come, for go_on_from."""
         bonds, interactions = self.constraint_set.bonds, self.interactions
         images = None if bonds is None else (bonds.offsets.copy(), bonds.tolerance)
         return Checkpoint(self.snapshot(), interactions.displacement, interactions.lists_built(), images, self.equilibrated, interactions.grid)
 
     def go_on_from(self, checkpoint: Checkpoint) -> None:
-        """Take the place of the engine that the checkpoint is of: the next steps have the bits that its next steps have."""
+        """Go on in place of the engine of a checkpoint: the next steps have the same bits as the next steps of that engine."""
         self.restore(checkpoint.state)
         self._lay(checkpoint.grid)
         self.equilibrated, self.is_whole = checkpoint.equilibrated, True
@@ -274,7 +265,7 @@ class Engine:
 
     @property
     def time(self) -> float:
-        """[time] since the start: that of the last step at which it was set, and the time steps since."""
+        """[time] since the start: the time that was set last, plus the time steps since then."""
         return self._time_at(self._step)
 
     @time.setter
@@ -282,12 +273,12 @@ class Engine:
         self._clock = self._step, time
         self._state.forces_are_current &= not self.interactions.depend_on_time
 
-    def _time_at(self, step: int) -> float:
+    def _time_at(self, step: float) -> float:
         first, time = self._clock
         return time + (step - first) * self.method.timestep
 
     def count(self, n_steps: int) -> None:
-        """So many steps were made."""
+        """Count n_steps more steps."""
         self._step += n_steps
 
     @property
@@ -333,7 +324,7 @@ class Engine:
 
     @property
     def conserves_momentum(self) -> bool:
-        """Whether the total momentum is a constant: nothing acts from outside, no atom is held fixed, and no bath acts on atoms one by one."""
+        """Whether the total momentum is constant: nothing acts from outside, no atom is fixed, and no bath acts on each atom separately."""
         return self._is_still_under(self.method)
 
     def _is_still_under(self, method: Splitting) -> bool:

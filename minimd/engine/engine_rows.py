@@ -1,4 +1,4 @@
-"""An engine in words: what a simulation shows of itself."""
+"""The description of an engine that a simulation displays."""
 
 from minimd.engine.engine import Engine
 from minimd.forces.options import described

@@ -1,4 +1,4 @@
-"""Observables of an engine: the table of all of them, and their values for one state."""
+"""Observables of an engine: the table of them all, and their values for one state."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ class Observable:
 
     name : in record and file.  unit : the attribute of UnitSystem that names its unit, empty for a pure number.
     measure : its value, from a Look.  exists : whether it is defined for an engine.
-    demand : of an observable that is recorded only where extra_observables names it: raises ValueError for an engine that does not have it.
+    demand : for an observable that is recorded only if extra_observables names it: raises ValueError for an engine that cannot have it.
     """
 
     name: str
@@ -62,12 +62,12 @@ OBSERVABLES: dict[str, Observable] = {}
 
 
 def register(observable: Observable) -> None:
-    """Add an observable to record and files of all later runs in which it exists.
+    """Add an observable to the record and files of all later runs in which it exists.
 
     Raises ValueError if its name is in use, or its unit is neither empty nor named by a UnitSystem.
     """
     if observable.name in OBSERVABLES:
-        raise ValueError(f"an observable must have a name of its own; {observable.name!r} is known already")
+        raise ValueError(f"an observable must have a name of its own; {observable.name!r} is already in use")
     if observable.unit and observable.unit not in UnitSystem.__dataclass_fields__:
         raise ValueError(f"the unit of {observable.name} must be empty or an attribute of UnitSystem, such as 'energy'; unit = {observable.unit!r}")
     OBSERVABLES[observable.name] = observable
@@ -131,10 +131,10 @@ def measure(engine: Engine, name: str) -> Any:
 
 
 def check_extras(engine: Engine) -> None:
-    """Raise ValueError unless extra_observables of the engine are names of observables that it has beside the usual ones."""
+    """Raise ValueError unless extra_observables of the engine names only observables that can be recorded besides the usual ones."""
     names, known = engine.extra_observables, [name for name, one in OBSERVABLES.items() if one.demand is not None]
     if isinstance(names, str) or not set(names) <= set(known):
-        raise ValueError(f"extra_observables must be a tuple of {listed(known)}, or empty; they are {shown(names)}")
+        raise ValueError(f"extra_observables must be a tuple with any of {listed(known)}, or empty; it is {shown(names)}")
     for name in names:
         if (demand := OBSERVABLES[name].demand) is not None:
             demand(engine)

@@ -23,7 +23,7 @@ SERIES: dict[str, str] = {}  # name in record and file: attribute of UnitSystem 
 
 
 class Frame(NamedTuple):
-    """The observed state of one step. Arrays are those of the running simulation; copy them to keep their values.
+    """The observed state at one step. Arrays are those of the running simulation; copy them to keep their values.
 
     step, time [time].  positions, velocities, forces : (N, 3).  observables : name in SERIES to number or (3,) array;
     pressure is missing unless the cell has a volume.  reservoir_energy : given by thermostat and barostat since the start [energy].  cell : Cell.
@@ -49,17 +49,17 @@ class Record(Displayed):
     conserved_energy : (T,) [energy], total energy minus reservoir energy and work, only with a thermostat or a barostat.
     work : (T,) [energy], done since the start by forces that depend on time, ∫ ∂U/∂t dt, only with such forces.
     volume, cell : (T,) [length³], (T, 3, 3) lattice vectors as rows [length], only with a barostat.
-    shadow_energy : (T,) [energy], only where asked for: see minimd.shadow_energy.
+    shadow_energy : (T,) [energy], only if asked for: see minimd.shadow_energy.
     constraint_violation : (T,) largest |r² − d²|/d², only with lengths held fixed.
-    pressure : (T,) [energy/length³], only where the cell has a volume.
-    stress : (T, 3, 3) [energy/length³], positive under tension, only where asked for: see Simulation.extra_observables.
+    pressure : (T,) [energy/length³], only if the cell has a volume.
+    stress : (T, 3, 3) [energy/length³], positive under tension, only if asked for: see Simulation.extra_observables.
     momentum, angular_momentum : (T, 3).  absolute_momentum : (T,) Σ |m v|.
     absolute_angular_momentum : (T,) Σ m |r − r_cm| |v|.
     units : the UnitSystem of all of them.  n_atoms : N.
     trajectory : the first .h5md file of the run, with the frames of these entries, or None.
     """
 
-    view: ClassVar[Callable[[Record], Any]]  # pages are a floor above; minimd/__init__ sets it
+    view: ClassVar[Callable[[Record], Any]]  # set by minimd/__init__, because pages are on a higher floor
 
     def __init__(self, units: UnitSystem, n_atoms: int, trajectory: Path | None = None) -> None:
         self.units, self.n_atoms, self.trajectory = units, n_atoms, trajectory
@@ -91,7 +91,7 @@ class Record(Displayed):
             return np.array(series[name])
         if name == "pressure":
             raise AttributeError(
-                "pressure was not recorded: the cell has no volume, it must be periodic in all three directions, pbc = (True, True, True)"
+                "pressure was not recorded: the cell has no volume; it must be periodic in all three directions, pbc = (True, True, True)"
             )
         raise AttributeError(f"a record has no {name!r}; it has {', '.join(series)}")
 
@@ -120,7 +120,7 @@ class Record(Displayed):
     def to_pandas(self) -> pandas.DataFrame:
         """A data frame of columns(), with the steps as its index, and their units in its attrs["units"].
 
-        Raises ModuleNotFoundError if pandas is not installed, which minimd does not need itself.
+        Raises ModuleNotFoundError if pandas is not installed; minimd itself does not need it.
         """
         try:
             from pandas import DataFrame
@@ -144,9 +144,9 @@ class Record(Displayed):
         return path
 
     def plot(self) -> Figure:
-        """A picture of the run: change of the total energy per atom, temperature, change of the momentum, and pressure, or else energies.
+        """A figure of the run: change of the total energy per atom, temperature, change of the momentum, and pressure or potential energy.
 
-        In a notebook it appears in the cell; .savefig(path) writes it.  Raises ValueError without entries.
+        In a notebook it appears in the cell; .savefig(path) writes it to a file.  Raises ValueError if there are no entries.
         """
         from minimd.engine.record_picture import picture_of  # matplotlib takes its time to load
 

@@ -17,7 +17,7 @@ STYLE: dict[str, Any] = {"lw": 1.1, "solid_joinstyle": "round"}
 
 
 class Series(Protocol):
-    """What is drawn of a Record; see there."""
+    """The parts of a Record that are drawn; see there."""
 
     units: UnitSystem
     n_atoms: int
@@ -30,7 +30,7 @@ class Series(Protocol):
 
 
 class Picture(Figure):
-    """A figure that a notebook shows, also where nobody has imported pyplot."""
+    """A figure that a notebook shows even if pyplot was not imported."""
 
     def _repr_png_(self) -> bytes:
         """Called by Jupyter."""
@@ -74,7 +74,7 @@ def finish(panel: Axes, unit: str) -> None:
 
 
 def energy_of(record: Series) -> tuple[Array, str, str]:
-    """The energy that should be constant, (T,); its name; and the formula of its change.  With a bath, heat Q is taken away."""
+    """The energy that should be constant, (T,); its name; and the formula of its change.  With a bath, heat Q is subtracted."""
     if "conserved_energy" in record:
         return record.conserved_energy, "total energy − heat", "(E − Q − E₀)"
     return record.total_energy, "total energy", "(E − E₀)"
@@ -100,7 +100,7 @@ def draw_temperature(panel: Axes, times: Array, record: Series) -> None:
 
 
 def draw_momentum(panel: Axes, times: Array, record: Series) -> None:
-    """Change of the total momentum, of the sum of |mv|."""
+    """Change of the total momentum, as a fraction of Σ|mv|."""
     changes = np.linalg.norm(record.momentum - record.momentum[0], axis=1) / (record.absolute_momentum.max() or 1.0)
     values, factor = scaled(changes)
     panel.plot(times, values, color=MOMENTUM, **STYLE)
@@ -109,7 +109,7 @@ def draw_momentum(panel: Axes, times: Array, record: Series) -> None:
 
 
 def draw_pressure(panel: Axes, times: Array, record: Series) -> None:
-    """The pressure, or where there is none, the potential energy per atom."""
+    """The pressure, or the potential energy per atom if there is no pressure."""
     name, values, unit = "potential energy per atom", record.potential_energy / record.n_atoms, record.units.energy
     if "pressure" in record:
         name, values, unit = "pressure", record.pressure, record.units.pressure

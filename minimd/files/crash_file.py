@@ -18,8 +18,8 @@ from minimd.diagnosis.contacts import Contact
 from minimd.diagnosis.crash_report import CrashReport
 from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.run_guard import RunGuard
-from minimd.engine.engine import Snapshot
 from minimd.engine.observation import observe
+from minimd.engine.snapshots import Snapshot
 from minimd.files.trajectory import named_files
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting

@@ -12,7 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from minimd.engine.engine import Checkpoint, Snapshot
+from minimd.engine.snapshots import Checkpoint, Snapshot
 from minimd.integrators.splitting.state import OpenEnd
 from minimd.neighbors.verlet_list import Built
 from minimd.structure.cell import Cell

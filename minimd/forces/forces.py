@@ -1,12 +1,12 @@
-"""Forces: the sum of all terms of a scene at each step, with energies and virial on request; the plan decides which list a pair law gets."""
+"""Forces: the sum of all terms of a scene at each step, with energies and virial on request."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numba.core.errors import NumbaError
@@ -14,25 +14,16 @@ from numpy.typing import NDArray
 
 from minimd.compiled.fixed_point import GridSums
 from minimd.compiled.kernels import announce_compilation
-from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import FIXED_POINT, Options
-from minimd.forces.pair_laws import PairLaws, deepest
-from minimd.forces.pair_list_term import PairListTerm
+from minimd.forces.pair_laws import deepest
+from minimd.forces.planning import plan
 from minimd.integrators.splitting.state import Cycle, State, steps_of
-from minimd.neighbors.queries import closest_pair
 from minimd.neighbors.verlet_list import Built, VerletList
-from minimd.potentials.laws import Scaled
-from minimd.potentials.pair_loop import FixedPairs
-from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, Potential, Term, as_potentials, bound
+from minimd.potentials.term import BOND_LOOP, FORCES, TOTALS, Potential, Term, as_potentials, bound
 from minimd.structure.console import outside_minimd
-from minimd.structure.display import Displayed, Rows
-from minimd.structure.errors import NonFiniteError, RangeError, why_not_compiled
+from minimd.structure.errors import RangeError, why_not_compiled
 from minimd.structure.grid import TOO_LARGE, Grid
-from minimd.structure.observables import longest
 from minimd.structure.system import System, check_resolution
-
-if TYPE_CHECKING:
-    import ase
 
 CHANGED_SPEED = 2.0  # the skin is chosen anew when atoms have become faster or slower by this factor: its optimum is flat
 KNOWN = nullcontext()
@@ -74,7 +65,7 @@ class Forces:
             if term.warning:
                 warnings.warn(term.warning, stacklevel=outside_minimd())
         if self.options.skin is not None and self.options.skin > (widest := min(self.widest_skins, default=np.inf)):
-            why = "where bonded pairs are left out or scaled, cutoff + skin can be half the height of the cell"
+            why = "where bonded pairs are left out or scaled, cutoff + skin can be at most half the height of the cell"
             warnings.warn(f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used: {why}", stacklevel=outside_minimd())
         self.forces = np.zeros_like(system.positions)
         self._energies, self._virials, self._detail = np.zeros(0), np.zeros((0, 6)), FORCES
@@ -94,7 +85,7 @@ class Forces:
         self._compiled: set[int] = set()  # details that the terms have been computed with
 
     def _is_in_double(self) -> bool:
-        """Whether arithmetic is float64 although fixed-point was asked for: without a grid, as where nothing moves by a splitting."""
+        """Whether arithmetic is float64 although fixed-point was asked for: there is no grid if no splitting moves the atoms."""
         return self.grid is None and self.options.precision == FIXED_POINT
 
     def lay_grid(self, grid: Grid) -> None:
@@ -107,7 +98,7 @@ class Forces:
                 raise ValueError(f"precision='fixed-point' is for {kinds}; {type(term).__name__} cannot round its forces: take precision='double'")
 
     def depth(self) -> float:
-        """Of the deepest well of a pair law [energy], at distances from a tenth of the cutoff to the cutoff."""
+        """Depth of the deepest well of all pair laws [energy], see pair_laws.deepest."""
         laws = [term.pair_law for term in self._bound if term.pair_law is not None]
         return max((deepest(law) for law in laws), default=0.0)
 
@@ -125,21 +116,21 @@ class Forces:
             self._plan(self._bound)
 
     def follow(self) -> None:
-        """After atoms and cell were strained together: terms and lists go on in the new cell, if they can; if not, compute binds them again."""
+        """After atoms and cell were strained together: keep terms and lists in the new cell, if possible; if not, compute binds them again."""
         if sum(not term.follow(self.system) for term in self.terms) == 0:
             self._planned_for = self.system.cell
 
     def lists_built(self) -> tuple[Built, ...]:
-        """What build_lists needs to make the lists that are in use."""
+        """What build_lists needs to rebuild the lists that are in use."""
         return tuple(one.built() for one in _lists(self.terms))
 
     def build_lists(self, built: Sequence[Built]) -> None:
-        """The lists as they were."""
+        """Build the lists again as they were."""
         for one, as_it_was in zip(_lists(self.terms), built, strict=True):
             one.build_again(as_it_was, self.system.cell)
 
     def go_on_with(self, displacement: float, built: Sequence[Built]) -> None:
-        """Lists of the skins, and with the rows, of other Forces of the same scene; new ones if it is another."""
+        """Take over the skins and lists of other Forces of the same scene; choose new ones if the number of lists differs."""
         self.displacement = displacement
         self._plan(self._bound, [one.skin for one in built] if len(built) == len(_lists(self.terms)) else ())
         if len(built) == len(_lists(self.terms)):
@@ -218,13 +209,13 @@ class Forces:
 
     @contextmanager
     def _compiling(self, detail: int) -> Iterator[None]:
-        """Context of the first compute with a detail.  Raises TypeError if a law of the user's does not compile."""
+        """Context of the first compute with a detail.  Raises TypeError if a user's law does not compile."""
         try:
             with announce_compilation():
                 yield
         except NumbaError as error:
             laws, reason = ", ".join(map(repr, self.potentials)), why_not_compiled(str(error))
-            raise TypeError(f"a law among {laws} does not compile; laws are arithmetic on numbers, as numba.njit takes it: {reason}") from error
+            raise TypeError(f"a law of {laws} does not compile; laws must be arithmetic on numbers that numba.njit accepts: {reason}") from error
         self._compiled.add(detail)
 
     def _clear_accumulators(self, detail: int) -> None:
@@ -277,7 +268,7 @@ class Forces:
 
     @property
     def act_from_outside(self) -> bool:
-        """Whether a term acts from outside, so that the total momentum is no constant."""
+        """Whether a term acts from outside, so that the total momentum is not constant."""
         return any(term.acts_from_outside for term in self._bound)
 
     @property
@@ -302,12 +293,12 @@ class Forces:
 
     @property
     def widest_skins(self) -> list[float]:
-        """What each of them could be in this cell [length]."""
+        """The widest that each of them could be in this cell [length]."""
         return [term.widest_skin for term in self.terms if term.list is not None and np.isfinite(term.list.cutoff)]
 
     @property
     def pair_search(self) -> str:
-        """Which lists this scene got, for the report."""
+        """The lists that this scene uses, for the report."""
         return ", ".join(term.summary for term in self.terms if term.summary) or "no list"
 
     def skipped(self) -> list[str]:
@@ -328,72 +319,3 @@ def _lists(terms: Sequence[Term]) -> list[VerletList]:
 
 def _n_builds(terms: Sequence[Term]) -> int:
     return sum(one.n_builds for one in _lists(terms))
-
-
-def plan(terms_bound: Sequence[Term], system: System, options: Options, displacement: float, skins: Sequence[float] = ()) -> list[Term]:
-    """The terms to run: those that add their forces themselves, and one term with a list for all pair laws of one bonded_scale.
-
-    terms_bound : the terms that the potentials were bound to.  displacement : of the fastest atom in a step [length], 0 if unknown.
-    skins : of the lists [length], if they are known.
-    """
-    terms = [term for term in terms_bound if term.pair_law is None]
-    pair_laws = [term.pair_law for term in terms_bound if term.pair_law is not None]
-    for k, scale in enumerate(dict.fromkeys(one.bonded_scale for one in pair_laws)):
-        known = replace(options, skin=skins[k]) if skins else options
-        laws = PairLaws(system, [one for one in pair_laws if one.bonded_scale == scale])
-        with_list = ClusterTerm if laws.fit_clusters(system, known, displacement) else PairListTerm
-        terms.append(with_list(system, laws, known, displacement))
-        terms.extend(scaled_terms(system, laws))
-    return terms
-
-
-def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
-    """Terms for the pairs one, two and three bonds apart, which the list leaves out: each law times its factor."""
-    for one in laws.members:
-        for pairs, factor in laws.special:
-            if factor != 0.0:
-                species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
-                rows = one.table[species[:, 0], species[:, 1]]
-                rows = np.column_stack([rows[:, 0], np.full(len(rows), factor), rows[:, 1:]])  # the factor is the first parameter of Scaled
-                yield FixedPairs(system, pairs, Scaled(one.law), rows)
-
-
-@dataclass(frozen=True, repr=False)
-class Evaluation(Displayed):
-    """potential_energy : U [energy].  forces : (N, 3) [energy/length].  virial : (3, 3) W = Σ f r_ij ⊗ r_ij [energy].
-
-    energies : (N,) each atom's share of U [energy].
-    """
-
-    potential_energy: float
-    forces: NDArray[np.float64]
-    virial: NDArray[np.float64]
-    energies: NDArray[np.float64]
-
-    def __repr__(self) -> str:
-        return f"Evaluation(potential_energy={self.potential_energy:.10g}, forces of {len(self.forces)} atoms)"
-
-    def display_rows(self) -> Rows:
-        """See Displayed."""
-        atom, force = longest(self.forces)
-        virial = [" ".join(f"{x:>14.6g}" for x in row) for row in self.virial]
-        energies = f"of single atoms: least {self.energies.min():.6g}, largest {self.energies.max():.6g}"
-        energy, largest = f"{self.potential_energy:.10g}", f"{force:.4g}, on atom {atom}"
-        return [("energy", energy), ("", energies), ("largest force", largest), *zip(("virial", "", ""), virial, strict=True)]
-
-
-def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potential]) -> Evaluation:
-    """Potential energy, forces, virial and energies per atom of a System, or of ase.Atoms, as they stand.
-
-    Raises
-    ------
-    NonFiniteError : if a force or an energy is not finite, as for two atoms on one spot; it names the closest pair.
-    ValueError, TypeError : as Forces.
-    """
-    system = system if isinstance(system, System) else System.from_ase(system)
-    forces = Forces(system, potentials, Options(skin=0.0))
-    forces.compute(PER_ATOM)
-    result = Evaluation(forces.potential_energy, forces.forces, forces.virial, forces.energies)
-    if not (np.isfinite(result.forces).all() and np.isfinite(result.energies).all()):
-        raise NonFiniteError(f"forces or energies are not finite; the closest pair is {closest_pair(system)}: move them apart")
-    return result

@@ -22,7 +22,7 @@ class Options:
     skin : of the lists of neighbors [length]; chosen by neighbors.verlet_list.best_skin if not given.
     grid : of fixed-point arithmetic; chosen by Grid.of_scene if not given.
 
-    Raises ValueError for a number of threads below one, another precision, a skin that is negative or not finite, a grid without fixed-point.
+    Raises ValueError for a number of threads below one, an unknown precision, a skin that is negative or not finite, a grid without fixed-point.
     """
 
     threads: int | None = None
@@ -48,5 +48,5 @@ class Options:
 
 
 def described(precision: Precision) -> str:
-    """A precision in words."""
+    """A precision as text."""
     return "fixed-point arithmetic" if precision == FIXED_POINT else f"{precision} precision"

@@ -14,9 +14,9 @@ from minimd.potentials.term import PairLaw
 from minimd.structure.bond_graph import pairs_by_bonds_apart
 from minimd.structure.system import System, number_density
 
-CLUSTERS_FROM = 32  # atoms: below, the pair list is as fast
+CLUSTERS_FROM = 32  # atoms: with fewer, the pair list is as fast
 ROUNDED_DOWN = 1.0 - 1e-9
-SINGLE = (1e-34, 1e30)  # float32 ends at 1e-38 and 3e38; the products in a law need room beside their results
+SINGLE = (1e-34, 1e30)  # float32 ends at 1e-38 and 3e38; intermediate products of a law need more room than its results
 TRIED_AT = (0.3, 0.5, 0.7, 0.9)  # of the cutoff
 SOUGHT_AT = np.geomspace(0.2, 1.0, 60).tolist()  # of the cutoff, for the deepest well
 
@@ -81,5 +81,5 @@ def skin_for(system: System, laws: PairLaws, options: Options, displacement: flo
 
 
 def widest_skin(system: System, laws: PairLaws) -> float:
-    """With a wider one the nearest image of a pair in laws.excluded could change while the list is in use [length]; infinite without such pairs."""
+    """The widest skin with which nearest images of laws.excluded cannot change while the list is in use [length]; infinite without such pairs."""
     return max(0.0, ROUNDED_DOWN * (float(np.sqrt(system.cell.safe_distance2)) - laws.cutoff)) if len(laws.excluded) else np.inf

@@ -16,7 +16,7 @@ from minimd.potentials.pair_loop import by_species, pair_loop_for
 from minimd.potentials.term import FORCES, OwnTerm
 from minimd.structure.system import System
 
-ALL_PAIRS_UP_TO = 100  # atoms: below, an open scene is faster without a list that has to be rebuilt
+ALL_PAIRS_UP_TO = 100  # atoms: up to this, an open scene is faster without a list that has to be rebuilt
 
 
 class PairListTerm(OwnTerm):
@@ -39,7 +39,7 @@ class PairListTerm(OwnTerm):
         self._positions, self._sums = np.empty((n, 3)), (np.empty((n, 3)), np.empty(n), np.empty((n, 6)))  # forces of floats or of whole numbers
 
     def follow(self, system: System) -> bool:
-        """See Term; a cell that has room for clusters now, or none for the list, needs another one."""
+        """See Term; a cell that now has room for clusters, or no longer has room for the list, needs another list."""
         self.widest_skin = widest_skin(system, self._laws)
         if self.list.skin > self.widest_skin or self._laws.fit_clusters(system, self._options, 0.0):
             return False

@@ -185,7 +185,7 @@ def reference(potential: Any, r: float) -> float:
 
 def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
     """minimd's forces and energy. Bonds that name no pairs are between the two atoms, if there are two.  Raises ValueError if there are more."""
-    from minimd.forces.forces import evaluate
+    from minimd.forces.evaluation import evaluate
     from minimd.potentials.bonded import BondPotential
     from minimd.structure.system import System
 

@@ -1,4 +1,4 @@
-"""What all one-step methods have in common, and the problems and steps that they know: y(t) → y(t+h)."""
+"""The base class of all one-step methods, and the protocols of problems and steps: y(t) → y(t+h)."""
 
 from collections.abc import Callable
 from inspect import signature
@@ -16,10 +16,10 @@ Array = NDArray[np.float64]
 
 
 class Problem(Protocol):
-    """y′ = f(t, y) or F(t, y, y′) = 0, given a start. States are one-dimensional arrays.
+    """y′ = f(t, y) or F(t, y, y′) = 0, with initial values. States are one-dimensional arrays.
 
     solver : Newton() or FixedPoint(), for implicit steps.  shape : of q and of v, None for problems without them.
-    remark : what limits the accuracy of solutions, if anything but the method and rounding does; known once there is a start.
+    remark : what limits the accuracy of solutions beyond method and rounding, if anything does; known once initial values are given.
     """
 
     solver: Any
@@ -27,7 +27,7 @@ class Problem(Protocol):
     remark: str = ""
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
-        """The start at time t0 as a state; shapes are checked and remembered."""
+        """The initial values at time t0 as a state; their shapes are checked and remembered."""
 
     def field(self, t: float, y: Array) -> Array:
         """y′."""
@@ -39,7 +39,7 @@ class Problem(Protocol):
 class Step(Protocol):
     """One step of a method on a problem: y(t) → y(t+h). It never changes y, and counts its evaluations in nfev.
 
-    A step may remember what it knows about the state it returned last (its force, say), and recognizes that very array.
+    A step may remember what it knows about the state it returned last (its force, say); it recognizes the state as the same array object.
     """
 
     @property
@@ -96,7 +96,7 @@ class Method(Displayed):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The arguments that make this method again, by name: its attributes that are called as arguments of its constructor."""
+        """The constructor arguments that recreate this method, by name: its attributes with the names of constructor arguments."""
         return {name: getattr(self, name) for name in signature(type(self)).parameters if hasattr(self, name)}
 
     def display_rows(self) -> Rows:
@@ -108,10 +108,10 @@ class Method(Displayed):
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """The step of this method on a problem that has been given its start.  Raises TypeError if it cannot be used on such problems."""
+        """The step of this method on a problem that has its initial values.  Raises TypeError if the method cannot be used on such problems."""
         raise NotImplementedError
 
     @classmethod
     def order_on(cls, problem: Problem) -> int:
-        """Order on this problem, which can be lower than that on the problems the method was made for."""
+        """Order on this problem, which can be lower than on the problems for which the method was made."""
         return cls.order

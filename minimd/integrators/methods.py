@@ -11,7 +11,7 @@ __all__ = ["METHODS", "SPLITTINGS", "THERMOSTATS"]
 
 
 class MethodTable(dict[str, type[Method]]):
-    """Methods by name; print it to read what each of them is."""
+    """Methods by name; printing it shows the properties of each."""
 
     def __str__(self) -> str:
         rows: list[tuple[str, ...]] = [("name", "order", "stages", "symmetric", "symplectic", "explicit", "source")]

@@ -205,7 +205,7 @@ class FIRE:
         if pair is None or pair.distance > self._longest or n_pushes > PUSHES or not np.isfinite(self._positions).all():
             raise NonFiniteError(f"forces are not finite; the closest pair is {pair}")
         if pair.distance == 0.0:
-            raise NonFiniteError(f"atoms {pair.first} and {pair.second} lie on one spot: no force tells where they should go; move or remove one")
+            raise NonFiniteError(f"atoms {pair.first} and {pair.second} are at the same place: no force can separate them; move or remove one")
         arm = nearest_vectors(self._positions, self._system.cell, np.array([pair[:2]]))[0]
         velocities = np.zeros_like(self._positions)
         velocities[pair.first], velocities[pair.second] = -arm / pair.distance, arm / pair.distance

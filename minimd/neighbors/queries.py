@@ -1,4 +1,4 @@
-"""Neighbors for others to use: the list in ASE's form, the closest pair."""
+"""Queries about neighbors: the list in ASE's form, the closest pair."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from minimd.structure.checks import LARGEST, checked_number, shown
 from minimd.structure.system import System
 
 QUANTITIES = "ijdDS"
-BEYOND = 1.0 + 1e-9  # of a distance, to find the pair that has it
+BEYOND = 1.0 + 1e-9  # of a distance: the reach that finds a pair at this distance
 
 
 def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArray, ...] | NDArray:
@@ -65,14 +65,14 @@ class ClosestPair(NamedTuple):
         return self.told("")
 
     def told(self, length: str) -> str:
-        """In words.  length : the unit."""
+        """The pair as text.  length : the unit."""
         return f"atoms {self.first} and {self.second}, {self.distance:.3g}{f' {length}' if length else ''} apart"
 
 
 def closest_pair(system: System) -> ClosestPair | None:
     """The two atoms that are closest to each other; None for a single atom in an open cell or where no distance is finite.
 
-    First the closest pair in one cell, in N log N however unevenly atoms lie; then a closer one through an image, within that distance of the faces.
+    First the closest pair within one cell, in N log N however uneven the atoms; then a closer one through an image, near the faces of the cell.
     """
     known, cell = np.flatnonzero((np.abs(system.positions) <= LARGEST).all(axis=1)), system.cell
     if known.size == 0 or (known.size == 1 and not cell.is_periodic):
@@ -93,7 +93,7 @@ def closest_pair(system: System) -> ClosestPair | None:
 
 
 def _closest_of(positions: NDArray[np.float64]) -> ClosestPair:
-    """Without images; a distance of infinity for one atom."""
+    """The closest pair without images; its distance is infinite for one atom."""
     if len(positions) == 1:
         return ClosestPair(0, 0, np.inf)
     from scipy.spatial import KDTree

@@ -10,7 +10,7 @@ from minimd.compiled.kernels import kernel
 from minimd.structure.cell import Cell
 from minimd.structure.errors import NonFiniteError
 
-DEFAULT_SKIN = 0.12  # of the cutoff, where nothing is known about the speed of the atoms
+DEFAULT_SKIN = 0.12  # of the cutoff, if nothing is known about the speed of the atoms
 LEAST_SKIN = 0.02  # of the cutoff
 SKINS = np.geomspace(LEAST_SKIN, 1.0, 100)  # of the cutoff, to choose from
 STEP_COST = (16.0, 3.0)  # ns per atom: a constant, and per atom in a cube as wide as the list reaches
@@ -39,7 +39,7 @@ def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int, 
 
 
 class Built(NamedTuple):
-    """What decides the order of a list, and so the rounding of its sums.
+    """What determines the order of a list, and so the rounding of its sums.
 
     skin : [length].  positions : (N, 3) when it was built [length], a copy; None if there is no list that can be used.
     cell : Cell in which it was built, if that has been strained since.
@@ -95,7 +95,7 @@ class VerletList(ABC):
         """Positions of the last build become r F, with F = strain (3, 3), lattice vectors of the cell before those of a cell; then limit2 is set."""
 
     def follow(self, cell: Cell) -> None:
-        """The list in a cell that was strained, together with the positions of all atoms. What comes of it depends on the cell alone."""
+        """Adapt the list to a cell that was strained together with all positions. The result depends on the cell alone."""
         if self._cell is None or self._built_in is None:
             return
         if not np.array_equal(cell.reduction, self._cell.reduction):
@@ -111,7 +111,7 @@ class VerletList(ABC):
         return Built(self.skin, None if self._cell is None else self._built_at(), None if self._cell is self._built_in else self._built_in)
 
     def build_again(self, built: Built, cell: Cell) -> None:
-        """The list that was built, of the same skin."""
+        """Build a list again; it must have the same skin."""
         self._cell = None
         if built.positions is not None:
             self._build_in(cell if built.cell is None else built.cell, built.positions)

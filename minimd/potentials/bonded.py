@@ -26,8 +26,8 @@ class BondPotential(OwnPotential):
     parameters : one entry for each parameter of the law: a number for all bonds, or an array with one number for each.
     pairs : (B, 2) int, the bonded atoms; system.bonds if not given.
 
-    Each bond runs to the nearest image of its partner. Raises ValueError for parameters that are not finite numbers, or pairs that are none;
-    TypeError for a law that is not a function, or parameters without their tuple.
+    Each bond runs to the nearest image of its partner. Raises ValueError for parameters that are not finite numbers, or invalid pairs;
+    TypeError for a law that is not a function, or parameters that are not a tuple.
     """
 
     def __init__(self, law: Callable | tuple, parameters: tuple[ArrayLike, ...] = (), pairs: ArrayLike | None = None) -> None:
@@ -41,7 +41,7 @@ class BondPotential(OwnPotential):
                 raise ValueError(f"bond parameters must be finite; they are {parameter.tolist()}")
 
     def law_arguments(self) -> dict[str, Any]:
-        """The arguments that are those of the law, by name, to be shown."""
+        """The arguments that belong to the law, by name, for display."""
         return {"law": type(self.law).python, "parameters": self.parameters}
 
     def arguments(self) -> dict[str, Any]:
@@ -53,7 +53,7 @@ class BondPotential(OwnPotential):
 
         Raises
         ------
-        ValueError : as table, or if pairs name missing atoms.
+        ValueError : as table, or if pairs name atoms that do not exist.
         """
         pairs = system.bonds if self.pairs is None else checked_pairs("pairs", self.pairs, len(system))
         table = self.table(len(pairs))
@@ -75,7 +75,7 @@ class BondPotential(OwnPotential):
 
 
 class OwnBond(BondPotential):
-    """Base of bonds with a law of minimd's.  names : of its parameters."""
+    """Base class of bonds with one of minimd's laws.  names : of its parameters."""
 
     names: ClassVar[tuple[str, ...]]
 
@@ -84,7 +84,7 @@ class OwnBond(BondPotential):
         return dict(zip(self.names, self.parameters, strict=True))
 
     def _check(self, what: str, negative: tuple[str, ...] = (), not_positive: tuple[str, ...] = ()) -> None:
-        """Raise ValueError if a parameter is negative, or not positive, that must not be."""
+        """Raise ValueError if a parameter is negative or not positive.  negative, not_positive : names of those that must not be so."""
         for name, values in self.law_arguments().items():
             if name in negative and np.any(values < 0.0):
                 raise ValueError(f"{name} of {what} must not be negative; {name} = {values.tolist()}")
@@ -103,7 +103,7 @@ class HarmonicBond(OwnBond):
 
     Raises
     ------
-    ValueError : if k is negative, or a length is, or one of them is not finite.
+    ValueError : if k or a length is negative, or one of them is not finite.
     """
 
     names = ("k", "length")
@@ -136,8 +136,8 @@ class MorseBond(OwnBond):
 class FENEBond(OwnBond):
     """Finitely extensible bond of Kremer and Grest: −½ k R² ln(1 − (r/R)²), and a repulsion of its two beads, Lennard-Jones cut at its minimum.
 
-    Leave bonded pairs out of the potential between all beads, by bonded_scale=(0, 1, 1), as LAMMPS' `special_bonds fene` does. A bond as long as R
-    has no finite energy: the run ends with NonFiniteError.
+    Exclude bonded pairs from the potential between all beads with bonded_scale=(0, 1, 1), as LAMMPS' `special_bonds fene` does. The energy of a
+    bond of length R or more is not finite: the run ends with NonFiniteError.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.compiled.kernels import kernel, scalar, without_cache
+from minimd.compiled.kernels import kernel, without_cache
 from minimd.potentials.accumulators import force_along, in_steps, watch
 from minimd.potentials.each import Array, checked_each, columns_of
 from minimd.potentials.law import checked_law, evaluate_law
@@ -22,8 +22,9 @@ from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
 from minimd.structure.checks import shown
 from minimd.structure.system import System
+from minimd.structure.vectors import cross, dot, separation
 
-STRAIGHT2 = 1e-16  # least sin² of the angle between two neighboring bonds that forces are divided by: it is rounded to this
+STRAIGHT2 = 1e-16  # the smallest sin² of the angle between two neighboring bonds by which forces are divided: its rounding error
 N_COEFFICIENTS = 6  # of the polynomial of Ryckaert and Bellemans
 
 
@@ -38,7 +39,7 @@ class DihedralPotential(OwnPotential):
     quadruples : (D, 4) int; system.dihedrals if not given.
 
     Each bond of the chain i, j, k, l runs to the nearest image of its partner. Raises ValueError for parameters that are not finite numbers, or
-    quadruples that are none; TypeError for a law that is not a function, or parameters without their tuple.
+    invalid quadruples; TypeError for a law that is not a function, or parameters that are not a tuple.
     """
 
     groups: ClassVar[str] = "dihedrals"  # of a System, on which it acts
@@ -53,7 +54,7 @@ class DihedralPotential(OwnPotential):
         self.quadruples = None if quadruples is None else checked_groups("quadruples", quadruples, 4)
 
     def law_arguments(self) -> dict[str, Any]:
-        """The arguments that are those of the law, by name, to be shown."""
+        """The arguments that belong to the law, by name, for display."""
         return {"law": type(self.law).python, "parameters": tuple(self.parameters.values())}  # type: ignore[attr-defined]
 
     def arguments(self) -> dict[str, Any]:
@@ -61,7 +62,7 @@ class DihedralPotential(OwnPotential):
         return self.law_arguments() | {"quadruples": self.quadruples}
 
     def quadruples_in(self, system: System) -> NDArray[np.int64]:
-        """(D, 4) int, those on which it acts in a system.  Raises ValueError if they name missing atoms."""
+        """(D, 4) int, those on which it acts in a system.  Raises ValueError if they name atoms that do not exist."""
         given = self.quadruples
         found: NDArray[np.int64] = getattr(system, self.groups) if given is None else checked_groups("quadruples", given, 4, len(system))
         return found
@@ -85,14 +86,14 @@ class DihedralPotential(OwnPotential):
 
 
 class PeriodicDihedral(DihedralPotential):
-    """Periodic torsion u(φ) = k [1 + cos(nφ − φ₀)], as of CHARMM and AMBER.
+    """Periodic torsion u(φ) = k [1 + cos(nφ − φ₀)], as in CHARMM and AMBER.
 
     LAMMPS' `dihedral_style harmonic`, K [1 + d cos(nφ)], is k = K with the phase 0 for d = 1 and π for d = −1.
 
     Parameters
     ----------
     k : half the barrier [energy].  n : minima in a turn, whole numbers from 0 on.  phase : φ₀ [rad]. One number each, or one for each dihedral.
-    quadruples : (D, 4) int; system.dihedrals if not given. A quadruple may come several times, for a sum of such terms.
+    quadruples : (D, 4) int; system.dihedrals if not given. A quadruple may be given several times, for a sum of such terms.
 
     Raises
     ------
@@ -102,7 +103,7 @@ class PeriodicDihedral(DihedralPotential):
     def __init__(self, k: ArrayLike, n: ArrayLike, phase: ArrayLike = 0.0, quadruples: ArrayLike | None = None) -> None:
         self._hold(PeriodicLaw(), {"k": k, "n": n, "phase": phase}, quadruples, not_negative=("n",))
         if (np.rint(self.parameters["n"]) != self.parameters["n"]).any():
-            raise ValueError(f"n must be a whole number, of minima in a turn; n = {shown(self.parameters['n'].tolist())}")
+            raise ValueError(f"n, the number of minima in a turn, must be a whole number; n = {shown(self.parameters['n'].tolist())}")
 
     def law_arguments(self) -> dict[str, Any]:
         """See DihedralPotential."""
@@ -114,7 +115,7 @@ class RyckaertBellemans(DihedralPotential):
 
     Parameters
     ----------
-    coefficients : c₀ … c₅ [energy], up to six, of which each is one number or an array with one for each dihedral; missing ones are 0.
+    coefficients : c₀ … c₅ [energy], up to six, each one number or an array with one for each dihedral; missing ones are 0.
     quadruples : (D, 4) int; system.dihedrals if not given.
 
     LAMMPS' `dihedral_style nharmonic` has powers of cos φ: A₁ = c₀, A₂ = −c₁, A₃ = c₂, A₄ = −c₃ …
@@ -130,7 +131,7 @@ class RyckaertBellemans(DihedralPotential):
         except TypeError:
             raise TypeError(f"coefficients must be a list, c0 to c5 at most; coefficients = {shown(coefficients)}") from None
         if len(given) > N_COEFFICIENTS:
-            raise ValueError(f"coefficients must be at most {N_COEFFICIENTS}, c0 to c5; they are {len(given)}")
+            raise ValueError(f"coefficients must be at most {N_COEFFICIENTS}, c0 to c5; there are {len(given)}")
         self._hold(RyckaertBellemansLaw(), {f"c{k}": given[k] if k < len(given) else 0.0 for k in range(N_COEFFICIENTS)}, quadruples)
 
     def law_arguments(self) -> dict[str, Any]:
@@ -158,7 +159,7 @@ class OPLSDihedral(DihedralPotential):
         self.barriers = checked_each(self.groups, {"k1": k1, "k2": k2, "k3": k3, "k4": k4})
         one, two, three, four = self.barriers.values()
         if len({each.shape for each in self.barriers.values()} - {()}) > 1:
-            raise ValueError(f"k1 to k4 must have one length; their shapes are {[each.shape for each in self.barriers.values()]}")
+            raise ValueError(f"k1 to k4 must have the same length; their shapes are {[each.shape for each in self.barriers.values()]}")
         c = (two + 0.5 * (one + three), 0.5 * (3.0 * three - one), 4.0 * four - two, -2.0 * three, -4.0 * four, 0.0)
         self._hold(RyckaertBellemansLaw(), {f"c{k}": each for k, each in enumerate(c)}, quadruples)
 
@@ -171,7 +172,7 @@ class HarmonicImproper(DihedralPotential):
     """Harmonic improper u(φ) = ½ k (φ − φ₀)², φ − φ₀ taken between −π and π.
 
     φ is the dihedral angle of the four atoms in the order in which they are given, with its sign: φ₀ = 0 keeps them in a plane, another φ₀ keeps
-    the hand of a center.  LAMMPS' `improper_style harmonic` takes the same angle without its sign, and K = k/2.
+    the chirality of a center.  LAMMPS' `improper_style harmonic` takes the same angle without its sign, and K = k/2.
 
     Parameters
     ----------
@@ -199,26 +200,6 @@ class Dihedrals(namedtuple("Dihedrals", "atoms first middle last")):
     """atoms : (D, 4) int, i, j, k, l.  first, middle, last : (D, 3) [length], added to r_i − r_j, r_j − r_k and r_l − r_k."""
 
 
-@scalar
-def _between(positions, i, j, translation):
-    """r_j − r_i + translation."""
-    return (
-        positions[j, 0] - positions[i, 0] + translation[0],
-        positions[j, 1] - positions[i, 1] + translation[1],
-        positions[j, 2] - positions[i, 2] + translation[2],
-    )
-
-
-@scalar
-def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@scalar
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
 @kernel
 def add_dihedral_forces(positions, dihedrals, law, parameters, detail, sums):
     """Add a law of dihedral angles, without a division by sin φ.
@@ -235,15 +216,15 @@ def add_dihedral_forces(positions, dihedrals, law, parameters, detail, sums):
     forces, energies, virials = sums[0], sums[1], sums[2]
     for t in range(dihedrals.atoms.shape[0]):
         i, j, k, l = dihedrals.atoms[t]
-        f = _between(positions, j, i, dihedrals.first[t])
-        g = _between(positions, k, j, dihedrals.middle[t])
-        h = _between(positions, k, l, dihedrals.last[t])
-        a, b = _cross(f, g), _cross(h, g)
-        g2, fg, hg, a2, b2 = _dot(g, g), _dot(f, g), _dot(h, g), _dot(a, a), _dot(b, b)
+        f = separation(positions, j, i, dihedrals.first[t])
+        g = separation(positions, k, j, dihedrals.middle[t])
+        h = separation(positions, k, l, dihedrals.last[t])
+        a, b = cross(f, g), cross(h, g)
+        g2, fg, hg, a2, b2 = dot(g, g), dot(f, g), dot(h, g), dot(a, a), dot(b, b)
         length = g2**0.5
-        phi = np.arctan2(_dot(g, _cross(b, a)) / length, _dot(a, b))
+        phi = np.arctan2(dot(g, cross(b, a)) / length, dot(a, b))
         u, slope = evaluate_law(law, phi, parameters_of_pair(parameters, t, 0, 0))
-        a2, b2 = max(a2, STRAIGHT2 * g2 * _dot(f, f)), max(b2, STRAIGHT2 * g2 * _dot(h, h))
+        a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
         size2 = 0.0
         for c in range(3):
             force_i, force_l = slope * length / a2 * a[c], -slope * length / b2 * b[c]

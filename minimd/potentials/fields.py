@@ -1,4 +1,4 @@
-"""Fields: forces that act on each atom from outside, of its position and the time."""
+"""Fields: external forces on each atom, functions of its position and the time."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Sites(namedtuple("Sites", "atoms anchors lattice inverse pbc safe_distance
 
 @by_type
 def _rate(found):
-    """∂u/∂t of what a law returns, zero where it returns u and the force only."""
+    """∂u/∂t from what a law returns; zero if it returns only u and the force."""
     return (lambda found: found[4]) if len(found) > 4 else lambda found: 0.0
 
 
@@ -88,7 +88,7 @@ class FieldTerm(OwnTerm):
 
 
 class OwnField(OwnPotential):
-    """Base of fields.  atoms : (n,) int, those on which it acts; all if not given."""
+    """Base class of fields.  atoms : (n,) int, those on which it acts; all if not given."""
 
     atoms: NDArray[np.int64] | None
 
@@ -102,7 +102,7 @@ class OwnField(OwnPotential):
 
 
 class ConstantForce(OwnField):
-    """A constant force F on atoms, u = −F·r; r is never wrapped, so that the energy is that of an atom pulled through all cells.
+    """A constant force F on atoms, u = −F·r; r is never wrapped, so the energy changes steadily as an atom is pulled through the cells.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class ConstantForce(OwnField):
         return {"force": self.force, "atoms": self.atoms}
 
     def bind(self, system: System) -> Term:
-        """The term of this force in a system.  Raises ValueError if atoms are missing, or there is another number of forces."""
+        """The term of this force in a system.  Raises ValueError if atoms do not exist, or do not have one force each."""
         atoms = self.atoms_in(system)
         return FieldTerm(atoms, ConstantLaw(), vector_columns("force", self.force, len(atoms)))
 
@@ -150,7 +150,7 @@ class Gravity(OwnField):
         return {"acceleration": self.acceleration, "atoms": self.atoms}
 
     def bind(self, system: System) -> Term:
-        """The term of the weight of a system.  Raises ValueError if atoms are missing."""
+        """The term of the weight of a system.  Raises ValueError if atoms do not exist."""
         atoms = self.atoms_in(system)
         weights = system.masses[atoms, None] * self.acceleration
         return FieldTerm(atoms, ConstantLaw(), vector_columns("force", weights, len(atoms)))
@@ -177,7 +177,7 @@ class Restraint(OwnField):
         return {"k": self.k, "points": self.points, "atoms": self.atoms}
 
     def bind(self, system: System) -> Term:
-        """The term of these springs in a system.  Raises ValueError if atoms are missing, or there is another number of points."""
+        """The term of these springs in a system.  Raises ValueError if atoms do not exist, or do not have one point each."""
         atoms = self.atoms_in(system)
         points = np.stack(vector_columns("points", self.points, len(atoms)), axis=-1)
         numbers = np.concatenate([np.broadcast_to(self.k, 3), np.zeros(3)])
@@ -185,14 +185,14 @@ class Restraint(OwnField):
 
 
 class SteeredSpring(Restraint):
-    """Harmonic springs from atoms to points that move, p(t) = p + v (t' − start), where t' is t, not before start and not after end.
+    """Harmonic springs from atoms to points that move, p(t) = p + v (t' − start), where t' is t limited to the time from start to end.
 
     The work that moving the points does on the atoms, W = ∫ ∂u/∂t dt, is counted, and recorded as `work`.
 
     Parameters
     ----------
     k, points, atoms : as for Restraint; the points are those at the start.
-    velocity : v, three numbers [length/time].  start, end : of the motion [time], of the clock of the simulation.
+    velocity : v, three numbers [length/time].  start, end : of the motion [time], by the clock of the simulation.
 
     Raises
     ------
@@ -274,7 +274,7 @@ def checked_stiffness(k: ArrayLike) -> Array:
 
 
 def vector_columns(name: str, vectors: Array, n: int) -> tuple[Array, ...]:
-    """Their components for each of n atoms, (n,) each.  Raises ValueError for another number of vectors."""
+    """The components of vectors for each of n atoms, (n,) each.  Raises ValueError for another number of vectors."""
     if vectors.shape not in ((3,), (n, 3)):
         raise ValueError(f"{name} must be three numbers or ({n}, 3), one row for each atom; its shape is {vectors.shape}")
     return tuple(np.ascontiguousarray(np.broadcast_to(vectors[..., c], n)) for c in range(3))

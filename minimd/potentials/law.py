@@ -1,4 +1,4 @@
-"""How a scalar law u(r) meets the loops: by type, so that the compiled loop is found again by the next process.
+"""How loops are given a scalar law u(r): by its type, so that the next process finds the compiled loop again.
 
 A law is one function `law(r2, *parameters)` that returns u [energy] and f = −u′(r)/r [energy/length²]. Its law type is a
 named tuple class that law_type ties to it. The law type of a truncated law holds that of the law inside. Law types hold
@@ -18,7 +18,7 @@ from minimd.compiled.kernels import type_of
 from minimd.potentials.user_laws import UserLaw, user_law
 
 STEP = 1e-5  # of a central difference, relative to the distance
-ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative, and beside the size of u
+ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative to itself, and to u/r²
 
 
 def law_type(name: str, formula: Callable) -> Any:
@@ -32,14 +32,14 @@ def law_type(name: str, formula: Callable) -> Any:
 
 
 def checked_law(law: Any) -> Any:
-    """The law type of a law: that of a function of the user's, or the law type itself.  Raises TypeError for anything else."""
+    """The law type of a law: that of a user's function, or the law type itself.  Raises TypeError for anything else."""
     return law if isinstance(law, tuple) and hasattr(type(law), "formula") else user_law(law)
 
 
 def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
-    """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length]; NaN where the law has no real number.
+    """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length]; NaN where the law gives no real number.
 
-    Raises TypeError if a law of the user's does not take these parameters or does not return two numbers.
+    Raises TypeError if a user's law does not take these parameters or does not return two numbers.
     """
     try:
         u, f = evaluate_law(law, r * r, parameters)
@@ -57,9 +57,9 @@ def _name(law: tuple) -> str:
 
 
 def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
-    """Try a law of the user's at some distances [length]: does it return u and −u′(r)/r?
+    """Try a user's law at some distances [length]: does it return u and −u′(r)/r?
 
-    Raises TypeError as law_at; ValueError if the second number differs from −u′(r)/r, by central differences, at most of the distances.
+    Raises TypeError as law_at; ValueError if, at more than half of the distances, the second number is not −u′(r)/r by central differences.
     """
     tried, wrong = 0, []
     for r in distances:

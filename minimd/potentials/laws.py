@@ -28,7 +28,7 @@ def harmonic(r2, k, length):
     """Harmonic bond.
 
         u(r)     = ½ k (r − r₀)²
-        −u′(r)/r = −k (r − r₀)/r, and −k for r₀ = 0, where two atoms may lie on one spot
+        −u′(r)/r = −k (r − r₀)/r, and −k for r₀ = 0, where two atoms may be at the same place
 
     r2 : squared distance, > 0, or ≥ 0 for r₀ = 0 [length²].  k : stiffness [energy/length²].  length : r₀, distance of the minimum [length].
     Returns u [energy], −u′/r [energy/length²].
@@ -77,7 +77,7 @@ def fene(r2, k, longest, epsilon, sigma):
 
 @scalar
 def lennard_jones_93(r2, epsilon, sigma):
-    """Lennard-Jones 9-3 law, of an atom beside a half-space of Lennard-Jones atoms.
+    """Lennard-Jones 9-3 law, of an atom in front of a half-space of Lennard-Jones atoms.
 
         u(r)     = ε [2/15 (σ/r)⁹ − (σ/r)³]
         −u′(r)/r = ε/r² [6/5 (σ/r)⁹ − 3 (σ/r)³]

@@ -1,4 +1,4 @@
-"""Pair potentials: a law, its parameters for each pair of species, given or mixed, a cutoff and a truncation."""
+"""Pair potentials: a law, its parameters for each pair of species (given or mixed), a cutoff and a truncation."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from minimd.structure.checks import checked_choice, checked_flag, checked_number
 from minimd.structure.system import System
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
-ACCURACY, CONVERGED = 1e-12, 1e-8  # relative errors of tail integrals: what is asked for, and above which an integral is taken for divergent
-TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where laws of the user's are tried
+ACCURACY, CONVERGED = 1e-12, 1e-8  # relative errors of tail integrals: the one requested, and the one above which an integral counts as divergent
+TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where a user's laws are tried
 UNSCALED = (1.0, 1.0, 1.0)
-MIXED = 1e-9  # relative difference of mixed parameters of a pair and of the pair in reverse, above which it is no rounding
+MIXED = 1e-9  # relative difference between mixed parameters of a pair and of the reverse pair that rounding can explain
 
 Label = str | int
 Parameters = tuple[float, ...]
@@ -50,13 +50,13 @@ class PairPotential(OwnPotential):
     Parameters
     ----------
     law : function law(r2, *parameters) of the squared distance [length²] that returns u [energy] and −u′(r)/r
-        [energy/length²]; plain Python of numbers, or already compiled by numba.njit.
-    parameters : tuple of numbers for all atoms alike, or a mapping from species to such tuples.
-    cutoff : r_c [length], or a mapping from pairs of species to it; None for none, in scenes without periodicity only.
+        [energy/length²]; plain Python with numbers, or already compiled by numba.njit.
+    parameters : tuple of numbers for all atoms, or a mapping from species to such tuples.
+    cutoff : r_c [length], or a mapping from pairs of species to it; None for none, only in scenes without periodicity.
     truncation : "shifted" (default), "truncated", "force-shifted", or a switch, "switched", "charmm" or "smooth" (for
         methods of order above 2): see minimd.potentials.truncation.
     mixing : name of a rule or a function of two parameter tuples, for pairs of species not in pairs.
-    pairs : mapping from pairs of species, in either order, to their parameters; beside a mapping from species.
+    pairs : mapping from pairs of species, in either order, to their parameters; only together with a mapping from species.
     switch_start : r_on [length] of the switches; 0.8 r_c if not given.
     bonded_scale : factors for pairs one, two and three bonds apart; 0 excludes, 1 (default) changes nothing. In a cell
         smaller than the cutoff they hold for the nearest image of the pair only.
@@ -96,7 +96,7 @@ class PairPotential(OwnPotential):
         self.tail_correction = checked_flag("tail_correction", tail_correction)
         if tail_correction and (truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
             needed, given = f"a cutoff and truncation 'truncated', {listed(SWITCHES)}", f"cutoff = {self.cutoff}, truncation = {truncation!r}"
-            raise ValueError(f"tail_correction needs {needed}; {given} have no tail")
+            raise ValueError(f"tail_correction needs {needed}; there is no tail with {given}")
 
     def bind(self, system: System) -> PairTerm:
         """The term of this potential in a system.
@@ -127,7 +127,7 @@ class PairPotential(OwnPotential):
 
     @property
     def shortest_length(self) -> float:
-        """Beside which separations must be known: the smallest cutoff [length], infinite without one."""
+        """The smallest cutoff, with which rounding errors of separations are compared [length]; infinite without one."""
         return min(self._cutoffs.values()) if isinstance(self._cutoffs, dict) else self._cutoffs
 
     @property
@@ -136,7 +136,7 @@ class PairPotential(OwnPotential):
         return isinstance(self.parameters, dict) or isinstance(self._cutoffs, dict)
 
     def law_arguments(self) -> dict[str, Any]:
-        """The arguments that are those of the law, by name, to be shown."""
+        """The arguments that belong to the law, by name, for display."""
         return {"law": type(self.plain_law).python, "parameters": self.parameters}
 
     def arguments(self) -> dict[str, Any]:
@@ -178,7 +178,7 @@ class PairPotential(OwnPotential):
         extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, self._switch_start_for(cutoff))
         if not all(map(isfinite, extra)) and self.truncation not in SWITCHES:
             hint = "a cutoff" if cutoff == inf else f"another cutoff than {cutoff:g}"
-            raise ValueError(f"the law must be finite where it is {self.truncation}, at the cutoff; it is {extra[0]}: give {hint}, or 'truncated'")
+            raise ValueError(f"the law must be finite at the cutoff, where it is {self.truncation}; it is {extra[0]}: give {hint}, or 'truncated'")
         return (cutoff * cutoff, *extra, *parameters)
 
     def _cutoff_of(self, a: Any, b: Any) -> float:
@@ -202,11 +202,11 @@ class PairPotential(OwnPotential):
             raise ValueError(f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; give them in pairs, or a mixing rule")
         mixed, reverse = (self._checked_numbers(self.mixing(self.parameters[x], self.parameters[y]), (x, y)) for x, y in ((a, b), (b, a)))
         if not len(mixed) == len(reverse) == len(self.parameters[a]) or not all(map(partial(isclose, rel_tol=MIXED), mixed, reverse)):
-            raise ValueError(f"mixing must give as many parameters, the same for {a!r}, {b!r} as in reverse; it gives {mixed} and {reverse}")
+            raise ValueError(f"mixing must give all parameters, the same for {a!r}, {b!r} as for {b!r}, {a!r}; it gives {mixed} and {reverse}")
         return mixed
 
     def _check_species_of_pairs(self, species_names: Sequence[Label]) -> None:
-        """Raise ValueError if pairs name a species that exists nowhere else. Without parameters of species, pairs are all that there is."""
+        """Raise ValueError if pairs name a species that appears nowhere else, unless only pairs have parameters."""
         known = [*self.parameters, *(name for name in species_names if name not in self.parameters)] if isinstance(self.parameters, dict) else []
         for name in (name for pair in self.pairs for name in pair):
             if self.parameters and name not in known:
@@ -216,12 +216,12 @@ class PairPotential(OwnPotential):
         """Parameters of all atoms or of each species, and those of pairs in both orders."""
         if not isinstance(given, Mapping):
             if pairs is not None and len(pairs):
-                raise ValueError(f"pairs of {type(self).__name__} need a mapping from species to parameters beside them; parameters = {shown(given)}")
+                raise ValueError(f"pairs of {type(self).__name__} need parameters that are a mapping from species; parameters = {shown(given)}")
             return self._checked_numbers(given, None), {}
         by_label = {label: self._checked_numbers(numbers, label) for label, numbers in given.items()}
         by_pair = {pair: self._checked_numbers(numbers, pair) for pair, numbers in _symmetric("pairs", {} if pairs is None else pairs).items()}
         if len({len(numbers) for numbers in (*by_label.values(), *by_pair.values())}) > 1:
-            raise ValueError(f"all species and pairs must have as many parameters; they are {shown(by_label | by_pair)}")
+            raise ValueError(f"all species and pairs must have the same number of parameters; they are {shown(by_label | by_pair)}")
         return by_label, by_pair
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
@@ -233,7 +233,7 @@ class PairPotential(OwnPotential):
         return tuple(values.tolist())
 
     def _tail_integrals(self, a: Label | None, b: Label | None) -> NDArray[np.float64]:
-        """∫ (u − u_truncated) r² dr and ∫ (f − f_truncated) r⁴ dr, from where the truncation begins to infinity."""
+        """∫ (u − u_truncated) r² dr and ∫ (f − f_truncated) r⁴ dr, from the beginning of the truncation to infinity."""
         cutoff2, *numbers = self._numbers(a, b)
         cutoff, parameters = cutoff2**0.5, self._parameters_of(a, b)
 
@@ -329,5 +329,5 @@ def _symmetric(name: str, by_pair: Any) -> dict:
 
 
 def _one_order(by_pair: Mapping[tuple[Label, Label], Any]) -> dict[tuple[Label, Label], Any]:
-    """A symmetric mapping with each pair of species in the order in which it came first."""
+    """A symmetric mapping reduced to one entry for each pair of species, the one that came first."""
     return {pair: value for k, (pair, value) in enumerate(by_pair.items()) if pair[::-1] not in [*by_pair][:k]}

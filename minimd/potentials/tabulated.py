@@ -24,7 +24,7 @@ class Table(namedtuple("Table", "knots coefficients density")):
 
     knots : (M + 1,) increasing [length], the distances of the table.
     coefficients : (K, M, 6) of K splines with M pieces; u = Σ cₖ (r − knot)^(5 − k) [energy].
-    density : pieces per length, if all were equally long: where a search begins.
+    density : pieces per length, if all were equally long; it gives the piece where a search begins.
     """
 
     __slots__ = ()
@@ -39,7 +39,7 @@ def tabulated(r2, table, parameters):
         −u′(r)/r = −S′(r)/r
 
     r2 : squared distance [length²].  parameters : (k,) number of the spline.
-    Returns u [energy], −u′/r [energy/length²]; NaN closer than the first knot, where nothing is known; beyond the last knot the last piece goes on.
+    Returns u [energy], −u′/r [energy/length²]; NaN closer than the first knot, where nothing is known; the last piece continues beyond the last knot.
     """
     r, n = sqrt(r2), table.knots.size - 1
     if r < table.knots[0]:
@@ -73,7 +73,7 @@ class Tabulated(PairPotential):
     """A pair potential from a table: the quintic spline through the points (rᵢ, uᵢ), and its exact derivative.
 
     The spline has four continuous derivatives and an error of order Δr⁶ in the energy, Δr⁵ in the force (not-a-knot ends: C. de Boor, A Practical
-    Guide to Splines (2001), chapters IV and XIII). Noise of the table is in the force, divided by Δr: smooth a table that was measured. Closer than
+    Guide to Splines (2001), chapters IV and XIII). Noise of the table appears in the force, divided by Δr: smooth a measured table. Closer than
     the first point nothing is known: u is NaN there, and a run ends with NonFiniteError. So begin the table well inside the repulsive wall.
     Tables use the pair list, one pair at a time; a law with a formula is several times faster.
 

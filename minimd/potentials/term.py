@@ -13,7 +13,7 @@ from minimd.structure.system import System
 
 FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes the ones before
 BOND_LOOP = "bond loop"
-INTERPRETERS: list[Callable[[Any], Sequence[Any] | None]] = []  # of objects that are no potentials; bridges above add theirs in minimd/__init__
+INTERPRETERS: list[Callable[[Any], Sequence[Any] | None]] = []  # for objects that are no potentials; minimd/__init__ adds those of the bridges
 
 
 class PairLaw(NamedTuple):
@@ -32,7 +32,7 @@ class PairLaw(NamedTuple):
 
 
 class Term:
-    """One kind of force on one system: what bind of a potential returns. Only add must be written.
+    """One kind of force on one system: what bind of a potential returns. Only add must be defined.
 
         class Gravity:                                      # a potential: any object with bind(system)
             def bind(self, system):
@@ -57,13 +57,13 @@ class Term:
     ----------
     pair_law : a PairLaw for the planner to run on a list of neighbors; None for a term that adds its forces itself.
     cutoff : an atom that moves farther in one step may pass another without interacting [length].
-    shortest_length : beside which rounding errors of separations must be small [length].
-    list : the list of neighbors, if the term keeps one.  widest_skin : that it can have [length].  summary : that list, for the report.
-    ingredient : name of what this term adds to a scene; the report lists it where absent.  warning : for the user, given once.
-    acts_from_outside : whether its forces need not add up to zero, as those of fields and walls: the total momentum is then no constant.
+    shortest_length : rounding errors of separations must be small compared with it [length].
+    list : the list of neighbors, if the term keeps one.  widest_skin : that the list can have [length].  summary : of the list, for the report.
+    ingredient : name of what this term adds to a scene; the report lists it if absent.  warning : for the user, given once.
+    acts_from_outside : whether its forces need not add up to zero, as those of fields and walls: the total momentum is then not constant.
     needs_one_accumulator : whether add with TOTALS adds to the first elements of energies and virials only.
-    depends_on_time : whether its forces depend on time. Before each evaluation it then finds the time as its attribute time [time], and leaves
-        ∂U/∂t of its energy as power [energy/time], from which the work that is done from outside is counted.
+    depends_on_time : whether its forces depend on time. Its attribute time [time] is then set before each evaluation, and it must set power
+        to ∂U/∂t of its energy [energy/time], from which the work that is done from outside is counted.
     marches : whether march does anything.
     fits_grid : whether its add_to takes GridSums, for precision="fixed-point".
     """
@@ -96,7 +96,7 @@ class Term:
         self.add(system, detail, *sums)
 
     def prepare(self, system: System, forces: NDArray, steps: Any = (), is_alone: bool = True) -> None:
-        """After add: compile what steps need and looks do not, kernels of add with FORCES and of march. Nothing is added, no list built.
+        """After add: compile what only steps need, the kernels of add with FORCES and of march. Nothing is added, no list is built.
 
         is_alone : whether it is the only term of its scene, and so may march.
         """
@@ -106,7 +106,7 @@ class Term:
         return False
 
     def march(self, system: System, state: Any, cycle: Any, n: int) -> int:
-        """What a March does, see integrators.splitting, for a term that is the only one of its scene."""
+        """See March in integrators.splitting; for a term that is the only one of its scene."""
         return 0
 
     def skipped(self) -> Iterable[str]:
@@ -114,12 +114,12 @@ class Term:
         return ()
 
     def tail(self, system: System) -> tuple[float, float]:
-        """Energy and trace of the virial of what is beyond the cutoff [energy]."""
+        """Energy, and trace of the virial, of the pairs beyond the cutoff [energy]."""
         return 0.0, 0.0
 
 
 class OwnTerm(Term):
-    """Base of minimd's own terms: they write add_to."""
+    """Base class of minimd's own terms, which define add_to."""
 
     fits_grid = True
 
@@ -147,21 +147,21 @@ class NoTerm(OwnTerm):
 
 
 class Potential(Protocol):
-    """What a Simulation takes: minimd's potentials, and any object of the user's with bind."""
+    """What a Simulation takes: minimd's potentials, and any object with bind."""
 
     def bind(self, system: System) -> Any:
-        """The Term for this system; an object that is no Term, with add and perhaps skipped and acts_from_outside, will do."""
+        """The Term for this system, or another object with add and perhaps skipped and acts_from_outside."""
 
 
 class OwnPotential(Displayed):
-    """Base of minimd's own potentials; a list of several of them is a list of these to type checkers."""
+    """Base class of minimd's own potentials; type checkers see a list of several different ones as a list of this class."""
 
     def bind(self, system: System) -> Term:
         """See Potential."""
         raise NotImplementedError(f"{type(self).__name__} has no bind")
 
     def arguments(self) -> dict[str, Any]:
-        """All arguments that make this potential again, by name."""
+        """All arguments that recreate this potential, by name."""
         return {}
 
     def __repr__(self) -> str:
@@ -194,13 +194,13 @@ def bound(potential: Any, system: System) -> Term:
     if not hasattr(term, "add"):
         wanted = "an object with add(system, detail, forces, energies, virials)"
         raise TypeError(f"bind must return a term, {wanted}; that of {shown(potential)} is {shown(term)}")
-    completed = Term()  # the defaults of a Term beside what the object has
+    completed = Term()  # what the object has, and the defaults of a Term
     completed.__dict__.update({name: getattr(term, name) for name in ("add", "skipped", "acts_from_outside") if hasattr(term, name)})
     return completed
 
 
 def no_bonds(what: str, groups: str = "bonds") -> str:
-    """The warning that something meant for bonds, angles, dihedrals or impropers finds none."""
+    """The warning that something made for bonds, angles, dihedrals or impropers finds none."""
     key = {"bonds": "structure.bonds", "angles": "triples"}.get(groups, "quadruples")
     places = f"System({groups}=...) or System.from_ase(atoms, {groups}=...), in a scene file as {key}"
     return f"{what} has no effect: the system has no {groups}; give them as {places}"

@@ -25,7 +25,7 @@ def periodic(phi, k, n, phase):
 
 @scalar
 def ryckaert_bellemans(phi, c0, c1, c2, c3, c4, c5):
-    """Torsion as a polynomial of a cosine, of ψ = φ − π, which is zero where the chain is stretched.
+    """Torsion as a polynomial in the cosine of ψ = φ − π, which is zero if the chain is stretched (trans).
 
         u(φ)  = Σ cₙ xⁿ,  x = cos ψ = −cos φ
         u′(φ) = (Σ n cₙ xⁿ⁻¹) sin φ
@@ -43,7 +43,7 @@ def ryckaert_bellemans(phi, c0, c1, c2, c3, c4, c5):
 def harmonic_torsion(phi, k, angle):
     """Harmonic improper.
 
-        u(φ)  = ½ k x²,  x = φ − φ₀, less the nearest multiple of 2π
+        u(φ)  = ½ k x²,  x = φ − φ₀ minus the nearest multiple of 2π
         u′(φ) = k x
 
     phi : dihedral angle [rad].  k : stiffness [energy/rad²].  angle : φ₀ [rad].  Returns u [energy], u′ [energy/rad].

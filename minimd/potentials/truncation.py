@@ -1,6 +1,6 @@
 """Truncations: functions of a law, so that each law is written without a cutoff.
 
-Beyond the cutoff r_c every truncated law is zero; the loop sees to that. Inside, the truncation says how u gets there:
+Beyond the cutoff r_c every truncated law is zero; the loop sees to that. Inside, the truncation determines how u goes to zero:
 
     truncated       u(r)                                          jumps at r_c
     shifted         u(r) − u(r_c)                                 u continuous, force jumps
@@ -89,7 +89,7 @@ def smooth(r2, law, parameters):
 
 
 class Truncation(NamedTuple):
-    """around : the law type of the truncated law, from that of the law.  numbers : those of its formula, from the law, its parameters, r_c, r_on."""
+    """around : makes the law type of the truncated law.  numbers : makes the parameters of its formula, from the law, its parameters, r_c, r_on."""
 
     around: Callable[[tuple], tuple]
     numbers: Callable[[tuple, tuple, float, float], tuple]

@@ -1,4 +1,4 @@
-"""A field of the user's: u(x, y, z, t), its force and its change with time, tried before they are trusted."""
+"""A user's field: u(x, y, z, t), its force and its change with time, which are checked before they are trusted."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from minimd.structure.system import System
 
 TRIED = 5  # atoms at which a law is tried
 TIMES = (0.0, 0.37, 1.9)  # at which it is tried
-TIMED = 5  # numbers that a law returns whose u depends on time
+TIMED = 5  # numbers that a law returns if its u depends on time
 STEP = 1e-5  # of a central difference, of the units of length and time
-ACCURACY, BESIDE_U = 1e-4, 1e-8  # of that difference: relative, and beside the size of u
+ACCURACY, BESIDE_U = 1e-4, 1e-8  # of that difference: relative to itself, and to u
 
 
 class Field(OwnField):
-    """A field of the user's, u(x, y, z, t).
+    """A user's field, u(x, y, z, t).
 
         def trap(x, y, z, t, k):
             return 0.5 * k * (x * x + y * y), -k * x, -k * y, 0.0
@@ -33,11 +33,11 @@ class Field(OwnField):
 
     Parameters
     ----------
-    law : function law(x, y, z, t, *parameters) of the position of an atom, which is never wrapped [length], and the time [time], that returns
+    law : function law(x, y, z, t, *parameters) of the position of an atom, which is never wrapped [length], and the time [time]. It returns
         u [energy] and the force, three numbers [energy/length]; and, if u depends on t, ∂u/∂t [energy/time] as a fifth number, from which the
-        work is counted. Plain Python of numbers, or already compiled by numba.njit.
+        work is counted. Plain Python with numbers, or already compiled by numba.njit.
     parameters : one entry for each parameter of the law: a number for all atoms, or an array with one number for each.
-    atoms : indices of those on which it acts; all if not given.
+    atoms : indices of the atoms on which it acts; all if not given.
 
     Raises
     ------
@@ -74,14 +74,14 @@ class Field(OwnField):
 
 
 class _Tried:
-    """A law of the user's at the position of an atom."""
+    """A user's law at the position of an atom."""
 
     def __init__(self, law: tuple, place: Array, numbers: tuple[float, ...]) -> None:
         self.law, self.place, self.numbers = law, place, numbers
         self.is_timed = len(self.at(TIMES[0])) == TIMED
 
     def at(self, time: float, shift: Array | float = 0.0) -> tuple[float, ...]:
-        """What it returns.  Raises TypeError unless that is four or five numbers."""
+        """What the law returns.  Raises TypeError unless that is four or five numbers."""
         name = type(self.law).python.__name__  # type: ignore[attr-defined]
         x, y, z = (self.place + shift).tolist()
         wanted = "u, three forces, and ∂u/∂t if it depends on t"
@@ -102,7 +102,7 @@ class _Tried:
         return np.array([(self.at(time - dt, h)[0] - self.at(time + dt, -h)[0]) / (-2.0 * STEP) for h, dt in steps])
 
     def wrong(self, time: float) -> Iterator[tuple[int, str]]:
-        """What is wrong: which of the numbers behind u, and a sentence."""
+        """What is wrong: the index of a wrong number among those after u, and a sentence."""
         u, *told = self.at(time)
         for k, (said, slope) in enumerate(zip((*told, 0.0)[:4], self.slopes(time).tolist(), strict=True)):
             if isfinite(said) and isfinite(slope) and abs(said - slope) > ACCURACY * max(abs(said), abs(slope)) + BESIDE_U * abs(u):
@@ -119,5 +119,5 @@ class _Tried:
         for k in np.flatnonzero(system.cell.pbc):
             there = self.at(TIMES[0], system.cell.vectors[k])[1:4]
             if not np.allclose(here, there, rtol=ACCURACY, atol=ACCURACY * np.abs(here).max()):
-                return f"the field is not periodic along {'abc'[k]}, as the cell is: an atom and its image feel other forces"
+                return f"the cell is periodic along {'abc'[k]}, but the field is not: an atom and its image feel different forces"
         return ""

@@ -1,7 +1,7 @@
-"""Law types of laws that the user brings: one class for each law, named after a digest, so that the next process finds its compiled loops.
+"""Law types of a user's laws: one class for each law, named after a digest, so that the next process finds its compiled loops.
 
 The index of Numba's cache holds the law types of earlier runs. It is read with pickle, which looks for their classes in this
-module; a class that no law of this process has asked for stays without a formula.
+module; a class that no law of this process needs stays without a formula.
 """
 
 import re
@@ -21,7 +21,7 @@ CLASS_NAME = "UserLaw_{}"  # a digest, or a random number
 
 
 class UserLaw(namedtuple("UserLaw", "")):
-    """Law type of a law that the user brings; its class tells which.
+    """Law type of a user's law; each law has a class of its own.
 
     is_recognized : whether the disk cache may hold its loops. False for laws without a digest, see compiled.snapshot.
     """
@@ -47,7 +47,7 @@ _unrecognized: dict[Any, type[UserLaw]] = {}  # by the compiled copy
 
 
 def __getattr__(name: str) -> type[UserLaw]:
-    """The class of this name, as the index of the cache asks for it."""
+    """The class of this name, for which the index of the cache asks."""
     if re.fullmatch(CLASS_NAME.format("[0-9a-f]{32}"), name):
         return _class_named(name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -78,7 +78,7 @@ def is_user_law(law: tuple) -> bool:
 
 
 def is_recognized(law: tuple) -> bool:
-    """False if the law type, or the one inside it, is that of a law of the user's that the disk cache cannot recognize."""
+    """False if the law type, or the one inside it, is that of a user's law that the disk cache cannot recognize."""
     return law.is_recognized if isinstance(law, UserLaw) else all(is_recognized(inner) for inner in law if isinstance(inner, tuple))
 
 

@@ -20,13 +20,13 @@ from minimd.structure.system import System
 
 WALL_LAWS: dict[str, Any] = {"9-3": LennardJones93Law(), "12-6": LennardJonesLaw()}
 WallLaw = Literal["9-3", "12-6"]  # the keys of WALL_LAWS
-ALONG = 1e-9  # of a lattice vector: a wall that it leads through so far is along it
+ALONG = 1e-9  # of a lattice vector: one that leaves the plane of a wall by less counts as parallel to it
 
 
 class OwnWall(OwnField):
-    """Base of walls.
+    """Base class of walls.
 
-    epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.  cutoff : distance from which on there is no force [length];
+    epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.  cutoff : distance beyond which there is no force [length];
     None for none. The energy is shifted to be zero there.  law : "9-3", ε [2/15 (σ/d)⁹ − (σ/d)³], or "12-6", 4ε [(σ/d)¹² − (σ/d)⁶].
     """
 
@@ -46,7 +46,7 @@ class OwnWall(OwnField):
         return placed | self.parameters | {"cutoff": self.cutoff, "law": self.law, "atoms": self.atoms}
 
     def _place(self) -> tuple[Array, float]:
-        """Normal or axis, three numbers, and the place on it or the radius [length]."""
+        """Normal, three numbers, and the position of the plane along it; or axis and radius [length]."""
         raise NotImplementedError
 
     def _distances(self, system: System, positions: Array) -> Array:
@@ -89,7 +89,7 @@ class Wall(OwnWall):
     ----------
     point : p, a point of the plane, three numbers [length].  normal : n, three numbers of any length, towards the atoms.
     epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.
-    cutoff : distance from which on there is no force [length]; None for none. The energy is shifted to be zero there.
+    cutoff : distance beyond which there is no force [length]; None for none. The energy is shifted to be zero there.
     law : "9-3", u = ε [2/15 (σ/d)⁹ − (σ/d)³], of a half-space of atoms; or "12-6", u = 4ε [(σ/d)¹² − (σ/d)⁶], of a layer.
     atoms : indices; all if not given.
 
@@ -127,13 +127,31 @@ class Wall(OwnWall):
         return distances
 
 
-class CylinderWall(OwnWall):
+class RoundWall(OwnWall):
+    """Base class of walls with atoms inside, around a point that stands for all its images."""
+
+    around = Curved
+    point: Array
+
+    def _distances(self, system: System, positions: Array) -> Array:
+        cell, (axis, radius) = system.cell, self._place()
+        away = positions - self.point
+        away = away - np.where(cell.pbc, np.rint(np.einsum("ij,jk->ik", away, cell.inverse)), 0.0) @ cell.lattice
+        across = away - (away * axis).sum(axis=1)[:, None] * axis
+        distances: Array = radius - np.linalg.norm(across, axis=1)
+        return distances
+
+    def _anchors(self, n: int) -> Array:
+        return np.tile(self.point, (n, 1))
+
+
+class CylinderWall(RoundWall):
     """The wall of a cylinder with atoms inside: u(d) of the distance d = R − ρ from it.
 
     Parameters
     ----------
     point : on the axis, three numbers [length].  axis : direction, three numbers of any length.  radius : R [length].
-    epsilon, sigma, cutoff, law, atoms : as for Wall. The law is that of a flat wall, of the distance to the nearest point of this one.
+    epsilon, sigma, cutoff, law, atoms : as for Wall. The law is that of a flat wall; its distance is that to the nearest point of this wall.
 
     Positions count relative to the nearest image of the point.
 
@@ -142,8 +160,7 @@ class CylinderWall(OwnWall):
     ValueError : as Wall, and for a radius that is not positive.
     """
 
-    around = Curved
-    names: ClassVar[tuple[str, ...]] = ("point", "axis", "radius")
+    names = ("point", "axis", "radius")
 
     def __init__(
         self,
@@ -163,19 +180,8 @@ class CylinderWall(OwnWall):
     def _place(self) -> tuple[Array, float]:
         return self.axis, self.radius
 
-    def _distances(self, system: System, positions: Array) -> Array:
-        cell, axis = system.cell, self._place()[0]
-        away = positions - self.point
-        away = away - np.where(cell.pbc, np.rint(np.einsum("ij,jk->ik", away, cell.inverse)), 0.0) @ cell.lattice
-        across = away - (away * axis).sum(axis=1)[:, None] * axis
-        distances: Array = self.radius - np.linalg.norm(across, axis=1)
-        return distances
 
-    def _anchors(self, n: int) -> Array:
-        return np.tile(self.point, (n, 1))
-
-
-class SphereWall(CylinderWall):
+class SphereWall(RoundWall):
     """The wall of a sphere with atoms inside: u(d) of the distance d = R − |r − p| from it.
 
     Parameters
@@ -199,8 +205,11 @@ class SphereWall(CylinderWall):
         law: WallLaw = "9-3",
         atoms: ArrayLike | None = None,
     ) -> None:
-        super().__init__(point, (0.0, 0.0, 1.0), radius, epsilon, sigma, cutoff, law, atoms)
-        self.axis = np.zeros(3)
+        self.point, self.radius = _vector("point", point), checked_number("radius", radius, "positive and finite")
+        self._hold(epsilon, sigma, cutoff, law, atoms)
+
+    def _place(self) -> tuple[Array, float]:
+        return np.zeros(3), self.radius  # the distance from the center, not from an axis
 
 
 def _vector(name: str, values: ArrayLike) -> Array:

@@ -18,8 +18,8 @@ from minimd.structure.observables import stress as kinetic_stress
 from minimd.structure.units import ASE
 from minimd.structure.velocities import without_momentum
 
-LABELS = "species_labels"  # the array of an ase.Atoms that holds species which are no chemical elements
-NAMES = "species_names"  # in the info of atoms from a .traj, which keeps no such array: the names of species, which the tags number
+LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
+NAMES = "species_names"  # in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
 
 
 def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True, **others: ArrayLike | None) -> dict[str, Any]:
@@ -55,10 +55,10 @@ def atoms_from_system(system: Any) -> Atoms:
     """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity, constraints, bonds, angles and dihedrals of a system.
 
     Species that are chemical symbols become elements. All others become 'X', ASE's symbol for no element, and all labels
-    are kept in the array "species_labels", where system_from_atoms finds them again. Numbers cross unchanged: for a system
-    in reduced units they are no Å and eV. Bonds, angles, dihedrals and impropers become arrays of these names, as ASE's reader of LAMMPS data
-    leaves them, beside "id", by which system_arguments sees that no atoms were cut out or sorted; it gives them back in the order of their first
-    atoms.
+    are kept in the array "species_labels", where system_arguments finds them again. Numbers are not converted: for a system
+    in reduced units they are not in Å and eV. Bonds, angles, dihedrals and impropers become arrays with these names, as ASE's reader of LAMMPS
+    data makes them. The array "id" shows system_arguments that no atoms were cut out or sorted; it gives the groups back in the order of their
+    first atoms.
     """
     symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
     momenta = system.velocities * system.masses[:, None]
@@ -72,14 +72,14 @@ def atoms_from_system(system: Any) -> Atoms:
 
 
 def label_by_tags(atoms: Atoms, system: Any) -> None:
-    """Keep species that are no elements where a .traj holds them: their names in info, which of them an atom is in its tag."""
+    """Store species that are not elements where a .traj keeps them: their names in info, and the index of each atom's species in its tag."""
     if LABELS in atoms.arrays:
         atoms.info[NAMES] = list(system.species_names)
         atoms.set_tags(system.species_index)
 
 
 def _labels(atoms: Atoms) -> Any:
-    """The species of each atom: its label, or else its chemical symbol; atoms with a symbol are no X and need no label."""
+    """The species of each atom: its label, or else its chemical symbol; an atom with a symbol other than X needs no label."""
     names = atoms.info.get(NAMES)
     if LABELS in atoms.arrays or names is None:
         return atoms.arrays.get(LABELS, atoms.get_chemical_symbols())
@@ -93,7 +93,7 @@ def cell_of(atoms: Atoms) -> Cell:
 
 
 def same_labels(one: Atoms, other: Atoms) -> bool:
-    """True if species that are no elements carry the same labels."""
+    """True if species that are not elements have the same labels."""
     return np.array_equal(one.arrays.get(LABELS, ()), other.arrays.get(LABELS, ()))
 
 

@@ -16,7 +16,7 @@ UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCo
 
 
 def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
-    """The constraints of atoms: lengths, linear molecules and fixed atoms. FixCom is none that a System holds: see fixes_center.
+    """The constraints of atoms: lengths, linear molecules and fixed atoms. FixCom is left out: see fixes_center.
 
     Raises ValueError for a constraint of another kind, by name.
     """
@@ -36,7 +36,7 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
             name = type(constraint).__name__
             raise ValueError(f"atoms.constraints may hold {UNDERSTOOD}; it holds {name}: remove it, or use ASE's dynamics")
     if fixed and fixes_center(atoms):
-        raise ValueError("atoms.constraints holds FixCom beside FixAtoms: with fixed atoms the center of mass does not stay by itself; remove one")
+        raise ValueError("atoms.constraints holds FixCom and FixAtoms: with fixed atoms the center of mass does not stay by itself; remove one")
     answer: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
     if lengths:
         pairs, values = (np.concatenate(part) for part in zip(*lengths, strict=True))
@@ -57,12 +57,12 @@ def ases_constraints_of(system: Any) -> list[FixConstraint]:
 
 
 def fixes_center(atoms: Atoms) -> bool:
-    """Whether the center of mass is held. Where momentum is conserved, it is enough to begin with none; Engine refuses atoms whose center moves."""
+    """Whether the center of mass is held. If momentum is conserved, it is enough that it is zero at the start; Engine refuses all other cases."""
     return any(isinstance(constraint, FixCom) for constraint in atoms.constraints)
 
 
 def _rods(atoms: Atoms, constraint: FixLinearTriatomic) -> Pairs:
-    """Both arms of each molecule and the distance of its ends, which is the sum of the arms."""
+    """Both bonds of each molecule and the distance of its ends, the sum of the two."""
     triples = _counted_from_front(constraint.triples, len(atoms))
     arms = np.concatenate([triples[:, [0, 1]], triples[:, [1, 2]]])
     lengths = _distances(atoms, arms)

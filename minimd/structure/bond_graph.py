@@ -30,15 +30,15 @@ def pairs_by_bonds_apart(bonds: NDArray[np.int64], n_atoms: int) -> list[NDArray
 
 
 def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int | None = None) -> NDArray[np.int64]:
-    """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none; n_atoms None: as many atoms as you like.
+    """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none.  n_atoms : None for any number of atoms.
 
-    Raises ValueError if the shape is another, an atom is missing, paired with itself, or a pair comes twice, in either order.
+    Raises ValueError if the shape is wrong, an atom does not exist or is paired with itself, or a pair is given twice, in either order.
     """
     array = checked_groups(name, pairs, 2, n_atoms)
     _, first, counts = np.unique(np.sort(array, axis=1), axis=0, return_index=True, return_counts=True)
     if (counts > 1).any():
         row, times = min(zip(first[counts > 1].tolist(), counts[counts > 1].tolist(), strict=True))  # the one that is given first, as it is given
-        raise ValueError(f"{name} must name each pair once; {name}[{row}] = {array[row].tolist()} comes {times} times")
+        raise ValueError(f"{name} must name each pair once; {name}[{row}] = {array[row].tolist()} is given {times} times")
     return array
 
 
@@ -50,9 +50,9 @@ def among(pairs: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.boo
 
 
 def checked_groups(name: str, groups: ArrayLike, size: int, n_atoms: int | None = None) -> NDArray[np.int64]:
-    """Groups of so many different atoms as a (G, size) int array; see checked_pairs.
+    """Groups of size different atoms as a (G, size) int array; see checked_pairs.
 
-    Raises ValueError if the shape is another, an atom is missing, or one stands twice in a group.
+    Raises ValueError if the shape is wrong, an atom does not exist, or an atom appears twice in a group.
     """
     array = checked_indices(name, groups, f"an (n, {size}) array of atom indices")
     if array.size == 0:

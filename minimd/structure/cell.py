@@ -1,4 +1,4 @@
-"""The simulation cell: any three lattice vectors, each direction periodic or open, and the images they make."""
+"""The simulation cell: any three lattice vectors, each direction periodic or open, and periodic images."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from minimd.structure.strain import follow_lattice
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
 OPEN = "in a direction that does not repeat give length 0, or any length and pbc=False there, such as pbc=(True, True, False) of a slab"
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
-COMBINED = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])  # of three vectors: sums that could be shorter
+COMBINED = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])  # combinations of vectors that could be shorter
 
 
 @dataclass(frozen=True, repr=False)
@@ -26,7 +26,7 @@ class Cell(Displayed):
 
     Attributes
     ----------
-    vectors : (3, 3) array [length]; rows are the lattice vectors as the user gave them, zeros where there is none.
+    vectors : (3, 3) array [length]; rows are the lattice vectors as given, zeros where there is none.
     pbc : (3,) bool; direction k repeats with vectors[k].
     lattice : (3, 3) array [length]; the same lattice from its shortest vectors; an open direction holds a unit vector
         perpendicular to the periodic ones, whatever vectors says there.
@@ -60,7 +60,7 @@ class Cell(Displayed):
 
         Raises
         ------
-        ValueError : if the shape is another, a number is masked, complex or not finite, pbc is neither one bool nor three, a periodic
+        ValueError : if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor three, a periodic
             direction has no vector, or the periodic vectors are linearly dependent.
         """
         matrix = _as_matrix(vectors)
@@ -76,7 +76,7 @@ class Cell(Displayed):
         return cell
 
     def strained(self, vectors: NDArray[np.float64]) -> Cell:
-        """The cell after its vectors, periodic in all directions, have changed a little: with the same reduction as long as it reduces them."""
+        """The cell after a small change of its vectors, all periodic; the reduction stays the same as long as it reduces them."""
         cell = Cell.of_reduction(vectors, self.reduction)
         length2, combined = (cell.lattice**2).sum(axis=1), ((COMBINED @ cell.lattice) ** 2).sum(axis=1)
         is_reduced = (combined[:, None] >= SHORTER * length2)[COMBINED != 0].all()
@@ -127,8 +127,8 @@ class Cell(Displayed):
 def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
     """Integers (a, b, c) for which d + (a, b, c) · lattice is shortest.
 
-    A vector shorter than half the smallest height is so itself. Otherwise rounding the fractional coordinates is right if the
-    result is so short; longer ones are compared with their 26 neighbors, which suffices in a reduced lattice.
+    A vector shorter than half the smallest height is its own minimum image. Otherwise the fractional coordinates are rounded. A result
+    as short as that is right; a longer one is compared with its 26 neighbors, which suffices in a reduced lattice.
     """
     if dx * dx + dy * dy + dz * dz <= safe_distance2:
         return 0.0, 0.0, 0.0
@@ -162,7 +162,7 @@ def minimum_image_translations(positions, first, second, lattice, inverse, pbc, 
     """translations[p] = the lattice vector that makes r_j − r_i + translation shortest, for fixed pairs (i, j) = (first, second)[p].
 
     positions : (N, 3) [length].  first, second : (P,) int.
-    translations : (P, 3) [length], lattice vectors, such as zeros or those of a moment ago; kept where they are still certainly right.
+    translations : (P, 3) [length], lattice vectors, such as zeros or the previous ones; kept where they are still certainly right.
     """
     for p in range(np.uintp(first.size)):  # unsigned: no check for indices that count from the end
         i, j = np.uintp(first[p]), np.uintp(second[p])
@@ -216,7 +216,7 @@ def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> 
     if largest.min() < SMALLEST or largest.max() > LARGEST:
         raise ValueError(f"lattice vectors must be between {SMALLEST:g} and {LARGEST:g} long; take other units: they are {rows.tolist()}")
     if EPS * largest.max() > largest.min():
-        raise ValueError(f"lattice vectors must not be longer than others by more than {1.0 / EPS:.1g}; they are {rows.tolist()}")
+        raise ValueError(f"lengths of lattice vectors must not differ by more than a factor of {1.0 / EPS:.1g}; they are {rows.tolist()}")
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
         raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}: {OPEN}")
@@ -250,7 +250,7 @@ def _shorten_once(steps: NDArray[np.int64], rows: NDArray[np.float64]) -> bool:
 
 
 def _neighbors(i: int, steps: NDArray[np.int64], current: NDArray[np.float64], length2: NDArray[np.float64]) -> list[NDArray[np.int64]]:
-    """Vector i plus the others: once by the rounded projection (Gauss), then by all of −1, 0, 1 (Minkowski's conditions)."""
+    """Vector i plus multiples of the others: once the rounded projection (Gauss), then all of −1, 0, 1 (Minkowski's conditions)."""
     others = [j for j in range(len(steps)) if j != i]
     gauss = [steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j] for j in others]
     near = [steps[i].copy()]

@@ -28,7 +28,7 @@ PLAIN = {bool: "b", int: "i", float: "f"}
 def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) -> int:
     """The value as an int.
 
-    Raises ValueError unless it is an int or an integer of NumPy, not a bool, at least least and below limit; name is its name in the message.
+    Raises ValueError unless it is an int or an integer of NumPy, not a bool, not less than least, and below limit; name is used in the message.
     """
     if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) < limit:
         most = f" and below {limit:.3g}" if isinstance(value, Integral) and int(value) >= limit else ""
@@ -39,8 +39,8 @@ def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) ->
 def checked_number(name: str, value: Any, demand: str = "finite") -> float:
     """The value as a float.  demand : one of DEMANDS.
 
-    Raises ValueError for what is no real number, such as a text or a bool, for what the demand excludes, and for sizes that leave no room for
-    powers: above LARGEST, and, of positive quantities, below SMALLEST.
+    Raises ValueError for anything that is not a real number, such as a text or a bool, for what the demand excludes, and for numbers whose
+    powers could overflow: above LARGEST or, for positive quantities, below SMALLEST.
     """
     number = _as_float(value)
     if not DEMANDS[demand](number):
@@ -78,7 +78,7 @@ def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
     """A new contiguous array of indices of atoms, of any shape; they may be negative.  Raises ValueError as checked_array, or if one is too large."""
     array = checked_array(name, values, expected, "i")
     if array.size and not -MOST_ATOMS <= array.min() <= array.max() < MOST_ATOMS:
-        raise ValueError(f"{name} must be {expected}: they go from {array.min()} to {array.max()}, at most {MOST_ATOMS} atoms are taken")
+        raise ValueError(f"{name} must be {expected}: they go from {array.min()} to {array.max()}, but at most {MOST_ATOMS} atoms are allowed")
     return np.array(array, dtype=np.int64, order="C")
 
 
@@ -99,14 +99,14 @@ def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[
 
 
 def _find_kinds(values: Any, found: set[str]) -> None:
-    """Add to found the kinds of numbers among the values.  Raises ValueError for what is none, is masked, or is too many."""
+    """Add to found the kinds of numbers among the values.  Raises ValueError for values that are no numbers, masked, or too many."""
     if type(values) in PLAIN:
         found.add(PLAIN[type(values)])
     elif isinstance(values, list | tuple):
         for value in values:
             _find_kinds(value, found)
     elif isinstance(values, Sequence) and not isinstance(values, str) and len(values) > MOST_NUMBERS:
-        raise ValueError(f"they are {len(values)}, at most {MOST_NUMBERS} are taken")
+        raise ValueError(f"there are {len(values)} values, at most {MOST_NUMBERS} are allowed")
     else:
         _find_kinds_of_array(values, np.asanyarray(values), found)
 
@@ -114,7 +114,7 @@ def _find_kinds(values: Any, found: set[str]) -> None:
 def _find_kinds_of_array(values: Any, array: NDArray[Any], found: set[str]) -> None:
     kind = array.dtype.kind.replace("u", "i")
     if array.size > MOST_NUMBERS:
-        raise ValueError(f"they are {array.size}, at most {MOST_NUMBERS} are taken")
+        raise ValueError(f"there are {array.size} values, at most {MOST_NUMBERS} are allowed")
     if np.ma.is_masked(array):
         raise ValueError("some are masked; fill them or leave them out")
     if array.dtype == object and array.ndim:
@@ -122,11 +122,11 @@ def _find_kinds_of_array(values: Any, array: NDArray[Any], found: set[str]) -> N
     elif isinstance(values, Real) or (kind in KINDS and array.size):
         found.add(kind if kind in KINDS else "i" if isinstance(values, Integral) else "f")
     elif array.size:
-        raise ValueError(f"{shown(array.ravel()[:1].tolist()[0])} is no number")
+        raise ValueError(f"{shown(array.ravel()[:1].tolist()[0])} is not a number")
 
 
 def _as_float(value: Any) -> float:
-    """NaN for what is no real number."""
+    """The value as a float; NaN for anything that is not a real number."""
     if not isinstance(value, Real) or isinstance(value, bool):
         return nan
     try:
@@ -136,7 +136,7 @@ def _as_float(value: Any) -> float:
 
 
 def near(name: Any, known: Iterable[Any]) -> str:
-    """The question whether the most similar of the known names was meant, or nothing if none is similar."""
+    """The words "did you mean ...?" with the most similar of the known names; empty if none is similar."""
     texts = [one for one in known if isinstance(one, str)]
     found = get_close_matches(name, texts, n=1, cutoff=SIMILAR) if isinstance(name, str) else []
     return f"; did you mean {found[0]!r}?" if found else ""

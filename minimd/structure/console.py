@@ -17,10 +17,10 @@ DEFAULT_HANDLERS: list[Any] = [signal.SIG_DFL, signal.default_int_handler]  # ha
 
 @contextmanager
 def progress_of(n_steps: int, label: str, show: bool | None = None, unit: str = "step") -> Iterator[Callable[[int], Any]]:
-    """Show on standard error, or in the cell of a notebook, how much of n_steps is done; yields a function to be called with the steps made.
+    """Show on standard error, or in a notebook, how much of n_steps is done; yields a function to be called with the number of steps made.
 
     unit : what is counted, if not steps.
-    show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar where there can be one.
+    show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar where one is possible.
         Raises ValueError for anything else.
     """
     if show is not None:
@@ -49,7 +49,7 @@ def in_notebook() -> bool:
 
 
 class Stoppable(Protocol):
-    """Something that looks at a flag between its steps."""
+    """Something that checks a flag between its steps."""
 
     stop_requested: bool
 
@@ -58,10 +58,10 @@ class Stoppable(Protocol):
 def stop_on_signals(run: Stoppable) -> Iterator[None]:
     """While active, Ctrl-C, SIGTERM and SIGHUP set run.stop_requested; at the end, SIGTERM and SIGHUP raise Terminated, and Ctrl-C KeyboardInterrupt.
 
-    Handlers that the host has set, and signals that it ignores, are left alone. Outside the main thread, where there are no handlers, a run waits
-    for stop_runs_of_threads.
+    Handlers that the host has set, and signals that it ignores, are left alone. Outside the main thread, where no handlers can be set, only
+    stop_runs_of_threads stops a run.
 
-    A second Ctrl-C does not wait for the end of the step. A run inside another one, in an observer, stops first; its exception ends the other one.
+    A second Ctrl-C does not wait for the end of the step. A run inside another one, in an observer, stops first; its exception ends the outer one.
     """
     requests = StopRequests(run)
     try:
@@ -106,7 +106,7 @@ RUNS_OF_THREADS: dict[int, Stoppable] = {}  # by id
 
 
 class StopRequests:
-    """The handler of signals during a run, set in place of handlers that nobody has set, and of that of a run around it.
+    """The handler of signals during a run; it replaces the default handlers, and the handler of an enclosing run.
 
     received : numbers of the signals that came, in order.
     """
@@ -123,7 +123,7 @@ class StopRequests:
             self._give_back(number)
 
     def begin(self) -> None:
-        """Set the handler; outside the main thread, where none can be set, let stop_runs_of_threads know of the run."""
+        """Set the handler; outside the main thread, where none can be set, register the run for stop_runs_of_threads."""
         self._run.stop_requested = False
         if threading.current_thread() is not threading.main_thread():
             RUNS_OF_THREADS[id(self._run)] = self._run
@@ -135,7 +135,7 @@ class StopRequests:
                     signal.signal(number, self)
 
     def end(self) -> None:
-        """Set the handlers from before, that of Ctrl-C last: it may raise."""
+        """Restore the handlers from before, that of Ctrl-C last: it may raise."""
         self._run.stop_requested = False
         RUNS_OF_THREADS.pop(id(self._run), None)
         for number in reversed(self._before):
@@ -148,7 +148,7 @@ class StopRequests:
 
 
 class Terminated(SystemExit):
-    """A run was ended by SIGTERM or SIGHUP, after a whole step. The exit code is 128 + the number of the signal, as shells have it."""
+    """A run was ended by SIGTERM or SIGHUP, after a whole step. The exit code is 128 + the number of the signal, as in shells."""
 
     def __init__(self, number: int, words: str) -> None:
         super().__init__(128 + number)
@@ -167,7 +167,7 @@ DEFAULT_HANDLERS.append(raise_terminated)
 
 
 def outside_minimd() -> int:
-    """The stacklevel, for a warning of the calling function, of the first frame outside minimd and contextlib."""
+    """The stacklevel with which a warning of the calling function points to the first frame outside minimd and contextlib."""
     frame, level = sys._getframe(1), 1
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("minimd", "contextlib"):
         frame, level = frame.f_back, level + 1

@@ -46,7 +46,7 @@ class DistanceConstraints:
                 raise ValueError(f"lengths must be positive and finite; that of constraint {wrong[0]} is {self.lengths[wrong[0]]}")
         self.tolerance, self.solver = checked_number("tolerance", tolerance), checked_choice("solver", solver, SOLVERS)
         if not 0.0 < self.tolerance < 1.0:
-            raise ValueError(f"tolerance must lie between 0 and 1, it is one of |r² − d²|/d²; tolerance = {tolerance!r}")
+            raise ValueError(f"tolerance, of |r² − d²|/d², must lie between 0 and 1; tolerance = {tolerance!r}")
 
     def __repr__(self) -> str:
         return f"DistanceConstraints({len(self.pairs)} pairs, solver={self.solver!r})"
@@ -57,11 +57,11 @@ class FixedAtoms:
 
     Parameters
     ----------
-    atoms : indices, none if empty, or one bool for each atom.
+    atoms : indices (an empty list for no atoms), or one bool for each atom.
 
     Raises
     ------
-    ValueError : for anything else. A Simulation raises it for missing atoms, or a wrong number of bools.
+    ValueError : for anything else. A Simulation raises it for atoms that do not exist, or a wrong number of bools.
     """
 
     def __init__(self, atoms: ArrayLike) -> None:

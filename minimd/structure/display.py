@@ -1,4 +1,4 @@
-"""How objects show themselves: rows of a name and words, aligned in a terminal, a table in a notebook."""
+"""How objects are displayed: rows of a name and words, aligned in a terminal, as a table in a notebook."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Rows = list[tuple[str, str]]
 
 
 class Displayed:
-    """Base of what a cell of a notebook can end with. A class defines either __str__ or display_rows, in terms of which the other one stands here.
+    """Base class of objects that a notebook displays. A class defines either __str__ or display_rows; here each is defined by the other.
 
-    Where an object is part of another, as in a list, its repr is shown.
+    Inside another object, such as a list, the repr is shown.
     """
 
     def __init_subclass__(cls) -> None:
@@ -48,7 +48,7 @@ class Displayed:
 
 
 def call_of(one: object, arguments: Mapping[str, Any], always: Iterable[str] = ()) -> str:
-    """The call that makes an object again, without arguments that are the defaults of its class, but with those named in always."""
+    """The call that recreates an object, without arguments that have their default values, except for those named in always."""
     parameters, always = signature(type(one)).parameters, set(always)
     told = [f"{name}={as_text(value)}" for name, value in arguments.items() if name in always or not _is_default(parameters.get(name), value)]
     return f"{type(one).__name__}({', '.join(told)})"

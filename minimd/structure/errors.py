@@ -1,4 +1,4 @@
-"""The exceptions of failed physics, the one that ends an interrupted computation, and the message of an error."""
+"""The exceptions for failed physics and for interrupted computations, and the message of an error."""
 
 import os
 import re
@@ -8,7 +8,7 @@ from typing import Any
 class NonFiniteError(ArithmeticError):
     """A position, velocity, force or energy is no longer a finite number.
 
-    solution : the path before, of small systems.  crash_report : CrashReport of a simulation.  file : where that was written, or None.
+    solution : of a small system, up to the failure.  crash_report : CrashReport of a simulation.  file : to which it was written, or None.
     """
 
     solution: Any = None
@@ -17,12 +17,12 @@ class NonFiniteError(ArithmeticError):
 
 
 class RangeError(NonFiniteError):
-    """A force, a momentum or a position has left the range of fixed-point numbers, and nothing has wrapped round; or a barostat would strain a
+    """A force, a momentum or a position has left the range of fixed-point numbers (none has wrapped around); or a barostat would strain the
     cell too much at once."""
 
 
 class ConstraintError(ArithmeticError):
-    """A constraint solver did not reach its tolerance.  atoms : the two it holds.  crash_report, file : as of NonFiniteError."""
+    """A constraint solver did not reach its tolerance.  atoms : the two of the constraint.  crash_report, file : as for NonFiniteError."""
 
     atoms: Any = None
     crash_report: Any = None
@@ -30,13 +30,13 @@ class ConstraintError(ArithmeticError):
 
 
 class ConvergenceError(ArithmeticError):
-    """The equations of an implicit step could not be solved. solution : the path before."""
+    """The equations of an implicit step could not be solved.  solution : up to this step."""
 
     solution: Any = None
 
 
 class HandOverError(RuntimeError):
-    """Another program to which a scene was given disagrees with minimd, or has failed."""
+    """Another program that was given a scene disagrees with minimd, or has failed."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -48,14 +48,14 @@ class Interrupted(KeyboardInterrupt):
 
 
 def sentence(error: BaseException) -> str:
-    """The message of an error, with the name of its file but without the number that errors of the operating system have."""
+    """The message of an error; for one of the operating system with its file name, without its number."""
     if isinstance(error, OSError) and error.strerror is not None:
         return error.strerror if error.filename is None else f"{os.fsdecode(error.filename)}: {error.strerror}"
     return str(error) or ("interrupted" if isinstance(error, KeyboardInterrupt) else type(error).__name__)
 
 
 def why_not_compiled(message: str) -> str:
-    """The line of a message of Numba's that names what it does not know; else its first."""
+    """The line of a message of Numba that names what it cannot compile; else its first line."""
     lines = [line.strip().removeprefix("- ") for line in message.splitlines() if line.strip()]
     telling = ("Untyped global name", "Unknown attribute", "No implementation of function", "Use of unsupported", "cannot be compiled", "Unsupported")
     told = next((line for words in telling for line in lines if words in line), lines[0] if lines else "Numba gives no reason")

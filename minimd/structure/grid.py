@@ -17,15 +17,15 @@ from minimd.structure.system import System
 
 FARTHEST = 2.0**52  # steps of length: sums of two positions are still exact
 TRAVEL, FAR_TRAVEL = 64.0, 4096.0  # times the size of the scene: how far atoms can go; in scenes with an open direction
-FASTER = 8.0  # times the momentum of the fastest atom, and of one that falls into DEEP wells: how fast atoms can become
+FASTER = 8.0  # times the momentum of the fastest atom, or of one that falls into DEEP wells: how fast atoms can become
 DEEP = 10.0
 ENERGY_ROOM = 4.0  # times the energy of all atoms
 TOO_LARGE = (
     "the force between two atoms is beyond the range of fixed-point numbers: they are too close to each other; "
     "take a shorter time step, or give grid=minimd.Grid(...) with a larger step of momentum"
 )
-NO_SIGN = 0.0  # added to zeros
-SLOW = 1e-3  # of the scene in a step, where nothing tells how fast atoms are
+NO_SIGN = 0.0  # added to turn −0 into 0
+SLOW = 1e-3  # of the scene in a step, if nothing shows how fast atoms are
 
 Array = NDArray[np.float64]
 
@@ -38,8 +38,8 @@ class Grid(Displayed):
     momentum : of momenta, and of the impulse F Δt of each pair [mass length/time]; they reach to 2⁵⁰ steps.
     energy : of the energies and virials of pairs [energy]; sums reach to 2⁵² steps.
 
-    Positions r and velocities v = p/m are float64; those of a grid are whole numbers of steps in another guise: r/length is exact, and
-    rounding m v/momentum gives the whole number from which v was made.
+    Positions r and velocities v = p/m are float64; on a grid they stand for whole numbers of steps: r/length is exact, and rounding
+    m v/momentum gives the whole number from which v was made.
 
     Raises ValueError for a step that is not a positive power of two.
     """
@@ -86,9 +86,9 @@ class Grid(Displayed):
         return Grid(max(self.length, other.length), max(self.momentum, other.momentum), max(self.energy, other.energy))
 
     def take(self, system: System, inverse_masses: Array) -> None:
-        """Positions, lattice vectors and momenta of a system rounded to the grid, in place. inverse_masses : (N,), zero for fixed atoms.
+        """Round positions, lattice vectors and momenta of a system to the grid, in place. inverse_masses : (N,), zero for fixed atoms.
 
-        Raises RangeError for those that are beyond its range.
+        Raises RangeError if one of them is beyond its range.
         """
         vectors = np.rint(system.cell.vectors / self.length) * self.length
         if not np.array_equal(vectors, system.cell.vectors):
@@ -99,11 +99,11 @@ class Grid(Displayed):
         self.check_momenta(system.velocities, inverse_masses)
 
     def take_positions(self, positions: Array) -> None:
-        """Positions (N, 3) rounded to the grid, in place."""
+        """Round positions (N, 3) to the grid, in place."""
         positions[:] = np.rint(positions / self.length) * self.length + NO_SIGN
 
     def take_velocities(self, velocities: Array, inverse_masses: Array) -> None:
-        """Velocities (N, 3) of rounded momenta, in place."""
+        """Round velocities (N, 3) to those of whole momenta, in place."""
         velocities[:] = self.velocities(self.momenta(velocities, inverse_masses), inverse_masses)
 
     def velocities(self, momenta: Array, inverse_masses: Array) -> Array:

@@ -8,7 +8,7 @@ from minimd.structure.constraints import DistanceConstraints
 
 Array = NDArray[np.float64]
 
-MOST_IMAGES = 2**16  # in which one length is looked for: 40 cells in each of three directions
+MOST_IMAGES = 2**16  # images among which one length is searched for: 40 cells in each of three directions
 
 
 def nearest_images(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Array:
@@ -36,8 +36,8 @@ def images_of_length(positions: Array, cell: Cell, pairs: NDArray[np.int64], len
         reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0)
         n_images = np.prod(2.0 * reach + 1.0)
         if n_images > MOST_IMAGES:
-            given = f"that of constraint {k}, {lengths[k]:g}, over {n_images:.1e} in a cell {cell.heights[cell.pbc].min():.3g} high"
-            raise ValueError(f"lengths must reach over at most {MOST_IMAGES} images; {given}: reduce it")
+            given = f"that of constraint {k} is {lengths[k]:g} and reaches over {n_images:.1e} in a cell {cell.heights[cell.pbc].min():.3g} high"
+            raise ValueError(f"lengths must reach over at most {MOST_IMAGES} images of the cell; {given}: reduce it")
         others = np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij"), axis=-1).reshape(-1, 3) @ cell.lattice
         translations[k] += others[np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))]
     return translations

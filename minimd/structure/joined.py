@@ -1,7 +1,7 @@
-"""Bonds, angles and dihedrals as ASE's atoms carry them: text beside each atom, as ASE's reader of LAMMPS data files leaves it.
+"""Bonds, angles and dihedrals in an ase.Atoms: one text for each atom, as ASE's reader of LAMMPS data files stores them.
 
-In the array "bonds" stands "j(type)" beside atom i, in "angles" "i-k(type)" beside the middle atom j, in "dihedrals" "j-k-l(type)" beside the
-first atom i, and so in "impropers", which ASE does not read; several are joined by commas, none is "_".
+The array "bonds" has "j(type)" for atom i, "angles" has "i-k(type)" for the middle atom j, "dihedrals" has "j-k-l(type)" for the first atom i,
+and so has "impropers", which ASE does not read. Several entries are joined by commas; "_" means none.
 The indices are those of the atoms as they were read. ASE copies the text unchanged when atoms are cut out, repeated or sorted.
 """
 
@@ -16,14 +16,14 @@ from minimd.structure.bond_graph import GROUPS
 
 Indices = NDArray[np.int64]
 FORMS = {name: re.compile("-".join([r"(\d+)"] * (size - 1)) + r"(?:\(\w+\))?") for name, size in GROUPS.items()}
-PLACE = {"bonds": 0, "angles": 1, "dihedrals": 0, "impropers": 0}  # in the group, of the atom beside which it stands
+PLACE = {"bonds": 0, "angles": 1, "dihedrals": 0, "impropers": 0}  # in the group, of the atom whose text names it
 NONE = ("_", "")
 
 
 class Joined(NamedTuple):
     """groups : bonds (B, 2), angles (A, 3), the middle atom second, dihedrals (D, 4) and impropers (I, 4), by these names; int, all of them.
 
-    n_types : how many types of each there are, by these names; those that are not told apart are left out.
+    n_types : how many types of each there are, by these names; left out where all are of one type.
     """
 
     groups: dict[str, Indices]
@@ -38,16 +38,16 @@ class Joined(NamedTuple):
 
 
 def joined_in(atoms: Any) -> Joined:
-    """What the arrays "bonds", "angles", "dihedrals" and "impropers" of an ase.Atoms name; nothing if there are none.
+    """The groups in the arrays "bonds", "angles", "dihedrals" and "impropers" of an ase.Atoms; empty if it has no such arrays.
 
-    Raises ValueError for text that is not of ASE's kind, or if the atoms are not those that were read: the array "id" then does not count 1 to N.
+    Raises ValueError for text in another form, or if the atoms are not those that were read: the array "id" then does not count from 1 to N.
     """
     if not any(name in atoms.arrays for name in GROUPS):
         return Joined({name: np.zeros((0, size), np.int64) for name, size in GROUPS.items()})
     ids = atoms.arrays.get("id")
     if ids is not None and not np.array_equal(ids, np.arange(1, len(atoms) + 1)):
         raise ValueError(
-            "the bonds of these atoms cannot be trusted: ids of atoms do not count from 1 to N, so that atoms may have been cut out, repeated or "
+            "the bonds of these atoms cannot be trusted: their array 'id' does not count from 1 to N, so atoms may have been cut out, repeated or "
             "sorted since they were read; give the bonds as bonds=[[0, 1], ...], or bonds=() for none"
         )
     found: dict[str, Indices] = {}
@@ -62,22 +62,22 @@ def joined_in(atoms: Any) -> Joined:
 
 
 def _entries(atoms: Any, name: str, form: re.Pattern[str]) -> list[tuple[int, tuple[int, ...]]]:
-    """Each atom with the indices that stand beside it, once for each entry."""
+    """Each atom with the indices in its text, once for each entry."""
     found = []
     for i, text in enumerate(atoms.arrays.get(name, ())):
         for entry in () if str(text) in NONE else str(text).split(","):
             match = form.fullmatch(entry.strip())
             if match is None or max(indices := tuple(map(int, match.groups()))) >= len(atoms):
                 raise ValueError(
-                    f"the array {name!r} of these atoms must name atoms 0 to {len(atoms) - 1} as ASE's reader of LAMMPS data does; beside atom {i} "
-                    f"stands {str(text)!r}: give the bonds as bonds=[[0, 1], ...], or bonds=() for none"
+                    f"the array {name!r} of these atoms must name atoms 0 to {len(atoms) - 1} as ASE's reader of LAMMPS data does; for atom {i} "
+                    f"it has {str(text)!r}: give the bonds as bonds=[[0, 1], ...], or bonds=() for none"
                 )
             found.append((i, indices))
     return found
 
 
 def texts(groups: Mapping[str, Indices], n_atoms: int) -> dict[str, NDArray[np.str_]]:
-    """The arrays "bonds", "angles", "dihedrals" and "impropers" of ASE's atoms, of those that there are; all of type 1.
+    """The arrays "bonds", "angles", "dihedrals" and "impropers" for an ase.Atoms, without empty ones; all of type 1.
 
     groups : (G, n) int, by these names.
     """

@@ -1,4 +1,4 @@
-"""Perfect crystals of one kind of atom, in a cubic cell: where many simulations start."""
+"""Perfect crystals of one kind of atom with cubic unit cells, from which many simulations start."""
 
 from collections.abc import Sequence
 from math import cbrt, prod
@@ -25,7 +25,7 @@ def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tup
     repeat : three numbers of unit cells, each at least 1.
     lattice_constant : edge of the unit cell [length].
 
-    Raises ValueError for an unknown lattice, numbers of cells that are not three positive ones, too many atoms, an edge that is not positive.
+    Raises ValueError for an unknown lattice, a repeat that is not three positive whole numbers, too many atoms, or an edge that is not positive.
     """
     basis = BASES[checked_choice("lattice", lattice, BASES)]
     counts = checked_indices("repeat", repeat, "three numbers of unit cells")

@@ -46,13 +46,13 @@ def _masses(atoms: AtomGroup, units: UnitSystem) -> NDArray[np.float64] | None:
         first = int(np.argmin(masses > 0.0))
         raise ValueError(
             f"masses must be positive; MDAnalysis has {masses[first]} for atom {first}, as for all types that it does not know: "
-            "set universe.atoms.masses, or with universe.add_TopologyAttr('masses', values)"
+            "set universe.atoms.masses, or call universe.add_TopologyAttr('masses', values)"
         )
     return masses
 
 
 def _species(atoms: AtomGroup) -> list[str] | None:
-    """Types; else elements, else names, else none."""
+    """Types, or else elements, or else names, or None."""
     for name in ("types", "elements", "names"):
         labels = [str(label) for label in getattr(atoms, name, ())]
         if any(labels):
@@ -61,7 +61,7 @@ def _species(atoms: AtomGroup) -> list[str] | None:
 
 
 def _within(atoms: AtomGroup, name: str, size: int) -> NDArray[np.int64]:
-    """Bonds, angles or dihedrals of which all atoms are in the group, by their place in it."""
+    """Bonds, angles or dihedrals whose atoms are all in the group, as indices into it."""
     try:
         groups = np.asarray(getattr(atoms, name).indices, dtype=np.int64).reshape(-1, size)
     except (AttributeError, NoDataError):

@@ -23,7 +23,7 @@ def kinetic_energy_of(mass, vx, vy, vz):
 
 @kernel
 def kinetic_energy(velocities, masses, step=0.0):
-    """K = Σ ½ m v² [energy].  step : of which each atom's share is rounded to a multiple, so that their order does not matter; 0 for none."""
+    """K = Σ ½ m v² [energy].  step : each atom's share is rounded to a multiple of it, so that their order does not matter; 0 for no rounding."""
     total = 0.0
     for i in range(velocities.shape[0]):
         total += on_grid(kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2]), step)
@@ -69,7 +69,7 @@ def stress(velocities: Array, masses: Array, virial: Array, volume: float) -> Ar
 
 @kernel
 def momentum(velocities, masses, step=0.0):
-    """P = Σ m v [mass length/time], (3,).  step : as of kinetic_energy; with that of a Grid, the sum is exact."""
+    """P = Σ m v [mass length/time], (3,).  step : as for kinetic_energy; with that of a Grid, the sum is exact."""
     px = py = pz = 0.0
     for i in range(masses.size):
         px += on_grid(masses[i] * velocities[i, 0], step)
@@ -91,7 +91,7 @@ def momentum_flux(velocities, masses):
 
 @kernel
 def absolute_momentum(velocities, masses):
-    """Σ |m v| [mass length/time]: the scale against which a change of the total momentum is seen."""
+    """Σ |m v| [mass length/time]: the scale with which a change of the total momentum is compared."""
     total = 0.0
     for i in range(masses.size):
         total += masses[i] * sqrt(velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
@@ -113,7 +113,7 @@ def longest(vectors):
 
 @kernel
 def angular_momentum(positions, velocities, masses):
-    """L = Σ m r × v about the origin [mass length²/time], (3,); a constant only where nothing is periodic."""
+    """L = Σ m r × v about the origin [mass length²/time], (3,); constant only if nothing is periodic."""
     lx = ly = lz = 0.0
     for i in range(masses.size):
         x, y, z = positions[i]
@@ -125,7 +125,7 @@ def angular_momentum(positions, velocities, masses):
 
 
 def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
-    """Σ m |r − r_cm| |v| [mass length²/time]: the scale against which a change of the angular momentum is seen."""
+    """Σ m |r − r_cm| |v| [mass length²/time]: the scale with which a change of the angular momentum is compared."""
     return _absolute_moments(positions, velocities, masses, momentum(positions, masses) / masses.sum())  # r_cm = Σ m r / Σ m: the same sum
 
 

@@ -1,4 +1,4 @@
-"""Means of correlated series, and what is uncertain about them. Every error bar of minimd is computed here."""
+"""Means of correlated series, and their uncertainty. Every error bar of minimd is computed here."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-FEW = 4  # entries or blocks, below which no error can be told
+FEW = 4  # entries or blocks: from fewer, no error can be estimated
 CHANCE = 0.01  # of taking uncorrelated blocks for correlated ones
 LEVEL, LINE = (1.0, 3.0), (2.0, 4.0)  # bias of a correlation where a mean, or a straight line, was fitted
 
 
 def mean_and_error(series: Any) -> tuple[float, float]:
-    """Mean of a correlated series, and the standard error of the mean, by blocks whose length the series itself tells.
+    """Mean of a correlated series, and the standard error of the mean, from blocks whose length follows from the series itself.
 
         σ_k², γ_k : variance of the n_k averages over 2ᵏ entries, and covariance of neighbors among them
         M_k = Σ n_j [((n_j − 1) σ_j² / n_j² + γ_j) / σ_j²]²,   j ≥ k
-        error² = σ_k² / (n − 1),   with the first k for which M_k is what uncorrelated averages explain: below χ² of 99 %
+        error² = σ_k² / (n − 1),   with the first k for which uncorrelated averages explain M_k: it is below χ² of 99 %
 
-    n of these n_k averages are independent, see independent: some correlation is left that the test does not see. NaN with fewer than 4 entries.
+    n of these n_k averages are independent, see independent: some correlation is left that the test does not see. NaN for fewer than 4 entries.
     H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989), on blocks; M. Jonsson, Phys. Rev. E 98, 043304 (2018), on their length.
     """
     values = np.asarray(series, dtype=np.float64)
@@ -47,7 +47,7 @@ def mean_and_error(series: Any) -> tuple[float, float]:
 def independent(rest: Array, bias: tuple[float, float]) -> float:
     """How many of n correlated numbers are independent: n (1 − ρ)/(1 + ρ), with the correlation ρ of neighbors.
 
-    rest : (n,), without what was fitted to them.  bias : (a, b), LEVEL or LINE: fitting makes ρ too small by (a + b ρ)/n, which is put right.
+    rest : (n,), minus what was fitted to them.  bias : (a, b), LEVEL or LINE: fitting makes ρ too small by (a + b ρ)/n; this is corrected.
     M. G. Kendall, Biometrika 41, 403 (1954), on the bias.
     """
     square, n = float(rest @ rest), len(rest)
@@ -57,28 +57,28 @@ def independent(rest: Array, bias: tuple[float, float]) -> float:
 
 
 def statistical_inefficiency(series: Any) -> float:
-    """How many entries of a correlated series count as one independent entry: g = T error² / σ²; NaN as the error, 1 of a constant series."""
+    """How many entries of a correlated series count as one independent entry: g = T error² / σ²; NaN if the error is, 1 for a constant series."""
     values = np.asarray(series, dtype=np.float64)
     error, variance = mean_and_error(values)[1], float(values.var(ddof=1)) if len(values) > 1 else 0.0
     return len(values) * error**2 / variance if variance > 0.0 else 1.0
 
 
 def block_means(series: Array, blocks: int) -> Array:
-    """Averages over so many parts of a series, as equal as its length allows."""
+    """Averages over the given number of blocks of a series, as equal as its length allows."""
     return np.array([part.mean() for part in np.array_split(series, blocks)])
 
 
 def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Array:
-    """What is computed from sums over a run without one of its blocks, (K, ...), for each of K blocks; see spread.
+    """Estimates from the sums over a run without one of its blocks, (K, ...), for each of K blocks; see spread.
 
-    estimate : of sums (n,), linear in them or not; returns a number or an array.  total : (n,).  parts : (K, n), of blocks of equal length.
+    estimate : function of sums (n,), linear or not; returns a number or an array.  total : (n,).  parts : (K, n), of blocks of equal length.
     This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981).
     """
     return np.array([estimate(total - part) for part in parts], dtype=np.float64)
 
 
 def spread(without: Array) -> Array:
-    """The standard error that replicas (K, ...) tell; NaN of fewer than 4.
+    """The standard error that follows from replicas (K, ...); NaN for fewer than 4.
 
     error² = (K − 1)/K Σ (f_k − mean)²
     """

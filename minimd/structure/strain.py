@@ -14,7 +14,7 @@ def strained(vectors: NDArray[np.float64], matrix: NDArray[np.float64], out: NDA
 
 
 def follow_lattice(translations: NDArray[np.float64], before: NDArray[np.float64], after: NDArray[np.float64]) -> None:
-    """Multiples of the lattice vectors before, (n, 3) or (n, 3, m), become the same multiples of others, in place.  before, after : (3, 3) rows."""
+    """Translations by lattice vectors, (n, 3) or (n, 3, m), become the same multiples of other ones, in place.  before, after : (3, 3) rows."""
     follow_blocks(as_blocks(translations), np.ascontiguousarray(np.linalg.inv(before)), np.ascontiguousarray(after))
 
 

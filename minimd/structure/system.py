@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 AnySystem: TypeAlias = "System | ase.Atoms"
 READ_ONLY = ("masses", "species_names", "species_index", *GROUPS, "units")
-RESOLVED = 1e-6  # of a length: rounding errors of separations beside it
+RESOLVED = 1e-6  # of a length: the largest rounding error of separations that is allowed
 
 
 class System(Displayed):
@@ -35,17 +35,17 @@ class System(Displayed):
     masses : (N,) or one number [mass]; 1 in reduced units if not given.
     velocities : (N, 3) [length/time]; zero if not given.
     cell : one length, three lengths, or (3, 3) rows = lattice vectors [length]; None for no cell.
-    pbc : one bool or three; True where a lattice vector is given, if not said otherwise.
+    pbc : one bool or three; by default True where a lattice vector is given.
     species : N labels (str or int); all alike if not given.
     bonds : (B, 2) int, pairs of bonded atoms.  angles : (A, 3) int, triples of atoms with an angle at the second one.
     dihedrals, impropers : (D, 4), (I, 4) int, quadruples of atoms with an angle between the planes through the first and the last three.
     units : minimd.units.LJ (reduced, default) or minimd.units.ASE (eV, Å, u).
-    constraints : DistanceConstraints and FixedAtoms that a Simulation keeps if it is not given others.
+    constraints : DistanceConstraints and FixedAtoms that a Simulation keeps unless it is given others.
 
     Attributes
     ----------
-    The same names hold the checked arrays, of float64 and of the user's atom order; positions and velocities may be
-    changed in place, cell may be replaced, the others are read-only. species_names is the tuple of
+    The same names hold the checked arrays, in float64 and in the order in which the atoms were given. Positions and
+    velocities may be changed in place, cell may be replaced, the others are read-only. species_names is the tuple of
     distinct labels, species_index (N,) the index of each atom's label in it.
 
     Raises
@@ -78,7 +78,7 @@ class System(Displayed):
         self.masses = _masses(masses, len(self.positions), units)
         self.velocities = np.zeros_like(self.positions) if velocities is None else _vectors("velocities", velocities, len(self))
         if isinstance(cell, Cell) and pbc is not None:
-            raise ValueError("pbc is part of a Cell: Cell.of(vectors, pbc); give pbc to System only beside lattice vectors")
+            raise ValueError("pbc is part of a Cell: Cell.of(vectors, pbc); give pbc to System only together with lattice vectors")
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
         self.species_names, self.species_index = _species(species, len(self))
         self.bonds = checked_pairs("bonds", () if bonds is None else bonds, len(self))
@@ -110,7 +110,7 @@ class System(Displayed):
 
     @property
     def _joined(self) -> str:
-        """Bonds, and angles, dihedrals and impropers if there are any, in words."""
+        """The numbers of bonds, and of angles, dihedrals and impropers if there are any, as text."""
         return ", ".join(f"{len(one)} {name}" for name, one in self.groups().items() if name == "bonds" or len(one))
 
     def groups(self) -> dict[str, NDArray[np.int64]]:
@@ -156,10 +156,10 @@ class System(Displayed):
     ) -> System:
         """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments.
 
-        bonds, angles, dihedrals, impropers : as for System. Without bonds, those that ASE found in a file: atoms.arrays["bonds"] and so on;
-        bonds=() for none of them.
-        FixCom becomes velocities without momentum, and is not remembered: hand over the atoms themselves, and a Simulation that would move their
-        center is refused.
+        bonds, angles, dihedrals, impropers : as for System. If bonds is not given, those that ASE read from a file: atoms.arrays["bonds"] and so
+        on; bonds=() for none of them.
+        FixCom sets the total momentum to zero and is then forgotten. To have a Simulation refuse to move the center of mass, give it the atoms
+        themselves.
         """
         from minimd.structure.ase_atoms import system_arguments
 
@@ -177,18 +177,18 @@ class System(Displayed):
         impropers: ArrayLike | None = None,
         pbc: ArrayLike | None = None,
     ) -> System:
-        """The present frame of an MDAnalysis universe, or of a group of its atoms: positions, velocities, masses, cell, bonds, angles, dihedrals.
+        """A system from the present frame of an MDAnalysis universe, or of a group of its atoms: all that System takes, except constraints.
 
         MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles. Species are its types.
 
         Parameters
         ----------
-        units : minimd.units.ASE, into which Å, Å/ps and u are converted; or minimd.units.LJ, whose numbers are taken as they stand.
+        units : minimd.units.ASE, to which Å, Å/ps and u are converted; or minimd.units.LJ, with which numbers are taken unchanged.
         bonds, angles, dihedrals, impropers : as for System; those of the universe if not given, () for none.  pbc : as for System.
 
         Raises
         ------
-        TypeError : for anything but a universe or a group.  ValueError : as System, or where MDAnalysis knows no masses.
+        TypeError : for anything but a universe or a group.  ValueError : as System, or if MDAnalysis has no masses.
         """
         from minimd.structure.mdanalysis_atoms import universe_arguments
 
@@ -271,11 +271,12 @@ def check_resolution(system: System, length: float, name: str) -> None:
     farthest = float(np.abs(system.positions).max())
     if EPS * farthest > RESOLVED * length:
         error, most = f"{EPS * farthest:.1g}, more than a millionth of {name}, {length:.3g}", RESOLVED * length / EPS
-        raise ValueError(f"positions must be below {most:.1e} here; the largest is {farthest:.1e}, where rounding moves atoms by {error}: shift them")
+        given = f"the largest is {farthest:.1e}, where rounding moves atoms by {error}"
+        raise ValueError(f"positions must be below {most:.1e} here; {given}: shift them towards the origin")
 
 
 def number_density(system: System, thickness: float) -> float:
-    """N / V [1/length³]; in open directions the width of the scene counts, or a thickness [length] if that is more."""
+    """N / V [1/length³]; open directions count with the width of the scene, or with a thickness [length] if that is more."""
     cell = system.cell
     fractional = np.einsum("ij,jk->ik", system.positions, cell.inverse)  # not @: see observables
     widths = np.where(cell.pbc, cell.heights, np.maximum(thickness, np.ptp(fractional, axis=0) * cell.heights))

@@ -1,7 +1,7 @@
-"""Unit systems. The core computes in any consistent units; every conversion of minimd stands in this file.
+"""Unit systems. The core computes in any consistent units; all conversion factors of minimd are in this file.
 
-ASE's units: length Å, energy eV, mass u, hence time Å √(u/eV). Constants as in ase.units (CODATA 2014), so that a number
-that crosses to ASE and back is the same number; a test compares the two.
+ASE's units: length Å, energy eV, mass u, hence time Å √(u/eV). Constants are those of ase.units (CODATA 2014), so that a number
+given to ASE and taken back is the same number; a test compares the two.
 """
 
 import math
@@ -19,12 +19,12 @@ DEGREE = math.pi / 180.0  # rad
 
 @dataclass(frozen=True)
 class UnitSystem:
-    """A consistent set of units, and what its numbers must be multiplied with to be Å, ps and kJ/mol; by default reduced units.
+    """A consistent set of units, and the factors that convert its numbers to Å, ps and kJ/mol; by default reduced units.
 
     name : "ASE" or "LJ".
     k_B : Boltzmann constant [energy/temperature].
-    to_angstrom, to_picosecond, to_kj_per_mol : factors for files that know only these units. Reduced numbers are written
-        unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), the convention of most tools.
+    to_angstrom, to_picosecond, to_kj_per_mol : factors for files that must have these units. Reduced numbers are written
+        unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), as most tools do.
     shown_time : name of the unit of time · to_picosecond, as it is shown.  small_time : the same for time steps, of which
         shown_small_time make one.
     length, volume, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files, plots and reports.
@@ -53,12 +53,12 @@ class UnitSystem:
         return f"UnitSystem({', '.join(f'{name}={value!r}' for name, value in vars(self).items())})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For pickle and copy: ASE's units stay the same object, and so do reduced ones."""
+        """For pickle and copy: ASE and LJ stay the same objects."""
         is_known = SYSTEMS.get(self.name) == self
         return (_system, (self.name,)) if is_known else (UnitSystem, tuple(vars(self).values()))
 
     def shown(self, time: float) -> str:
-        """A time in words: to 4 digits in the unit of time steps below 1000 of them, else to 6 digits; "2.5 fs", "12.5 ps", "0.004 τ"."""
+        """A time as text: with 4 digits below 1000 of the small unit, else with 6 digits in the large one; "2.5 fs", "12.5 ps", "0.004 τ"."""
         shown = time * self.to_picosecond
         small = shown * self.shown_small_time
         return f"{small:.4g} {self.small_time}" if abs(small) < 1000.0 else f"{shown:.6g} {self.shown_time}"
@@ -94,5 +94,5 @@ def _system(name: str) -> UnitSystem:
 
 
 def __dir__() -> list[str]:
-    """The public names: what is imported for them is no part."""
+    """The public names, without what this module imports."""
     return [name for name in globals() if name.isupper() or name in ("UnitSystem", "fs", "ps") or name.startswith("__")]

@@ -1,4 +1,4 @@
-"""Velocities for a start: Maxwell-Boltzmann's, without drift of the whole, at a temperature exactly."""
+"""Initial velocities: Maxwell-Boltzmann distributed, with total momentum zero and exactly the given temperature."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int 
     Each component has variance k_B T/m before the mean motion is removed and the rest rescaled.
     masses : (N,).  target : T ≥ 0 [temperature].  seed : of numpy's PCG64; None for a new draw each time.
 
-    Raises ValueError if the target is negative or not finite, or the seed no whole number.
+    Raises ValueError if the target is negative or not finite, or the seed is not a whole number.
     """
     target = checked_number("temperature", target, "finite and not negative")
     draw = np.random.default_rng(None if seed is None else checked_count("seed", seed, 0, SEEDS)).standard_normal((len(masses), 3))

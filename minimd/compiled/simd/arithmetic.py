@@ -1,4 +1,4 @@
-"""What laws do with numbers, for vectors: operators, comparisons, choices, functions."""
+"""What laws need of vectors: operators, comparisons, choices, functions."""
 
 import math
 import operator

@@ -1,7 +1,7 @@
-"""Stochastic cell rescaling: a bath of constant pressure, which strains the cell and all that is in it.
+"""Stochastic cell rescaling: a bath of constant pressure, which strains the cell and everything in it.
 
-It acts every few steps, on the state between two steps: a splitting of the whole evolution in which each part is reversible. What it
-gives to the system is counted as the heat of thermostats is, so that total energy minus reservoir energy changes by errors of the time step only.
+It acts every few steps, on the state between two steps: a splitting of the whole evolution in which each part is reversible. The energy it
+gives to the system is counted like the heat of a thermostat: total energy minus reservoir energy changes only by errors of the time step.
 """
 
 from dataclasses import dataclass, field
@@ -19,12 +19,12 @@ SEEDS = 2**128  # keys of numpy's Philox
 STEPS = 2**64  # numbers of steps are taken modulo this
 AXES = "xyz"
 COUPLINGS = ("isotropic", "triclinic", "x", "y", "z", "xy", "xz", "yz", "xyz")
-OWN_STREAM = 1  # of random numbers: those of thermostats have 0 in its place
+OWN_STREAM = 1  # of random numbers; the stream of thermostats is 0
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What a barostat needs to know of a state.
+    """What a barostat needs to know about a state.
 
     pressure : P, (3, 3) [energy/length³], kinetic part included.  volume : V [length³].  energy : E = K + U [energy].  thermal : k_B T [energy].
     """
@@ -46,29 +46,29 @@ class StochasticCellRescaling(Displayed):
     P is the pressure, isotropic its trace/3; ε is the strain and W a symmetric matrix of white noise. 𝒫 keeps the strains that the coupling
     allows: along some axes, each by itself, or all of them ("triclinic"), followed by the rotation that keeps the direction of the first lattice
     vector and the plane of the first two. ε is symmetric, and its trace is d ln V, as in eq. 4 of the first paper.
-    Lengths that are held fixed belong to molecules, whose centers move as above, with the pressure of molecules.
+    Atoms joined by fixed lengths form molecules: their centers of mass move as above, and P is the molecular pressure.
 
-    The bath acts at every n-th step, over h = nΔt, by one step of Euler's, with the drift b = −(βλh/2τ)(…) or m = −(βh/3τ) 𝒫[…]. It changes
+    The bath acts at every n-th step, over h = nΔt, by one Euler step with the drift b = −(βλh/2τ)(…) or m = −(βh/3τ) 𝒫[…]. It changes
 
         H = E − reservoir energy
 
     by ΔE + P₀ΔV − ½ k_B T ln(V′/V) + (τ/βh) [(λ′ − λ + b′)² − (λ′ − λ − b)²], or, with d free strains,
-    by ΔE + P₀ΔV − (1 + d/2) k_B T ln(V′/V) + (3τ/4βh) [V′|ε + m′|² − V|ε − m|²], where ′ means afterwards: zero up to errors of the finite h, as
-    for thermostats. All else that it gives to the system, heat and work, is counted in the reservoir energy. Fluctuations of V are too large by a
-    fraction of the order h/τ.
+    by ΔE + P₀ΔV − (1 + d/2) k_B T ln(V′/V) + (3τ/4βh) [V′|ε + m′|² − V|ε − m|²], where ′ means afterwards. This is zero up to errors of the finite
+    h, as for thermostats. All other energy it gives to the system, heat and work, is counted in the reservoir energy. Fluctuations of V are too
+    large by a fraction of the order h/τ.
 
-    With a thermostat this gives the isothermal-isobaric (NPT) ensemble. Without one the noise of the cell alone brings the temperature to T, and
-    slowly: it is neither the isobaric-isenthalpic nor any other ensemble before that.
+    With a thermostat this gives the isothermal-isobaric (NPT) ensemble. Without one, only the noise of the cell brings the temperature to T, and
+    it does so slowly; until then the run samples no standard ensemble, not even the isobaric-isenthalpic one.
 
     Parameters
     ----------
     pressure : P₀ [energy/length³].
-    compressibility : β, isothermal [length³/energy]; roughly known is enough, since only β/τ counts: 4.6e-5 bar⁻¹ for water.
+    compressibility : β, isothermal [length³/energy]; a rough value is enough, since only β/τ matters; 4.6e-5 bar⁻¹ for water.
     relaxation_time : τ of the volume, > 0 [time]; at least 10 nΔt. With one free axis the volume takes three times as long.
     seed : int ≥ 0 of the noise, below 2¹²⁸.
     temperature : T ≥ 0; that of the thermostat if not given.
     coupling : "isotropic", "triclinic", or axes that change each by itself, such as "z" or "xy".
-    every : n, the number of steps between two strains. Each of them costs several steps: two energies and virials, and a break of the march.
+    every : n, the number of steps between two strains. Each strain costs as much as several steps: it needs energy and virial twice.
 
     Raises
     ------
@@ -107,12 +107,12 @@ class StochasticCellRescaling(Displayed):
 
     @property
     def parameters(self) -> dict[str, float | int | str | None]:
-        """The arguments that make this barostat again, by name."""
+        """The constructor arguments that recreate this barostat, by name."""
         names = ("pressure", "compressibility", "relaxation_time", "seed", "temperature", "coupling", "every")
         return {name: getattr(self, name) for name in names}
 
     def strain(self, scene: Scene, duration: float, number: int) -> Array:
-        """ε, (3, 3).  duration : h [time].  number : of the step, which chooses the noise."""
+        """ε, (3, 3).  duration : h [time].  number : of the step; it selects the noise."""
         noise = np.random.Generator(np.random.Philox(key=self.seed, counter=np.array([0, OWN_STREAM, 0, number % STEPS], dtype=np.uint64)))
         white = noise.standard_normal((3, 3))
         if self.coupling == "isotropic":
@@ -125,7 +125,7 @@ class StochasticCellRescaling(Displayed):
     def change_of_conserved(self, before: Scene, after: Scene, strain: Array, duration: float) -> float:
         """ΔH [energy] of one strain, as above.
 
-        It is k_B T ln of the probability of the strain and of its way back, each times that of the state from which it starts.
+        It is k_B T ln of the ratio of two probabilities: of the strain and of its reverse, each times that of the state it starts from.
         """
         work = after.energy - before.energy + self.pressure * (after.volume - before.volume)
         entropy, rate = before.thermal * log(after.volume / before.volume), self.relaxation_time / (self.compressibility * duration)
@@ -157,8 +157,8 @@ def exponential(strain: Array) -> Array:
 
 
 def turned_back(before: Array, strained: Array) -> tuple[Array, Array]:
-    """Lattice vectors (3, 3), rows, rotated so that the first has the direction, and the first two the plane, that they had before; the rotation."""
+    """Strained lattice vectors (3, 3), rows, rotated so that the first has its old direction and the first two their old plane; and the rotation."""
     (frame, _), (own, triangle) = (np.linalg.qr(vectors.T) for vectors in (before, strained))
-    signs = np.sign(np.einsum("ij,ij->j", frame, own))  # of the axes: a strain turns them by little
+    signs = np.sign(np.einsum("ij,ij->j", frame, own))  # of the axes: a strain turns them only slightly
     own, triangle = own * signs, triangle * signs[:, None]
     return triangle.T @ frame.T, own @ frame.T

@@ -28,7 +28,7 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
     Parameters
     ----------
     parts : methods, or flows Kick(c) and Drift(c).
-    weights : fraction of the time step for each part. If not given, methods get equal fractions, and flows last cΔt.
+    weights : fraction of the time step for each part. If not given, methods get equal fractions, and each flow lasts its own cΔt.
 
     Raises
     ------
@@ -42,10 +42,10 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
     if weights is None:
         n_methods = sum(isinstance(part, type) for part in parts)
         if 0 < n_methods < len(parts):
-            raise TypeError("methods and flows are composed with weights only: the fraction of the time step for each part")
+            raise TypeError("methods and flows can be mixed only if weights are given: the fraction of the time step for each part")
         weights = [1.0 / n_methods if n_methods else 1.0] * len(parts)
     if len(weights) != len(parts) or not parts:
-        raise ValueError(f"there must be at least one part, and as many weights; got {len(parts)} parts, {len(weights)} weights")
+        raise ValueError(f"there must be at least one part, and as many weights as parts; got {len(parts)} parts, {len(weights)} weights")
     sequences = [scaled(part.sequence() if isinstance(part, type) else (part,), weight) for part, weight in zip(parts, weights, strict=True)]
     title = " ∘ ".join(part.name if isinstance(part, type) else repr(part) for part in parts)
     return _method(f"compose({title})", merged(chain.from_iterable(reversed(sequences))), f"composition of its parts, {title}")
@@ -64,7 +64,7 @@ def adjoint(method: type[Splitting]) -> type[Splitting]:
 
 def _refuse_bath(part: Part) -> None:
     if isinstance(part, type) and part.is_thermostat:
-        raise TypeError(f"{part.name} has a bath: its steps have no inverse and no parts that last for a fraction of them")
+        raise TypeError(f"{part.name} has a bath: its steps can be neither inverted nor divided into fractions")
 
 
 def _method(name: str, substeps: Substeps, source: str) -> type[Splitting]:
@@ -72,7 +72,7 @@ def _method(name: str, substeps: Substeps, source: str) -> type[Splitting]:
 
 
 class Ruth3(Splitting):
-    """Ruth's method of order 3, the first of more than two: three kicks, not symmetric.
+    """Ruth's method of order 3, the first with an order above 2: three kicks, not symmetric.
 
     kicks 7/24, 3/4, −1/24, each followed by its drift 2/3, −2/3, 1.
     """
@@ -97,7 +97,7 @@ class CandyRozmus4(Splitting):
 
 
 class Suzuki4(Splitting):
-    """Suzuki's fractal of five velocity Verlet steps: order 4, five kicks, errors smaller than those of three.
+    """Suzuki's fractal of five velocity Verlet steps: order 4, five kicks, smaller errors than with three.
 
     γ₁ = γ₂ = γ₄ = γ₅ = 1/(4 − ∛4),  γ₃ = 1 − 4γ₁ = −∛4 γ₁
     """
@@ -110,7 +110,7 @@ class Suzuki4(Splitting):
 class McLachlanAtela4(Splitting):
     """McLachlan and Atela's optimal method of order 4 for quadratic kinetic energy: four kicks, not symmetric.
 
-    Of order 3 only for other T(p): it uses that the kinetic energy is p²/2m, as it is here.
+    For other T(p) it has only order 3: it relies on a kinetic energy p²/2m, as it is here.
     """
 
     name = "mclachlan-atela-4"
@@ -121,7 +121,7 @@ class McLachlanAtela4(Splitting):
 
 
 class PEFRL(Splitting):
-    """Position extended Forest-Ruth like: order 4, four kicks, the free parameters spent on a small error.
+    """The position extended Forest-Ruth-like method: order 4, four kicks, its free parameters chosen for a small error.
 
     drifts ξ, χ, 1 − 2(χ + ξ), χ, ξ;  kicks (1 − 2λ)/2, λ, λ, (1 − 2λ)/2
     """
@@ -135,7 +135,7 @@ class PEFRL(Splitting):
 class BlanesMoan4(Splitting):
     """Blanes and Moan's Nyström method SRKN₆ᵇ: order 4, six kicks, the smallest error per force evaluation of order 4 here.
 
-    Its free parameters make the terms of order 5 small that appear for quadratic kinetic energy.
+    Its free parameters are chosen so that the error terms of order 5 that remain for quadratic kinetic energy are small.
     """
 
     name = "blanes-moan-rkn-4"
@@ -155,7 +155,7 @@ class Yoshida6(Splitting):
 
 
 class KahanLi6(Splitting):
-    """Kahan and Li's s9odr6a: order 6 from nine steps of velocity Verlet, errors smaller than those of seven."""
+    """Kahan and Li's s9odr6a: order 6 from nine steps of velocity Verlet, smaller errors than with seven."""
 
     name = "kahan-li-6"
     _w = 0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023, 0.79854399093482996340

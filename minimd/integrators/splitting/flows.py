@@ -1,4 +1,4 @@
-"""The two flows of a splitting, kick and drift: of numbers, of vectors, and of all atoms; in float64 and in fixed-point arithmetic."""
+"""The two flows of a splitting, kick and drift: for numbers, for SIMD vectors, and for all atoms; in float64 and in fixed-point arithmetic."""
 
 import numpy as np
 
@@ -9,13 +9,13 @@ from minimd.compiled.simd import fma, select
 
 @scalar
 def kicked(velocity, force, inverse_mass, duration):
-    """v + duration · F/m, of numbers or of vectors."""
+    """v + duration · F/m, for numbers or SIMD vectors."""
     return velocity + duration * inverse_mass * force
 
 
 @scalar
 def drifted(position, velocity, duration):
-    """r + duration · v, of numbers or of vectors."""
+    """r + duration · v, for numbers or SIMD vectors."""
     return position + duration * velocity
 
 
@@ -45,7 +45,7 @@ def drift(positions, velocities, duration):
 
 @scalar
 def momentum_in_steps(velocity, inverse_mass, steps):
-    """The momentum of an atom in steps; that from which the velocity was made, if it was. Of numbers. Zero for an atom that is held fixed."""
+    """Momentum of an atom in steps: exactly the one from which its velocity was made, if it was. For numbers. Zero for a fixed atom."""
     return np.rint(velocity / (steps.momentum * inverse_mass)) if inverse_mass > 0.0 else 0.0
 
 
@@ -63,7 +63,7 @@ def kicked_on_grid(momentum, impulse, inverse_mass, times):
 
 @scalar
 def drifted_on_grid(position, momentum, inverse_mass, unit, times, steps):
-    """r + times · (unit · p/m), the way in the brackets rounded to a multiple of steps.length; that of −p is its opposite."""
+    """r + times · (unit · p/m), with the displacement in brackets rounded to a multiple of steps.length; −p gives the opposite displacement."""
     rounder = MAGIC * steps.length
     return position + times * (fma(momentum, steps.momentum * unit * inverse_mass, rounder) - rounder)
 
@@ -83,7 +83,7 @@ def kick_on_grid(velocities, impulses, inverse_masses, times, steps):
 
 @kernel
 def drift_on_grid(positions, velocities, inverse_masses, unit, times, steps):
-    """positions += times · (unit · velocities), ways rounded to steps.  (N, 3) [length], (N, 3) [length/time], (N,), [time]."""
+    """positions += times · (unit · velocities), with the brackets rounded to steps.  (N, 3) [length], (N, 3) [length/time], (N,), [time]."""
     for i in range(positions.shape[0]):
         for c in range(3):
             momentum = momentum_in_steps(velocities[i, c], inverse_masses[i], steps)

@@ -18,7 +18,7 @@ __all__ = ["accurate_step", "energy_oscillation", "stability_limit"]
 
 ROUNDING = 1e-12  # of tr M: a product of some forty matrices with entries of order one
 REAL = 1e-6  # relative imaginary part that rounding may leave of a double root: about the square root of its own rounding
-SCANNED = 101  # steps among which the first too long one is sought
+SCANNED = 101  # lengths of a step, scanned for the first that is too long
 BISECTIONS = 50  # halvings of an interval, down to rounding
 
 
@@ -33,7 +33,7 @@ def propagation(substeps: Substeps, h: float) -> Array:
 
 @cache
 def stability_limit(substeps: Substeps) -> float:
-    """The largest ωΔt up to which every step is stable: |tr M(h)| ≤ 2 for all h below it; 2 for velocity Verlet, 0 if there is none.
+    """The stability limit of h = ωΔt: |tr M(h)| ≤ 2 for all h up to it; 2 for velocity Verlet, 0 if no step is stable.
 
     tr M is a polynomial in x = h². It is evaluated once between each two neighboring roots of tr M = ±2, so that no window of
     instability is too narrow to be found. A root at which tr M only touches ±2 is no limit.
@@ -62,9 +62,9 @@ def trace_polynomial(substeps: Substeps) -> Polynomial:
 
 
 def energy_oscillation(substeps: Substeps, h: float) -> float:
-    """Amplitude of the energy of an oscillator around its mean, relative: (E_max − E_min)/(E_max + E_min); infinite if unstable.
+    """Relative amplitude with which the energy of an oscillator varies: (E_max − E_min)/(E_max + E_min); infinite if unstable.
 
-    A stable step M = (a b; c d) conserves the quadratic form −c q² + (a − d) q v + b v². States lie on an ellipse, on whose axes the
+    A stable step M = (a b; c d) conserves the quadratic form −c q² + (a − d) q v + b v². States lie on an ellipse; on its axes the
     energy (q² + v²)/2 is largest and smallest. Velocity Verlet has h²/(8 − h²): 1/80 at 20 steps per period.  h : ωΔt.
     """
     (a, b), (c, d) = propagation(substeps, h)
@@ -77,7 +77,7 @@ def energy_oscillation(substeps: Substeps, h: float) -> float:
 
 @cache
 def accurate_step(substeps: Substeps, oscillation: float) -> float:
-    """The largest ωΔt, at most half the stability limit, up to which the energy of an oscillator oscillates by no more than this fraction."""
+    """The largest ωΔt, at most half the stability limit, up to which the energy oscillation of an oscillator stays within this fraction."""
     steps = np.linspace(0.0, 0.5 * stability_limit(substeps), SCANNED)
     too_long = [energy_oscillation(substeps, h) > oscillation for h in steps[1:]]
     if not any(too_long):

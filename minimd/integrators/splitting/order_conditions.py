@@ -52,8 +52,8 @@ def separable_residuals(substeps: Substeps, order: int) -> list[float]:
 
     The step is exp(c₁X₁) exp(c₂X₂) …, where each X is T or V. The exact flow is exp(T + V), in which every word of n letters T, V
     has the coefficient 1/n!. Both series are group-like, and such series agree if they agree on the Lyndon words, the words that
-    come before all their rotations: 2, 1, 2, 3, 6, 9, 18, 30 of them for n = 1, …, 8, as many as independent conditions
-    (C. Reutenauer, Free Lie Algebras (1993), chapter 6).
+    come before all their rotations. For n = 1, …, 8 there are 2, 1, 2, 3, 6, 9, 18, 30 of them, as many as there are independent
+    conditions (C. Reutenauer, Free Lie Algebras (1993), chapter 6).
     """
     return [word_coefficient(substeps, word) - 1.0 / factorial(order) for word in lyndon_words(order)]
 

@@ -21,12 +21,12 @@ __all__ = ["Splitting"]
 
 ComputeForces = Callable[[State, bool], None]  # fills state.forces; with True, evaluates the energy too
 
-# (state, cycle, n): up to n times a cycle; returns how many times, 0 if it can't. The forces are then outdated.
+# (state, cycle, n): repeats a cycle up to n times; returns how many times, 0 if it cannot. Afterwards the forces are outdated.
 March = Callable[[State, Cycle, int], int]
 
 
 def stages(method: "type[Splitting]") -> int:
-    """Force evaluations per step of a long run: groups of kicks with no drift between them, the last and the first kick being one group."""
+    """Force evaluations per step of a long run: groups of kicks with no drift between them; the last and the first kick form one group."""
     kicks = [isinstance(substep, Kick) for substep in merged(mechanical(method.substeps))]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
 
@@ -36,22 +36,22 @@ class Splitting(Method):
 
     If the first and the last substep are of one kind, the two are merged between steps: within a block of steps velocity
     Verlet makes one kick and one drift per step, as leapfrog does. Forces are computed when a kick needs them and
-    positions have moved since. With constraints every drift is projected. Velocities are projected at the end of a block only,
-    because a constrained drift does not depend on the component that a projection removes. A block can go on from the state
-    before the end of the one before, see Surroundings: two blocks then have the bits of one.
+    positions have moved since. With constraints every drift is projected. Velocities are projected only at the end of a block,
+    because a constrained drift does not depend on the component that a projection removes. A block can continue from the open
+    end of the previous one, see Surroundings: two blocks then give the same bits as one.
 
     Parameters, Raises : as Method.
 
     Attributes of each method
     -------------------------
     name, substeps, source : key in METHODS; kicks and drifts of one step; literature.
-    conserves_momentum : true unless a bath acts on atoms one by one.  is_thermostat : whether a bath acts at all.
+    conserves_momentum : true unless a bath acts on each atom separately.  is_thermostat : whether a bath acts at all.
     opening, closing : substeps before the first and after the last step of a block, for velocities at half steps.
 
     Attributes computed from them
     -----------------------------
     order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).  stages : force evaluations per step of a long run.
-    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1, then also reversible.  is_symplectic : true without a bath.
+    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1; the method is then also reversible.  is_symplectic : true without a bath.
     """
 
     substeps: ClassVar[Substeps]
@@ -91,14 +91,14 @@ class Splitting(Method):
         surroundings: Surroundings | None = None,
         march: March | None = None,
     ) -> int:
-        """Make n_steps steps, at least one, fewer if surroundings.stop_requested becomes true; return how many.
+        """Make n_steps steps, or fewer (at least one) if surroundings.stop_requested becomes true; return how many were made.
 
-        with_energy : evaluate the energy with the forces of the last step.  surroundings : constraints and bath, if there are any.
-        march : makes many steps at once, where it can; see March.
+        with_energy : evaluate the energy together with the forces of the last step.  surroundings : constraints and bath, if there are any.
+        march : makes many steps at once where it can; see March.
 
         Raises
         ------
-        ConstraintError : if a length cannot be kept.  ValueError : from a thermostat without a bath.
+        ConstraintError : if a constrained length cannot be kept.  ValueError : from a thermostat without a bath.
         """
         around = Surroundings() if surroundings is None else surroundings
         start, cycle, end = self._grouped(may_merge_drifts=around.constraints is None)
@@ -106,7 +106,7 @@ class Splitting(Method):
         repeated = None if march is None or around.constraints is not None else self.repeated(cycle[first_kick:] + cycle[:first_kick], around)
         units = self.units({*start, *cycle, *end})
         step, goes_on = 0, around.take_up(state)
-        behind = sum(substep.coefficient for substep in end if isinstance(substep, Drift))  # of an open end: the time that its drifts take
+        behind = sum(substep.coefficient for substep in end if isinstance(substep, Drift))  # of the drifts in an open end, in time steps
         while step <= n_steps:
             substeps = end if step == n_steps else start if step == 0 and not goes_on else cycle
             if step == n_steps:
@@ -145,9 +145,9 @@ class Splitting(Method):
         raise NotImplementedError(f"{self.name} has no thermostat")
 
     def _grouped(self, may_merge_drifts: bool) -> tuple[Substeps, Substeps, Substeps]:
-        """The first step of a block, each of the others, and what follows the last one: half a kick or half a drift, if first and last are alike.
+        """Substeps of the first step of a block, of every other step, and after the last one: half a kick or drift if the two ends are of one kind.
 
-        Two contacts with a bath, and two constrained drifts, are not merged.
+        Two contacts with a bath are not merged, nor are two constrained drifts.
         """
         first, last = self.substeps[0], self.substeps[-1]
         may_merge = isinstance(first, Kick) or (may_merge_drifts and isinstance(first, Drift))
@@ -158,10 +158,10 @@ class Splitting(Method):
 
     @classmethod
     def units(cls, substeps: Iterable[Substep]) -> dict[Substep, float]:
-        """For each substep the coefficient of which its own is a whole multiple: what it changes is rounded over this unit, on a grid.
+        """For each substep its unit: a coefficient of which its own is a whole multiple. On a grid, the change over one unit is rounded.
 
-        It is that of the substep with which a step begins or ends, if these are made of several of them: two merged half kicks then have the bits
-        of two half kicks.
+        The unit is the coefficient of the first or last substep of a step where the substep is a whole multiple of it: two merged half kicks then
+        give the same bits as two half kicks.
         """
         sequence = cls.sequence()
         ends = {type(end): end.coefficient for end in (sequence[-1], sequence[0])}

@@ -1,4 +1,4 @@
-"""What a splitting moves, and what acts on it beside the forces."""
+"""What a splitting moves, and what acts on it besides the forces."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -28,7 +28,7 @@ class State:
     positions, velocities, forces : (N, 3) [length], [length/time], [energy/length].
     inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
     forces_are_current : whether forces belong to positions; whoever moves positions sets it to False.
-    unit : in fixed-point arithmetic, the time over which impulses are, or will be, computed [time].
+    unit : in fixed-point arithmetic, the time over which impulses are (or will be) computed [time].
     """
 
     positions: Array
@@ -39,7 +39,7 @@ class State:
     unit: float = 1.0
 
     def has_forces_over(self, unit: float) -> bool:
-        """Whether the forces of the next kick are computed.  unit : of time, of which the kick is a multiple; see Splitting.units [time]."""
+        """Whether the forces of the next kick are already computed.  unit : the kick lasts a whole multiple of it; see Splitting.units [time]."""
         return self.forces_are_current
 
     def kick(self, duration: float, _unit: float) -> None:
@@ -51,11 +51,11 @@ class State:
         drift(self.positions, self.velocities, duration)
 
     def settle(self) -> None:
-        """After velocities were changed by a bath: those that a state can have."""
+        """Round velocities that a bath has changed to the grid, in place, if there is one."""
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Context in which constraints change positions and velocities; afterwards they are those that a state can have."""
+        """Context in which constraints change positions and velocities; at its end both are rounded to the grid, if there is one."""
         yield
 
     def kinetic_energy(self) -> float:
@@ -77,8 +77,8 @@ class State:
 class GridState(State):
     """A state in fixed-point arithmetic.
 
-    impulses : (N, 3) int64 in steps of momentum, those of the forces over a unit of time.
-    grid : Grid.  bodies : what constraints tie together, or None.
+    impulses : (N, 3) int64 in steps of momentum: forces times the unit of time.
+    grid : Grid.  bodies : groups of atoms that constraints tie together, or None.
     """
 
     impulses: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
@@ -103,7 +103,7 @@ class GridState(State):
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """See State. The momentum of each body that constraints tie together stays the same, to the last bit."""
+        """See State. The momentum of each body (atoms tied together by constraints) stays the same, to the last bit."""
         before = self.grid.momenta(self.velocities, self.inverse_masses)
         yield
         momenta = self.grid.momenta(self.velocities, self.inverse_masses)
@@ -129,17 +129,17 @@ class GridState(State):
 
 
 def steps_of(grid: Grid, units: ArrayLike) -> Steps:
-    """Steps for a kernel.  units : over which the impulses of each kick are computed [time]."""
+    """Steps for a kernel.  units : the time over which the impulses of each kick are computed [time]."""
     return Steps(np.asarray(units) / grid.momentum, grid.length, grid.momentum, grid.energy, 0.0)
 
 
 @dataclass
 class Bath:
-    """What a thermostat needs to know of its system, and the energy that it has given to it.
+    """What a thermostat needs to know about its system, and the energy it has given to the system.
 
     k_B : [energy/temperature].  n_dof : degrees of freedom that share the kinetic energy.
-    conserves_momentum : whether the total momentum is a constant; the motion of the center of mass is then no degree of freedom.
-    step, contact : steps since the start, and contacts since the step began; both choose the noise.
+    conserves_momentum : whether the total momentum is constant; the motion of the center of mass is then not a thermal degree of freedom.
+    step, contact : steps since the start, and contacts since the step began; both select the noise.
     energy : given to the system since the start, the reservoir energy [energy].
     """
 
@@ -155,7 +155,7 @@ class Contact(NamedTuple):
     """The Ornstein-Uhlenbeck process of a bath, v ← kept · v + spread √(1/m) ξ, and then a drift.
 
     kept : dimensionless.  spread : [√energy].  duration : of the drift [time].  bath : Bath, which counts the energy.
-    noise : function of n and N, for ξ of n steps from bath.step on, (n, N, 3).
+    noise : function of n and N that returns ξ of n steps, beginning with bath.step, (n, N, 3).
     """
 
     kept: float
@@ -166,10 +166,10 @@ class Contact(NamedTuple):
 
 
 class Cycle(NamedTuple):
-    """What is repeated in a run of steps: kicks and drifts in turn, each kick after an evaluation of the forces.
+    """What is repeated in a run of steps: kicks and drifts in turn, with the forces evaluated before each kick.
 
-    durations : (P, 2, 2) of P kicks and drifts, and the times of which they are whole multiples [time]; see Splitting.units.
-    contact : that follows each drift, or None.
+    durations : (P, 2, 2); for each of P pairs of kick and drift: duration and unit of each [time]; see Splitting.units.
+    contact : the contact with a bath that follows each drift, or None.
     """
 
     durations: Array
@@ -180,7 +180,7 @@ class OpenEnd(NamedTuple):
     """A state before the end of a block of steps: before the last half kick or drift, and before velocities were projected.
 
     velocities : (N, 3), a copy.  positions : likewise, or None if they are those of the state.
-    drifts_next : whether the next block moves the atoms before it needs forces; those at the positions of the state are not on its way.
+    drifts_next : whether the next block moves the atoms before it needs forces; it then never needs the forces at the present positions.
     work : see Surroundings [energy].
     """
 
@@ -192,14 +192,14 @@ class OpenEnd(NamedTuple):
 
 @dataclass
 class Surroundings:
-    """What acts on a state beside the forces.
+    """What acts on a state besides the forces.
 
-    constraints : solver of the lengths that drifts keep, or None.  bath : of a thermostat, or None.
+    constraints : solver for the lengths that drifts keep, or None.  bath : of a thermostat, or None.
     stop_requested : set it to True to end a run of steps after the present one.
-    keeps_open_end : whether a block goes on from the open end of the one before; who changes the state in between sets open_end to None.
-    phase : time since the beginning of the step, in time steps; it passes in drifts.
-    power : ∂U/∂t of the forces of the next kick [energy/time].  work : its integral, Σ duration · power of all kicks [energy]: time is a coordinate
-    whose momentum is −work, and the splitting that of the larger system, so that total energy minus work is conserved as an energy is.
+    keeps_open_end : whether a block continues from the open end of the previous one; code that changes the state in between sets open_end to None.
+    phase : time since the beginning of the step, in time steps; only drifts advance it.
+    power : ∂U/∂t with the forces of the next kick [energy/time].  work : its integral, Σ duration · power over all kicks [energy]. Time is treated
+    as a coordinate with momentum −work, and this larger system is split: total energy minus work is conserved as well as an energy is.
     """
 
     constraints: ConstraintSolver | None = None
@@ -212,7 +212,7 @@ class Surroundings:
     work: float = 0.0
 
     def leave_open(self, state: State, end: Substeps, cycle: Substeps) -> None:
-        """Keep the open end of a block.  end : the substeps that end it.  cycle : those of the next step, if it goes on."""
+        """Keep the open end of a block.  end : the substeps that end it.  cycle : the substeps of the next step, if the run continues."""
         if not self.keeps_open_end:
             return
         velocities = state.velocities.copy() if end or self.constraints is not None else state.velocities
@@ -220,7 +220,7 @@ class Surroundings:
         self.open_end = OpenEnd(velocities, positions, drifts_next=isinstance(mechanical(cycle)[0], Drift), work=self.work)
 
     def take_up(self, state: State) -> bool:
-        """Go back to the open end of the block before; False if there is none."""
+        """Go back to the open end of the previous block; False if there is none."""
         if self.open_end is None:
             return False
         velocities, positions, _, self.work = self.open_end
@@ -231,12 +231,12 @@ class Surroundings:
         return True
 
     def count(self, n_steps: int) -> None:
-        """So many steps were made: the next contact with the bath is the first of its step."""
+        """Count n_steps more steps for the bath: its next contact is the first of its step."""
         if self.bath is not None:
             self.bath.step, self.bath.contact = self.bath.step + n_steps, 0
 
     def drift(self, state: State, duration: float, unit: float) -> None:
-        """Positions += duration · velocities, lengths kept.  unit : see State.drift."""
+        """Positions += duration · velocities, with constrained lengths kept.  unit : see State.drift."""
         if self.constraints is None:
             state.drift(duration, unit)
             return
@@ -244,7 +244,7 @@ class Surroundings:
             self.constraints.drift(state.positions, state.velocities, duration)
 
     def project(self, state: State) -> None:
-        """Velocities projected so that they change no length that is kept, in place."""
+        """Project velocities in place, so that they change no constrained length."""
         if self.constraints is not None:
             with state.held():
                 self.constraints.project_velocities(state.velocities, state.positions)

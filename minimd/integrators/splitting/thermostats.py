@@ -1,8 +1,8 @@
 """Methods in contact with a bath: the substeps of a splitting, and one more that changes velocities at random.
 
-The noise depends on the seed, on the number of the step and on the place of the contact in the step, on nothing else: a run that is
-stopped and resumed, replayed after a failure, or made on other threads has the same noise. The energy that the bath puts in is
-counted, so that total energy minus this sum changes by the errors of kicks and drifts only. It drifts where Δt is large.
+The noise depends only on the seed, the number of the step and the place of the contact within the step: a run that is stopped and
+resumed, replayed after a failure, or made with another number of threads has the same noise. The energy that the bath puts in is
+counted, so that total energy minus this sum changes only by the errors of kicks and drifts. This difference drifts if Δt is large.
 G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007); D. A. Sivak, J. D. Chodera, G. E. Crooks, Phys. Rev. X 3, 011007 (2013).
 """
 
@@ -23,7 +23,7 @@ from minimd.structure.checks import checked_count, checked_number
 __all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
 
 SEEDS = 2**128  # keys of numpy's Philox
-AT_REST = 1e-12  # of the total kinetic energy: a smaller one relative to the center of mass is the rounding of their difference
+AT_REST = 1e-12  # of the total kinetic energy: if less than this is relative to the center of mass, it is only rounding
 STEPS = 2**64  # numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
 
 
@@ -49,16 +49,16 @@ class Thermostat(Splitting):
 
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
-        """The thermostat whose bath has this relaxation time, τ > 0 [time]: all that a scene file says of it.  Others : see Thermostat."""
-        raise NotImplementedError(f"{cls.name} has no with_relaxation_time, by which a scene makes it; run it from a script")
+        """The thermostat with this relaxation time, τ > 0 [time]; scene files know no other parameter.  Other arguments : see Thermostat."""
+        raise NotImplementedError(f"{cls.name} cannot be used in a scene, because it has no with_relaxation_time; run it from a script")
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """Refused with a TypeError: a bath needs masses and a unit of temperature, which small problems do not have."""
+        """Raises TypeError: a bath needs masses and a unit of temperature, which small problems do not have."""
         raise TypeError(f"{cls.name} runs in a Simulation, where atoms have masses and a temperature has a unit")
 
     def noise(self, bath: Bath) -> np.random.Generator:
-        """The random numbers of one contact with the bath: of this step, and of the place of the contact in it."""
+        """The generator of random numbers for one contact with the bath: for this step, and the place of the contact within it."""
         counter = np.array([0, 0, bath.contact, bath.step % STEPS], dtype=np.uint64)
         bath.contact += 1
         return np.random.Generator(np.random.Philox(key=self.seed, counter=counter))
@@ -73,10 +73,10 @@ class LangevinBAOAB(Thermostat):
         r(t+Δt)   = r(t+Δt/2) + Δt/2 v                         A
         v(t+Δt)   = v + Δt/2 F(t+Δt)/m                         B
 
-    Averages have order 2. For harmonic forces those of positions are exact at any stable Δt, and those of v² are low by the
-    fraction (ωΔt)²/4: a kinetic temperature below that of the bath by O(Δt²) is an error of the time step, not of the bath. The
-    same holds for rigid molecules; one without forces has the temperature of the bath. Momentum is not conserved, so that all 3N
-    degrees of freedom are thermal. Without friction it is velocity Verlet.
+    Averages have errors of order 2. For harmonic forces, averages of positions are exact at any stable Δt, and those of v² are too
+    low by the fraction (ωΔt)²/4: a kinetic temperature below that of the bath by O(Δt²) is an error of the time step, not of the
+    bath. This also holds for rigid molecules; without forces they have the temperature of the bath. Momentum is not conserved, so
+    all 3N degrees of freedom are thermal. Without friction the method is velocity Verlet.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class LangevinBAOAB(Thermostat):
 
     def repeated(self, cycle: Substeps, around: Surroundings) -> Cycle | None:
         """See Splitting: a kick and a drift, the contact, and the other drift."""
-        is_own = getattr(self.thermalize, "__func__", None) is LangevinBAOAB.thermalize  # who derives from this class may have another process
+        is_own = getattr(self.thermalize, "__func__", None) is LangevinBAOAB.thermalize  # a derived class may have another process
         if around.bath is None or not is_own or [type(substep) for substep in cycle] != [Kick, Drift, Thermalize, Drift]:
             return None
         first, bath = super().repeated(cycle[:2], around), around.bath
@@ -129,7 +129,7 @@ class LangevinBAOAB(Thermostat):
         return exp(-self.friction * duration), sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
 
     def _noise(self, n_steps: int, n_atoms: int, bath: Bath) -> Array:
-        """ξ of so many steps, (n, N, 3): that of Thermostat.noise, drawn in compiled code."""
+        """ξ of n_steps steps, (n, N, 3): the same numbers as from Thermostat.noise, drawn in compiled code."""
         key = np.array([self.seed % 2**64, self.seed >> 64], dtype=np.uint64)
         numbers = np.empty((n_steps, n_atoms * 3))
         normal_numbers(key, bath.step, bath.contact, numbers)
@@ -137,7 +137,7 @@ class LangevinBAOAB(Thermostat):
 
 
 class StochasticVelocityRescaling(Thermostat):
-    """Velocity Verlet, then one factor for all velocities, drawn so that the kinetic energy has its canonical distribution.
+    """Velocity Verlet, then all velocities times one factor, drawn so that the kinetic energy has its canonical distribution.
 
         dK = (K̄ − K) dt/τ + 2 √(K K̄/n_dof) dW/√τ,  K̄ = n_dof k_B T/2
 
@@ -145,9 +145,9 @@ class StochasticVelocityRescaling(Thermostat):
 
         K′ = c K + (1 − c) K̄/n_dof (S + ξ²) + 2 ξ √(c (1 − c) K K̄/n_dof)
 
-    K is the kinetic energy of the n_dof degrees of freedom. Where total momentum is conserved, the motion of the center of mass is not
-    among them: K is then relative to its velocity V, which is kept, v ← V + √(K′/K) (v − V). Where atoms are held fixed, V is zero.
-    Directions of motion are kept, so that dynamics is hardly disturbed.
+    K is the kinetic energy of the n_dof degrees of freedom. If total momentum is conserved, the motion of the center of mass is not
+    among them: K is then relative to its velocity V, which is kept, v ← V + √(K′/K) (v − V). If atoms are held fixed, V is zero.
+    Directions of motion are kept, so that the dynamics is hardly disturbed.
 
     Parameters
     ----------
@@ -189,9 +189,9 @@ class StochasticVelocityRescaling(Thermostat):
 
 
 def bath_of(around: Surroundings) -> Bath:
-    """The bath of a thermostat.  Raises ValueError if there is none."""
+    """The bath that a thermostat needs.  Raises ValueError if there is none."""
     if around.bath is None:
-        raise ValueError("a thermostat needs a bath to count what it gives: pass surroundings = Surroundings(bath=Bath(k_B, n_dof))")
+        raise ValueError("a thermostat needs a bath to count the energy it gives: pass surroundings=Surroundings(bath=Bath(k_B, n_dof))")
     return around.bath
 
 

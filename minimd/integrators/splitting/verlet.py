@@ -39,7 +39,7 @@ class PositionVerlet(Splitting):
 
 
 class Leapfrog(Splitting):
-    """Leapfrog: velocities are those of half a step before the positions.
+    """Leapfrog: velocities are half a step behind positions.
 
         v(t+Δt/2) = v(t−Δt/2) + Δt F(t)/m           kick
         r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift

@@ -105,3 +105,15 @@ def test_warnings_are_passed_over_in_one_thread_alone():
         other.join()
         warnings.warn("and this", stacklevel=1)
     assert [str(one.message) for one in told] == ["but this", "and this"]
+
+
+def test_a_file_that_a_universe_of_this_script_has_open_says_how_to_close_it(tmp_path):
+    from minimd.mdanalysis import universe
+
+    made = simulation()
+    made.run(2, every=1, trajectory=tmp_path / "run.h5md")
+    reading = universe(tmp_path / "run.h5md")
+    with pytest.raises(OSError, match=r"must be closed first, universe\.trajectory\.close\(\)"):
+        made.run(2, every=1, trajectory=tmp_path / "run.h5md", append=True)
+    reading.trajectory.close()
+    made.run(2, every=1, trajectory=tmp_path / "run.h5md", append=True)

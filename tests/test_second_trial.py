@@ -9,6 +9,7 @@ import pytest
 from h5md_runs import simulation
 
 import minimd as md
+from minimd.analysis.check import check_file
 from minimd.engine.observation import OBSERVABLES, Observable, register
 from minimd.engine.record import SERIES
 from minimd.files.h5md_reader import damage, read_file
@@ -41,15 +42,16 @@ def test_a_universe_without_a_third_vector_says_that_it_has_no_cell():
         universe(simulation("slab without height"))
 
 
-def test_the_verdict_says_that_the_time_step_is_too_long():
-    """Whether the energy drifts or not."""
+def test_the_verdict_says_that_the_time_step_is_too_long(tmp_path):
+    """Whether the energy drifts or not; in a file too."""
     made = simulation()
     made.method = md.VelocityVerlet(0.02)
     with pytest.warns(UserWarning, match=r"timestep 0.02 τ is long .*; see advise_timestep"):
-        record = made.run(20, every=1)
+        record = made.run(20, every=1, trajectory=tmp_path / "run.h5md")
     report = made.report()
     clause = "timestep 0.02 τ is long for Lennard-Jones atoms as light as these: in a liquid velocity-verlet conserves the energy well up to"
     assert clause in report.verdict
+    assert clause in check_file(tmp_path / "run.h5md").report.verdict
     still = replace(report, energy_drift=replace(report.energy_drift, slope=0.0), energy_range=0.0)
     assert still.verdict.startswith(f"the total energy does not drift, BUT {clause}")
     falling = replace(report, energy_drift=replace(report.energy_drift, slope=-1.0, error=1e-3, is_unsure=False))
@@ -105,3 +107,15 @@ def test_warnings_are_passed_over_in_one_thread_alone():
         other.join()
         warnings.warn("and this", stacklevel=1)
     assert [str(one.message) for one in told] == ["but this", "and this"]
+
+
+def test_a_file_that_a_universe_of_this_script_has_open_says_how_to_close_it(tmp_path):
+    from minimd.mdanalysis import universe
+
+    made = simulation()
+    made.run(2, every=1, trajectory=tmp_path / "run.h5md")
+    reading = universe(tmp_path / "run.h5md")
+    with pytest.raises(OSError, match=r"must be closed first, universe\.trajectory\.close\(\)"):
+        made.run(2, every=1, trajectory=tmp_path / "run.h5md", append=True)
+    reading.trajectory.close()
+    made.run(2, every=1, trajectory=tmp_path / "run.h5md", append=True)

@@ -1,7 +1,7 @@
 """The check of a run from its file alone: energies and momenta recomputed from velocities that MDAnalysis reads, and conservation laws."""
 
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -93,7 +93,9 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     contents, moved, system = made.contents, recompute(made), made.system
     record, is_free = Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}), contents.conserves_momentum
     report = conservation_report(record, linear=is_free, angular=is_free and not system.cell.is_periodic)
-    frames = f"{contents.n_frames} frames, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, {system.units.name} units"
+    report = replace(report, too_long_a_step=contents.too_long_a_step)
+    several = "s" * (contents.n_frames > 1)
+    frames = f"{contents.n_frames} frame{several}, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, {system.units.name} units"
     heading = f"file           {Path(made.trajectory.filename)}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"
     return FileCheck(heading, [*comparisons(moved), *exact_momenta(made), sums], report, liquid(made))
 

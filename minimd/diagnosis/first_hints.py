@@ -22,7 +22,7 @@ TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 def hints(engine: Engine) -> Iterator[str]:
     """Sentences about time step and lengths; none if there is nothing to say. The forces must be current."""
     if hint := too_long_a_step(engine):
-        yield f"{hint}; see advise_timestep, and the unit of the time step"
+        yield f"{hint}; see advise_timestep, and check the unit of the time step"
     yield from _no_pair_in_reach(engine)
     yield from _quick_barostat(engine)
 

@@ -91,7 +91,7 @@ class Record(Displayed):
             return np.array(series[name])
         if name == "pressure":
             raise AttributeError(
-                "pressure was not recorded: the cell has no volume, it must be periodic in all three directions, pbc = (True, True, True)"
+                "pressure was not recorded: the cell has no volume; it must be periodic in all three directions, pbc = (True, True, True)"
             )
         raise AttributeError(f"a record has no {name!r}; it has {', '.join(series)}")
 

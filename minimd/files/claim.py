@@ -16,6 +16,7 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
+IN_USE = "another run is writing it, or a program has it open; a universe of it in this one must be closed first, universe.trajectory.close()"
 UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
 
 
@@ -97,7 +98,7 @@ def locked(path: Path, create: bool = False) -> int:
             raise BlockingIOError
     except (BlockingIOError, FileNotFoundError):
         os.close(descriptor)
-        raise OSError(errno.EBUSY, "another run is writing it, or another program has it open") from None
+        raise OSError(errno.EBUSY, IN_USE) from None
     except OSError as error:
         if error.errno not in UNLOCKABLE:
             os.close(descriptor)

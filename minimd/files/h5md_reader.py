@@ -37,7 +37,7 @@ class H5MDContents(Displayed):
 
     record : Record, one entry for each frame.  system : System at the restart, to the last bit, with the constraints of the run.
     restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
-    barostat : StochasticCellRescaling, or None.
+    barostat : StochasticCellRescaling, or None.  too_long_a_step : as in a Report.
     parameters : arguments that make the method again.  precision, skin : of the options.  potentials : in words.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
@@ -65,6 +65,7 @@ class H5MDContents(Displayed):
     repaired: str
     observers: dict[str, Accumulator]
     barostat: StochasticCellRescaling | None = None
+    too_long_a_step: str = ""
 
     def __repr__(self) -> str:
         return f"H5MDContents({self.n_frames} frames of {len(self.system)} atoms, {self.method}, step {self.step})"
@@ -125,6 +126,7 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
             repaired=repaired,
             observers=observers_of(h5),
             barostat=StochasticCellRescaling(**json.loads(words)) if (words := at.get("barostat", "")) else None,
+            too_long_a_step=str(at.get("too_long_a_step", "")),
         )
 
 

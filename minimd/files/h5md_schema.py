@@ -23,6 +23,7 @@ import h5py
 import numpy as np
 
 from minimd.compiled.machine import version
+from minimd.diagnosis.first_hints import too_long_a_step
 from minimd.engine.engine import Engine
 from minimd.engine.record import SERIES, Frame
 from minimd.files.h5md_constraints import describe_constraints
@@ -138,6 +139,7 @@ def describe_method(group: h5py.Group, engine: Engine) -> None:
     group.attrs.update({"method": engine.method.name, "conserves_momentum": engine.conserves_momentum})
     group.attrs.update({"precision": options.precision, "skin": np.nan if options.skin is None else options.skin})
     group.attrs["potentials"] = potentials_in_words(engine.interactions.potentials)
+    group.attrs["too_long_a_step"] = too_long_a_step(engine) or ""
     group.attrs["barostat"] = "" if engine.barostat is None else json.dumps(engine.barostat.parameters)
     group.attrs["parameters"] = json.dumps(engine.method.parameters)  # a seed may be larger than any number of HDF5
     group.attrs.update({name: value for name, value in engine.method.parameters.items() if isinstance(value, float)})

@@ -40,6 +40,7 @@ class RunGuard:
         self.engine = engine
         self.seconds, self.n_steps = 0.0, 0
         self.failed_from: Snapshot | None = None
+        self._first_volume = engine.system.volume
         self._checked_timestep = 0.0  # none yet
         self._judged_by: tuple[Mapping[str, Any] | None, float] = None, RUNAWAY  # of every run: see judge_by
         self._first: Mapping[str, Any] | None = None  # observables at the first look of a run
@@ -263,7 +264,8 @@ class RunGuard:
         except Exception as broken:  # whatever a term of the user's own raises
             why = f"There is no crash report: {type(broken).__name__}: {broken}\n"
         else:
-            failure = Failure(fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step)
+            of_barostat = self._first_volume, engine.barostat is not None and isinstance(reason, RangeError)
+            failure = Failure(fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step, *of_barostat)
             report = examine(engine, failure)
             why = "" if isinstance(reason, RangeError) else f"Likely cause: {report.cause}; {report.advice}\n"
         pair = closest_pair(engine.system)

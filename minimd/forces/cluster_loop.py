@@ -11,8 +11,9 @@ import numpy as np
 from numba import types
 from numba.core.errors import NumbaError
 
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import BIAS, biased_product, is_fixed, on_grid
-from minimd.compiled.kernels import by_type, kernel, scalar, without_cache
+from minimd.compiled.kernels import by_type, called_kernel, kernel, scalar, without_cache
 from minimd.compiled.simd import bits_from_mask, broadcast, convert, fma, load, select, store, total
 from minimd.compiled.simd.lanes import DOUBLE, count, lanes_for
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
@@ -26,7 +27,7 @@ from minimd.potentials.user_laws import is_recognized, is_user_law
 LANE_SUMS = 7  # accumulators of a lane with PER_ATOM: energy, and six of the virial
 
 
-class ByLane(namedtuple("ByLane", "columns species slots table of_atoms")):
+class ByLane(ByAddress, namedtuple("ByLane", "columns species slots table of_atoms")):
     """Parameters by species, laid out for lanes.
 
     columns : tuple of (S · slots,) arrays; element a · slots + s is the parameter of the atom in slot s with species a.
@@ -51,7 +52,7 @@ def _loaded(columns, start, lanes):
     return lambda columns, start, lanes: (load(columns[0], start, lanes),) + _loaded(columns[1:], start, lanes)
 
 
-class Sums(namedtuple("Sums", "forces energies virials lane_sums detail")):
+class Sums(ByAddress, namedtuple("Sums", "forces energies virials lane_sums detail")):
     """The accumulators of the loop.
 
     forces : flat, a block for each ghost, of the type of the pair arithmetic [energy/length]; in fixed-point arithmetic int64 impulses.
@@ -63,8 +64,6 @@ class Sums(namedtuple("Sums", "forces energies virials lane_sums detail")):
 
 class ForceSums(Sums):
     """Accumulators of forces only: a type of its own, for which the compiler leaves out energies and virials."""
-
-    __slots__ = ()
 
 
 @by_type
@@ -82,6 +81,29 @@ def looks_ahead(vector):
     """
     answer = vector.lanes * vector.element.bitwidth == 512
     return lambda vector: answer
+
+
+class Work(ByAddress, namedtuple("Work", "laws sums")):
+    """What the loop does.  laws : tuple of pairs, a law type and its parameters, SameForAll or ByLane.  sums : Sums or ForceSums."""
+
+
+@called_kernel
+def add_forces_of_laws(domain, arrays, work, steps, which):
+    """add_cluster_forces for each law of a Work."""
+    _add_forces_of(domain, arrays, work.laws, work.sums, steps, which)
+
+
+@by_type
+def _add_forces_of(domain, arrays, laws, sums, steps, which):
+    """Unrolled by the compiler."""
+    if len(laws) == 0:
+        return lambda domain, arrays, laws, sums, steps, which: None
+
+    def add(domain, arrays, laws, sums, steps, which):
+        add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums, steps, which)
+        _add_forces_of(domain, arrays, laws[1:], sums, steps, which)
+
+    return add
 
 
 @scalar
@@ -200,10 +222,10 @@ def without_bias(total, n, lanes):
 
 
 @kernel
-def prepare_loop(arrays, laws):
+def prepare_loop(arrays, work):
     """To be called after a list build, and after each change of the layers in use: what the loop needs beside the list."""
-    fill_lanes(arrays, laws)
-    start_sums(arrays, len(laws), arrays.memory.first_sum, arrays.memory.forces)
+    fill_lanes(arrays, work.laws)
+    start_sums(arrays, len(work.laws), arrays.memory.first_sum, arrays.memory.forces)
 
 
 @by_type

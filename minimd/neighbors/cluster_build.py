@@ -2,6 +2,7 @@
 
 from collections import namedtuple
 
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import scalar, shared_kernel
 from minimd.compiled.threads import MOST_CHUNKS, barrier, begin, finish_and_take, take
 from minimd.neighbors.cluster_search import find_rows, make_work
@@ -9,7 +10,7 @@ from minimd.neighbors.clusters import fill_clusters, sort_into_columns
 from minimd.neighbors.domains import cut_into_domains, fill_ghosts, sort_ghosts
 
 
-class Building(namedtuple("Building", "binned layout rows entry_start needed")):
+class Building(ByAddress, namedtuple("Building", "binned layout rows entry_start needed")):
     """Memory for a build.  binned, layout, rows : Binned, Layout, Rows, all of them outputs but for layout.columns.
 
     entry_start : (K + 1,) int, first entry of each domain.

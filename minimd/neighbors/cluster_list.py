@@ -6,6 +6,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, by_type, kernel, scalar
 from minimd.compiled.simd import broadcast, convert, lane, load, store, with_lane
 from minimd.compiled.simd.lanes import DOUBLE, MIXED, count, lanes_for
@@ -24,7 +25,7 @@ GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of t
 COARSEST = 1e-6  # of the cutoff: on a coarser grid, coordinates are rounded more than float32 rounds their differences
 
 
-class Memory(namedtuple("Memory", "coordinates shift origin unit forces first_sum far net")):
+class Memory(ByAddress, namedtuple("Memory", "coordinates shift origin unit forces first_sum far net")):
     """What the loop reads and writes; coordinates are in the precision of the pair arithmetic, see separation in cluster_loop.
 
     coordinates, forces : flat, a block for each ghost.
@@ -36,7 +37,7 @@ class Memory(namedtuple("Memory", "coordinates shift origin unit forces first_su
     """
 
 
-class ClusterArrays(namedtuple("ClusterArrays", "clusters domain_start ghost_start ghosts rows memory")):
+class ClusterArrays(ByAddress, namedtuple("ClusterArrays", "clusters domain_start ghost_start ghosts rows memory")):
     """What the loop over clusters gets from the list.  domain_start, ghost_start : (K + 1,) int, first cluster and first ghost of each domain."""
 
 

@@ -16,6 +16,7 @@ from collections import namedtuple
 
 import numpy as np
 
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import inlined, scalar, shared_kernel
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, trailing_zeros
 from minimd.compiled.simd.lanes import count
@@ -36,7 +37,7 @@ SET_BITS = np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()  # 
 ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the rounding of float32
 
 
-class Rows(namedtuple("Rows", "start stops entries reaches2 limits2 layers")):
+class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 layers")):
     """Clusters near each atom, in layers: entries[start[s] : stops[l, s]] are those that have an atom within reach l of the atom in slot s.
 
     start : (slots,) int.  stops : (LAYERS, slots) int.

@@ -16,6 +16,7 @@ from collections import namedtuple
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import bits_from_mask, load, with_lane
 from minimd.compiled.simd.lanes import Lanes, count
@@ -26,7 +27,7 @@ from minimd.structure.cell import Cell
 DIMENSIONS = 3  # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
 
 
-class Columns(namedtuple("Columns", "counts distance reach along origin extent pbc lattice inverse")):
+class Columns(ByAddress, namedtuple("Columns", "counts distance reach along origin extent pbc lattice inverse")):
     """A cell divided into columns along its third lattice vector.
 
     counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
@@ -36,7 +37,7 @@ class Columns(namedtuple("Columns", "counts distance reach along origin extent p
     """
 
 
-class Clusters(namedtuple("Clusters", "lanes atom filled positions offsets column_start bottom top boxes")):
+class Clusters(ByAddress, namedtuple("Clusters", "lanes atom filled positions offsets column_start bottom top boxes")):
     """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n. Arrays of C elements have room for more.
 
     lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.

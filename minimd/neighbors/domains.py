@@ -21,6 +21,7 @@ from collections import namedtuple
 
 import numpy as np
 
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import scalar
 from minimd.compiled.simd import load, store
 from minimd.compiled.simd.lanes import count
@@ -35,14 +36,14 @@ IMAGES, HOME = 27, 13  # number of images, and the code of image (0, 0, 0)
 ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work costs more than a second thread gains
 
 
-class Domains(namedtuple("Domains", "column cluster first run ghost")):
+class Domains(ByAddress, namedtuple("Domains", "column cluster first run ghost")):
     """column : (K + 1,) int, first column of each domain along the first lattice vector.  cluster, first : (K + 1,) int, its first cluster and ghost.
 
     run : (K + 1,) int, the first run of each domain.  ghost : (runs + 1,) int, the first ghost of each run; the last number is M.
     """
 
 
-class GhostClusters(namedtuple("GhostClusters", "owner key shift bottom top boxes lanes home is_used of start")):
+class GhostClusters(ByAddress, namedtuple("GhostClusters", "owner key shift bottom top boxes lanes home is_used of start")):
     """M ghosts of C clusters. Arrays have room for more.
 
     owner : (M,) int, the cluster.  key : (M,) int, 27 · cluster + code of the image (a, b, c), which is 9 (a + 1) + 3 (b + 1) + c + 1.
@@ -56,7 +57,7 @@ class GhostClusters(namedtuple("GhostClusters", "owner key shift bottom top boxe
     """
 
 
-class Layout(namedtuple("Layout", "columns clusters domains ghosts coordinates")):
+class Layout(ByAddress, namedtuple("Layout", "columns clusters domains ghosts coordinates")):
     """The clusters of a scene and where their ghosts stand.  coordinates : flat, a block for each ghost [length]."""
 
 

@@ -3,7 +3,7 @@
 ===================================
 
 A pendulum, q″ = −sin q. Its state is a point (q, v) of the phase plane, and its energy H = v²/2 − cos q is constant, so that the point
-stays on a curve H = const. Three steps that look alike are made: which of them stays on the curve?
+stays on a curve H = const. Three steps look alike: which of them stays on the curve?
 """
 
 import matplotlib.pyplot as plt
@@ -62,7 +62,7 @@ def run(step, q, v, n_steps):
 # In the phase plane
 # ------------------
 # Gray: curves of constant energy. Explicit Euler gains energy in each turn, until the pendulum goes over the top. The other two stay near
-# their curve; symplectic Euler on one that is sheared.
+# their curve; that of symplectic Euler is sheared.
 
 methods = [explicit_euler, symplectic_euler, velocity_verlet]
 figure, panels = plt.subplots(1, 3, figsize=(11.0, 3.8), layout="constrained", sharey=True)
@@ -112,7 +112,7 @@ plt.show()
 # %%
 # What is wrong with a step?
 # --------------------------
-# ``md.grade`` runs a step on a small problem of its own and says what it keeps. Its argument is the function.
+# ``md.grade`` takes a step function, runs it on small problems of its own, and says what it keeps.
 
 print(md.grade(explicit_euler))
 
@@ -126,5 +126,5 @@ print(md.grade(velocity_verlet))
 # 2. In ``velocity_verlet``, forget to compute the force again. What does the energy do? What does ``md.grade`` say?
 # 3. Make the time step longer. At which length does the phase plane of ``velocity_verlet`` show islands, and when does it blow up? Small
 #    swings have ω = 1: compare with ωΔt = 2.
-# 4. Symplectic Euler keeps H + (Δt/2) v sin q better than H. Plot both. (For which of the two orders of kick and drift has it this sign?)
+# 4. Symplectic Euler keeps H + (Δt/2) v sin q better than H. Plot both. (Which comes first, kick or drift, if the term has this sign?)
 # 5. Add friction, −γv, to the force. Which of the properties are lost?

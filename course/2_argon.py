@@ -21,8 +21,8 @@ n_steps = 12_000
 # %%
 # The liquid
 # ----------
-# Atoms start on a lattice with random velocities. The lattice melts within a few picoseconds, and half of the kinetic energy goes into
-# the melt: velocities are rescaled meanwhile.
+# Atoms start on a lattice with random velocities. The lattice melts within a few picoseconds, which takes half of the kinetic energy:
+# velocities are rescaled meanwhile.
 
 positions, edges = md.lattice.crystal("fcc", [6, 6, 6], 5.78)  # Å: four atoms of 39.948 u at 1.374 g/cm³
 argon = md.System(positions, masses=39.948, cell=edges, units=md.units.ASE)
@@ -48,7 +48,7 @@ print(f"temperature        {record.temperature.mean():.1f} K   (Rahman: 94.4)")
 # %%
 # Where the neighbors are
 # -----------------------
-# g(r) counts the atoms in a shell around an atom, beside those of an ideal gas of the same density.
+# g(r) counts the atoms in a shell around an atom, relative to an ideal gas of the same density.
 
 bins = np.arange(2.5, 14.0, 0.1)
 radii = 0.5 * (bins[1:] + bins[:-1])
@@ -92,7 +92,7 @@ panels[0].legend(frameon=False)
 # The memory of velocities
 # ------------------------
 # ⟨v(t)·v(0)⟩ goes below zero after a third of a picosecond: an atom bounces back from the cage of its neighbors. That was the surprise of the
-# paper, for nothing of the kind is in Langevin's equation.
+# paper, because Langevin's equation predicts nothing of the kind.
 
 delays = np.arange(min(20, len(speeds) // 2))
 memory = np.array([np.mean(np.sum(speeds[: len(speeds) - k] * speeds[k:], axis=2)) for k in delays])

@@ -38,7 +38,7 @@ plt.show()
 # %%
 # The price
 # ---------
-# A step of higher order asks for the force more often. What counts is the error at equal cost: for a rough answer the simplest method wins.
+# A step of higher order evaluates the force more often. What counts is the error at equal cost: for a rough answer the simplest method wins.
 
 figure, panel = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
 for method in methods[1:]:
@@ -81,7 +81,7 @@ plt.show()
 # %%
 # A step of higher order, of your own
 # -----------------------------------
-# ``md.grade`` takes the order that it should have, and says which weight is wrong.
+# ``md.grade`` takes the order that the step should have as an argument, and says which weight is wrong.
 
 
 def forest_ruth(x, v, force, m, dt):
@@ -99,7 +99,7 @@ print(md.grade(forest_ruth, order=4))
 # %%
 # Tasks
 # -----
-# 1. Mend ``forest_ruth``.
+# 1. Correct ``forest_ruth``.
 # 2. Write the classical Runge-Kutta method of order 4 as a step, and grade it. It is more accurate than Verlet over one period: which of the
 #    two would you take for a million periods?
 # 3. Where is the limit of stability of ``Suzuki4``? Divide by its five evaluations and compare with velocity Verlet.

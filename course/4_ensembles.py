@@ -49,8 +49,8 @@ print(f"expected in a bath: T ± {temperature * np.sqrt(2.0 / n_dof):.1f} K   (�
 # %%
 # The distribution of the kinetic energy
 # --------------------------------------
-# In the canonical ensemble K/k_BT is gamma distributed, whatever the forces are. Alone it is narrower: what the kinetic energy gains, the
-# potential energy must lose, and there is less of it than in a bath.
+# In the canonical ensemble K/k_BT is gamma distributed, whatever the forces are. Without a bath its distribution is narrower: what the kinetic
+# energy gains, the potential energy must lose, and it has less to give than a bath.
 
 figure, panels = plt.subplots(1, 3, figsize=(11.0, 3.6), layout="constrained", sharey=True)
 expected = stats.gamma(n_dof / 2.0)
@@ -65,7 +65,7 @@ plt.show()
 # %%
 # Heat capacity, twice
 # --------------------
-# In a bath the energy fluctuates by k_B T² C; alone the kinetic energy does, and tells C through ⟨δK²⟩ = (n/2)(k_B T)² (1 − n k_B/2C)
+# In a bath the variance of the energy is k_B T² C. Without one, that of the kinetic energy gives C: ⟨δK²⟩ = (n/2)(k_B T)² (1 − n k_B/2C)
 # (J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967)).
 
 n_atoms = len(argon)
@@ -77,8 +77,8 @@ capacity = (n_dof / 2.0) / (1.0 - kinetic["alone"].var() / (n_dof / 2.0 * t**2))
 print(f"alone      C/N = {capacity:.2f} k_B   (the same, from the kinetic energy)")
 
 # %%
-# What is no bath
-# ---------------
+# What is not a bath
+# ------------------
 # Velocities that are rescaled to the same temperature in every step give the right mean and no fluctuation at all. Nothing in a picture of
 # the atoms shows it; ``md.grade`` does, because the step is neither reversible nor a solution of Newton's equation.
 

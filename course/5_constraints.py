@@ -2,8 +2,8 @@
 5. Constraints
 ==============
 
-A nitrogen molecule vibrates with a period of 14 fs, and a step must resolve it, though nobody wants to know. A rigid bond has no vibration,
-and allows longer steps. What must be solved for is the force along the bond. First one pendulum, then a liquid of rigid molecules.
+A nitrogen molecule vibrates with a period of 14 fs, and a step must resolve this vibration, although it is of no interest. A rigid bond does
+not vibrate and allows longer steps, but the force along it must be solved for. First one pendulum, then a liquid of rigid molecules.
 """
 
 import matplotlib.pyplot as plt
@@ -77,7 +77,7 @@ for h in (0.05, 0.2, 0.4):
 # %%
 # A liquid of rigid molecules
 # ---------------------------
-# 108 nitrogen molecules at 77 K. Lengths are kept to rounding at any time step; the energy pays, with the square of the step.
+# 108 nitrogen molecules at 77 K. Lengths are kept to rounding at any time step; the error of the energy grows with the square of the step.
 
 ASE, fs = md.units.ASE, md.units.fs
 bond, n_equilibration, duration = 1.0897, 1000, 600  # Å, steps, fs
@@ -109,6 +109,6 @@ plt.show()
 # -----
 # 1. Move along the *new* bond in ``shake`` in place of the old one. It converges as well. Turn the velocities of a run around: what is lost?
 # 2. Extend ``shake`` to a chain of three atoms. How many sweeps does it need now? ``md.DistanceConstraints(pairs, solver="shake")`` sweeps, too.
-# 3. Replace the rods by springs of 2359 cm⁻¹. Which is the longest stable step? See ``examples/timestep_gain.py``.
-# 4. How many degrees of freedom has the liquid? Compare ``liquid.n_dof`` with 3·216 − 108 − 3.
+# 3. Replace the rods by springs of 2359 cm⁻¹. What is the longest stable step? See ``examples/timestep_gain.py``.
+# 4. How many degrees of freedom does the liquid have? Compare ``liquid.n_dof`` with 3·216 − 108 − 3.
 # 5. Take a time step that is much too long. Which bond does the message name, and why there?

@@ -3,7 +3,7 @@
 ==========================
 
 Transport coefficients are integrals over the memory of a liquid at rest (Green and Kubo). D from velocities and from displacements must
-agree; the viscosity follows from the stress. And D depends on the size of the box, in a way that the viscosity tells.
+agree; the viscosity follows from the stress. And D depends on the size of the box, in a way that the viscosity determines.
 """
 
 import matplotlib.pyplot as plt
@@ -19,7 +19,7 @@ n_steps = 60_000
 # %%
 # The run
 # -------
-# 256 atoms. The stress is no usual observable: it is recorded where it is asked for.
+# 256 atoms. The stress is not recorded by default: it must be asked for.
 
 positions, edges = md.lattice.crystal("fcc", [4, 4, 4], md.lattice.constant_from_density("fcc", density))
 liquid = md.System(positions, cell=edges)

@@ -9,7 +9,7 @@ from time import process_time
 import numpy as np
 
 import minimd as md
-from minimd.observers.correlator import MultipleTau, add_products, add_squared_differences
+from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 
 N_STEPS, EDGE = 1000, 10  # steps of a turn; unit cells along an edge: 4000 atoms
 TURNS = {
@@ -59,7 +59,7 @@ def main(n_rounds):
     for name, taken in times.items():
         extra = np.median(np.array(taken) - np.array(times["nothing"]))
         print(f"{name:<42} {np.median(taken) * 1e6:9.1f}    {100.0 * extra / plain:+6.1f} %")
-    for name, law in (("squared differences", add_squared_differences), ("products", add_products)):
+    for name, law in (("squared differences", SquaredDifference()), ("products", Product())):
         look = np.median([correlator_alone(law) for _ in range(n_rounds)])
         print(f"correlator alone, {name:<20} {look * 1e6:7.1f} µs a look, {100.0 * look / 10 / plain:.1f} % of a step with a look every 10 steps")
 

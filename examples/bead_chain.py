@@ -1,6 +1,6 @@
 """A melt of bead-spring chains: is the total energy conserved, and does every spring hold k_B T/2?
 
-Reduced units. Bonded beads feel the spring alone: pairs one bond apart are excluded from the Lennard-Jones repulsion.
+Reduced units. Bonded beads feel only the spring: pairs one bond apart are excluded from the Lennard-Jones repulsion.
 """
 
 import numpy as np

@@ -1,8 +1,8 @@
 """Two particles in double wells, coupled by a spring: may the energy be used to save one of the four equations?
 
-H = v₁²/2 + v₂²/2 + V(x₁) + V(x₂) + k (x₁ − x₂)²/2 with V = (x² − 1)²/4 is constant, so that x₂ can be computed from x₁, v₁ and v₂:
-a differential-algebraic problem of index 1. It should not: ∂H/∂x₂ is minus the force on particle 2, and whenever this one vanishes,
-in each swing, two roots for x₂ meet. The equations are singular there, and behind it either root has the right energy.
+H = v₁²/2 + v₂²/2 + V(x₁) + V(x₂) + k (x₁ − x₂)²/2 with V = (x² − 1)²/4 is constant, so x₂ could be computed from x₁, v₁ and v₂, in
+a differential-algebraic problem of index 1. It should not be: ∂H/∂x₂ is minus the force on particle 2, and whenever this force
+vanishes, in each swing, two roots for x₂ meet. The equations are singular there, and beyond this point either root has the right energy.
 """
 
 import matplotlib.pyplot as plt

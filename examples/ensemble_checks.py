@@ -1,7 +1,7 @@
 """Is it the right ensemble? physical_validation judges runs of liquid argon: P. T. Merz, M. R. Shirts, PLOS ONE 13, e0202764 (2018).
 
-Without a bath the energy must oscillate by Δt²; with one, kinetic energies must be gamma distributed, and runs at two temperatures must
-overlap as Boltzmann says. Needs: pip install '.[validation]'
+Without a bath the oscillation of the energy must be ∝ Δt². With one, kinetic energies must be gamma distributed, and runs at two
+temperatures must overlap as Boltzmann's factor says. Needs: pip install '.[validation]'
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """The equation of state of the Lennard-Jones liquid: pressure and energy at twenty temperatures, on all cores, with error bars.
 
-NIST's Monte Carlo results at ρ* = 0.776, of 500 atoms: https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm. With 256 atoms, and forces that do
-not feel the jump at the cutoff, the pressure is 0.014 lower (docs/ensembles.md). Twenty files of 12 MB; call it again and it goes on.
+NIST's Monte Carlo results at ρ* = 0.776, for 500 atoms: https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm. With 256 atoms, and forces that do
+not feel the jump at the cutoff, the pressure is 0.014 lower (docs/ensembles.md). It writes twenty files of 12 MB; run it again to go on.
 """
 
 import numpy as np

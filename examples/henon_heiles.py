@@ -1,7 +1,7 @@
-"""A star in a galaxy, after Hénon and Heiles: does it find a third invariant besides energy and time?
+"""A star in a galaxy, after Hénon and Heiles: does its motion have a third invariant besides energy and time?
 
-H = (vx² + vy² + x² + y²)/2 + x² y − y³/3. Each time an orbit passes x = 0 with vx > 0 it leaves a point (y, vy). At low energy the
-points of an orbit form a curve: there is a third invariant. Nearly at the energy of escape, 1/6, most orbits fill an area: chaos.
+H = (vx² + vy² + x² + y²)/2 + x² y − y³/3. Each time an orbit passes x = 0 with vx > 0, it leaves a point (y, vy). At low energy the
+points of an orbit form a curve: there is a third invariant. Near the energy of escape, 1/6, most orbits fill an area: chaos.
 M. Hénon, C. Heiles, Astron. J. 69, 73 (1964).
 """
 

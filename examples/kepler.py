@@ -1,6 +1,6 @@
-"""A planet, e = 0.6, by Störmer-Verlet and by SciPy's RK45 with the same number of forces: who leaves the ellipse?
+"""A planet, e = 0.6, by Störmer-Verlet and by SciPy's RK45: which of them leaves the ellipse?
 
-RK45 is given as many forces over the same time, then as many steps of its own choice (SciPy's tolerances, ten periods and more).
+RK45 runs twice: with the same number of force evaluations over the same time, and with steps of its own choice (SciPy's tolerances).
 Units: semi-axis 1, period 2π. On the ellipse the distances from the sun and from the other focus add up to 2.
 """
 

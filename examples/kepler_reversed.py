@@ -1,6 +1,6 @@
 """The film run backwards: a planet, e = 0.6, whose velocity is turned around after some time. Does it come back to the start?
 
-Störmer-Verlet is reversible, ρΦρΦ = 1, and comes back but for rounding; RK45 makes its errors once more. Units: semi-axis 1, period 2π.
+Störmer-Verlet is reversible, ρΦρΦ = 1, and comes back except for rounding; RK45 makes its errors a second time. Units: semi-axis 1, period 2π.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Three points, two of them sliding on the lines y = ±l, joined to the middle one by rods, pulled along the lines.
 
-Nothing is eliminated: six coordinates obey four constraints, and their multipliers are the forces of rods and lines. Kinetic energy
-must be the work of the pulls; and where the rods can be written as functions of the middle point, solve_ivp must find the same path.
+Nothing is eliminated: six coordinates obey four constraints, and their multipliers are the forces of rods and lines. The kinetic energy
+must equal the work of the pulls; and as long as the positions of the rods are functions of the middle point, solve_ivp must find the same path.
 """
 
 import matplotlib.pyplot as plt

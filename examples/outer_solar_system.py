@@ -1,7 +1,7 @@
 """Jupiter to Pluto over 20 000 days, 54.8 years: which method comes closest for its price, and which keeps the energy?
 
-The start is the 5 September 1994, the sun with the inner planets at rest (E. Hairer, C. Lubich, G. Wanner, Geometric Numerical
-Integration (2006), I.2.4); the end is known to 6e-15 AU from two runs in 80-bit arithmetic. Units: AU, days, masses of the sun.
+The run starts on 5 September 1994, with the sun and the inner planets as one body at rest (E. Hairer, C. Lubich, G. Wanner, Geometric
+Numerical Integration (2006), I.2.4); its end is known to 6e-15 AU from two runs in 80-bit arithmetic. Units: AU, days, solar masses.
 """
 
 import matplotlib.pyplot as plt

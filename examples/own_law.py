@@ -1,9 +1,9 @@
-"""A law of one's own: a diatomic molecule bound by a Morse potential, and a Yukawa law beside the built-in one.
+"""A law of one's own: a diatomic molecule bound by a Morse potential, and a Yukawa law in addition to the built-in one.
 
     Morse    u(r) = D [(1 − e^(−a(r − r₀)))² − 1],   small oscillations at ω = a √(2D/μ)
     Yukawa   u(r) = A e^(−κr)/r
 
-A law gets r² and its parameters and returns u and f = −u′(r)/r; minimd compiles it.
+A law takes r² and its parameters and returns u and f = −u′(r)/r; minimd compiles it.
 """
 
 from math import exp, sqrt

@@ -1,8 +1,8 @@
-"""A pendulum in Cartesian coordinates: a differential-algebraic equation of index 3, beside its closed form.
+"""A pendulum in Cartesian coordinates: a differential-algebraic equation of index 3, compared with its closed form.
 
     x″ = −λ x,  z″ = −λ z − g,  0 = (x² + z² − 1)/2      rod, mass and gravity 1; λ is the tension of the rod
 
-All three variables are solved for together. The position has order 5, the velocity 3, the tension 2.
+Position, velocity and tension are solved for together. The position has order 5, the velocity 3, the tension 2.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,6 @@
 """The Lennard-Jones melt in double and in mixed precision: how wrong are the forces, and does the total energy drift?
 
-Reduced units. The reference is the same sum over pairs in extended precision, where the machine has one.
+Reduced units. The reference is the same sum over pairs in extended precision, if the machine has it.
 """
 
 import numpy as np

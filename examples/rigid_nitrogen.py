@@ -1,7 +1,7 @@
-"""Liquid nitrogen of rigid molecules: what does a longer time step cost, the energy or the bonds?
+"""Liquid nitrogen of rigid molecules: what suffers from a longer time step, the energy or the bonds?
 
-ASE builds the molecules and says that their bonds are rigid; minimd understands. Two-center Lennard-Jones model of P. S. Y. Cheung
-and J. G. Powles, Mol. Phys. 30, 921 (1975). Bonds are kept to rounding whatever the time step; the energy pays, with its square.
+ASE builds the molecules with FixBondLengths, which minimd understands. Two-center Lennard-Jones model of P. S. Y. Cheung and
+J. G. Powles, Mol. Phys. 30, 921 (1975). Bonds are kept to rounding at any time step; the error of the energy grows with its square.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """How smooth must a cutoff be for a method of order 6 to be one? The energy error of an argon droplet against the time step.
 
-Each atom that crosses a cutoff where the third derivative of u jumps is left with an error of Δt³, whatever the method: the usual
-switch, with two continuous derivatives, spoils all orders above 3. The smooth one has seven.
+Each atom that crosses a cutoff where the third derivative of u jumps keeps an error of order Δt³, whatever the method: the usual
+switch, with two continuous derivatives, spoils all orders above 3. The smooth switch has seven continuous derivatives.
 """
 
 import matplotlib.pyplot as plt

@@ -1,9 +1,9 @@
-"""A spring pendulum of growing stiffness k: what becomes of it where the spring is a rod?
+"""A spring pendulum of growing stiffness k: what becomes of it in the limit, when the spring is a rod?
 
     q″ = −λ q/|q| − e_z,  0 = |q| − 1 − λ/k         mass, gravity and length 1; λ is the tension
 
-For k < ∞ the tension follows from the length, index 1; the limit is a differential-algebraic equation of index 3. The same lines of
-code are both, and paths that start without vibration approach that of the rod like 1/k. Units: length, √(length/gravity).
+For k < ∞ the tension follows from the length, index 1; the limit is a differential-algebraic equation of index 3. The same code
+solves both, and paths that start without vibration approach that of the rod like 1/k. Units: length, √(length/gravity).
 """
 
 import matplotlib.pyplot as plt

@@ -1,4 +1,4 @@
-"""A chain is pulled by a spring: what does the work tell about the free energy? Jarzynski's equality, where the answer is known.
+"""A chain is pulled by a spring: what does the work say about the free energy? Jarzynski's equality, for a case with a known answer.
 
 Four beads on harmonic springs of length zero, in a bath: the first is held at the origin, the last is pulled by a spring whose point moves
 from 0 to L in a time τ. Positions are Gaussian, so that the free energy is exact: springs in a row, k_eff = 1/(3/k + 1/κ), ΔF = k_eff L²/2.

@@ -1,7 +1,7 @@
-"""Argon in a heat bath: is its kinetic energy spread as the canonical ensemble wants it, and what does a large time step cost?
+"""Argon in a heat bath: is its kinetic energy distributed as in the canonical ensemble, and what does a large time step cost?
 
 Langevin dynamics acts on each atom, stochastic velocity rescaling on all at once; both must give a gamma distribution. A harmonic
-oscillator at ωΔt = 1.5, near the limit of stability, then shows what is special about BAOAB: where it is, it is exact.
+oscillator at ωΔt = 1.5, near the limit of stability, then shows what is special about BAOAB: its positions are exactly distributed.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Three equal masses chase each other on a figure eight: what does it take to keep their energy, if the method does not?
 
-RadauIIA2 is no geometric method: it drains energy. Projected onto the energy after each step it cannot, and the other invariants
-that the exact flow keeps can be added to the list. A symplectic method needs no such help. Units: G = m = 1, period 6.3259.
+RadauIIA2 is not a geometric method: it loses energy. Projecting each step onto the initial energy prevents that, and other invariants
+of the exact flow can be added to the list. A symplectic method needs no such help. Units: G = m = 1, period 6.3259.
 A. Chenciner, R. Montgomery, Ann. Math. 152, 881 (2000).
 """
 

@@ -1,8 +1,8 @@
 """Liquid nitrogen with rigid bonds and with springs: how much longer a time step do rigid bonds allow?
 
 Two-center Lennard-Jones molecules: P. S. Y. Cheung, J. G. Powles, Mol. Phys. 30, 921 (1975). The spring vibrates at 2359 cm⁻¹, a period
-of 14 fs: no step longer than 2/ω = 4.5 fs is stable. Rigid bonds leave only what the liquid itself can bear. Measured over a picosecond
-is how much the total energy oscillates about its mean, in k_B T √(degrees of freedom)."""
+of 14 fs: no step longer than 2/ω = 4.5 fs is stable. With rigid bonds only the liquid itself limits the step. What is measured, over a
+picosecond, is how much the total energy oscillates about its mean, in k_B T √(degrees of freedom)."""
 
 import warnings
 

@@ -1,7 +1,7 @@
 """Kepler's ellipse, e = 0.6, over 100 periods: which method comes closest for its price?
 
-Four symplectic methods of minimd, and RK45 and DOP853 of SciPy. Units: semi-axis 1, period 2π. The price is the number of evaluations of
-the force: for atoms they are nearly all that a step costs.
+Four symplectic methods of minimd, and RK45 and DOP853 of SciPy. Units: semi-axis 1, period 2π. The price is the number of force
+evaluations; with atoms, they are nearly all that a step costs.
 """
 
 import matplotlib.pyplot as plt

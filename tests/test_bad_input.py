@@ -132,21 +132,21 @@ WRONG_CALLS = {
     "rigid length over many cells": (
         lambda: md.Simulation(md.System(THREE, cell=3.4), [], md.VelocityVerlet(0.005), md.DistanceConstraints([[0, 1]], 200.0)),
         ValueError,
-        ["lengths must reach over at most 65536 images", "that of constraint 0, 200, over 1.8e+06", "3.4 high"],
+        ["lengths must reach over at most 65536 images", "that of constraint 0 is 200 and reaches over 1.8e+06", "3.4 high"],
     ),
     "rigid length of astronomy": (
         lambda: md.Simulation(md.System(THREE, cell=3.4), [], md.VelocityVerlet(0.005), md.DistanceConstraints([[0, 1]], 1e10)),
         ValueError,
         ["lengths must reach over at most 65536 images", "1e+10"],
     ),
-    "loose tolerance": (lambda: md.DistanceConstraints([[0, 1]], tolerance=1.0), ValueError, ["tolerance must lie between 0 and 1", "1.0"]),
+    "loose tolerance": (lambda: md.DistanceConstraints([[0, 1]], tolerance=1.0), ValueError, ["must lie between 0 and 1", "1.0"]),
     "too many unit cells": (lambda: md.lattice.crystal("fcc", [10**12] * 3, 1.5), ValueError, ["repeat must be", "1000000000000"]),
     "too many atoms": (lambda: md.lattice.crystal("fcc", [3000] * 3, 1.5), ValueError, ["at most 134217728 atoms", "makes 1.1e+11"]),
     "half a unit cell": (lambda: md.lattice.crystal("fcc", [2, 2, 2.5], 1.5), ValueError, ["repeat must be three numbers", "fractions"]),
     "as many atoms as fit in eight bytes": (
         lambda: md.System(np.broadcast_to(1.0, (10**12, 3))),
         ValueError,
-        ["positions must be", "they are 3000000000000, at most 402653184 are taken"],
+        ["positions must be", "there are 3000000000000 values, at most 402653184 are allowed"],
     ),
     "as many species as fit in eight bytes": (
         lambda: md.System(THREE, species=np.broadcast_to("Ar", 10**12)),
@@ -213,7 +213,7 @@ WRONG_CALLS = {
             md.LennardJones({"Ar": (1.0, 1.0), "Kr": (2.0, 1.0)}, cutoff=2.5, mixing=lambda a, b: a),
         ),
         ValueError,
-        ["mixing must give", "the same for 'Ar', 'Kr' as in reverse", "(1.0, 1.0) and (2.0, 1.0)"],
+        ["mixing must give", "the same for 'Ar', 'Kr' as for 'Kr', 'Ar'", "(1.0, 1.0) and (2.0, 1.0)"],
     ),
     "mixing without a result": (
         lambda: md.evaluate(

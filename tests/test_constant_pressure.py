@@ -8,7 +8,7 @@ import step_scenes
 from scipy.optimize import minimize_scalar
 
 import minimd as md
-from minimd.integrators.splitting.barostats import Scene
+from minimd.integrators.splitting.barostats import ThermodynamicState
 from minimd.structure.cell import Cell
 
 COUPLINGS = ["isotropic", "z", "xy", "triclinic"]
@@ -69,12 +69,12 @@ def test_strain_and_its_conserved_energy_obey_the_fluctuation_theorem(coupling):
     rng, changes = np.random.default_rng(5), []
     for number in range(6000):
         volume, momenta = rng.gamma(n + 1) * thermal / pressure, rng.normal(scale=thermal**0.5, size=(n, 3))
-        before = Scene(momenta.T @ momenta / volume, volume, 0.5 * np.square(momenta).sum(), thermal)
+        before = ThermodynamicState(momenta.T @ momenta / volume, volume, 0.5 * np.square(momenta).sum(), thermal)
         strain = bath.strain(before, duration, number)
         values, axes = np.linalg.eigh(strain)
         momenta = momenta @ (axes * np.exp(-values)) @ axes.T
         larger = volume * np.exp(values.sum())
-        after = Scene(momenta.T @ momenta / larger, larger, 0.5 * np.square(momenta).sum(), thermal)
+        after = ThermodynamicState(momenta.T @ momenta / larger, larger, 0.5 * np.square(momenta).sum(), thermal)
         weight = np.exp(-bath.change_of_conserved(before, after, strain, duration) / thermal)
         changes.append([weight - 1.0, (weight * larger**3 - volume**3) * (pressure / thermal / (n + 1)) ** 3])
     error = np.std(changes, axis=0) / len(changes) ** 0.5
@@ -238,7 +238,7 @@ def test_what_cannot_be_at_constant_pressure_is_refused():
         ((flat, law, verlet), {"barostat": bath}, "periodic in all three directions"),
         ((system, law, verlet, md.FixedAtoms([3])), {"barostat": bath}, "held fixed"),
         ((system, law, verlet), {"barostat": barostat()}, "needs temperature"),
-        ((system, law, md.LangevinBAOAB(0.003, 0.5, 1.0, 1)), {"barostat": bath}, "one temperature"),
+        ((system, law, md.LangevinBAOAB(0.003, 0.5, 1.0, 1)), {"barostat": bath}, "the same temperature"),
         ((system, law, verlet), {"barostat": bath, "precision": "fixed-point"}, "constant cell"),
         ((system, law, md.VelocityVerlet(-0.003)), {"barostat": bath}, "backwards"),
     ]:

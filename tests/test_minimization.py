@@ -214,7 +214,7 @@ def test_fixed_atoms_stay_where_they_are():
 
 def test_two_atoms_on_one_spot_are_refused():
     system = md.System([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
-    with pytest.raises(md.NonFiniteError, match="atoms 1 and 2 lie on one spot"):
+    with pytest.raises(md.NonFiniteError, match="atoms 1 and 2 are at the same place"):
         md.minimize(system, LJ)
 
 

@@ -12,7 +12,7 @@ import minimd as md
 from minimd import observers
 from minimd.analysis.plot import plot_file
 from minimd.mdanalysis import universe
-from minimd.observers.correlator import MultipleTau, add_products, add_squared_differences
+from minimd.observers.correlator import MultipleTau, Product, SquaredDifference, add_correlations
 from minimd.scene import parse_scene, resume_run, run_scene
 
 EVERY = {"radial-distribution": 10, "mean-square-displacement": 2, "velocity-autocorrelation": 2, "viscosity": 5, "fluctuations": 5, "profile": 10}
@@ -213,7 +213,7 @@ def test_correlations_of_a_known_process():
     for k in range(1, n):
         x[k] = decay * x[k - 1] + noise[k]
     for averages in (True, False):
-        correlator = MultipleTau(add_products, np.array([0, chains]), 1, 16, 8, averages)
+        correlator = MultipleTau(Product(), np.array([0, chains]), 1, 16, 8, averages)
         sums = np.zeros(correlator.size)
         for row in x:
             correlator.add(row[None], sums)
@@ -229,9 +229,9 @@ def test_correlations_of_a_known_process():
 
 def test_the_laws_of_the_correlator_are_plain_sums():
     ring = np.random.default_rng(1).normal(size=(16, 3, 7))
-    for law, of in ((add_products, lambda a, b: a * b), (add_squared_differences, lambda a, b: (a - b) ** 2)):
+    for law, of in ((Product(), lambda a, b: a * b), (SquaredDifference(), lambda a, b: (a - b) ** 2)):
         sums = np.zeros((16, 2, 3))
-        law(ring, 3, 8, 12, np.array([0, 4, 7]), sums)
+        add_correlations(law, ring, 3, 8, 12, np.array([0, 4, 7]), sums)
         for lag in range(16):
             terms = of(ring[3], ring[(3 - lag) % 16]) * (8 <= lag < 12)
             np.testing.assert_allclose(sums[lag], [terms[:, :4].sum(axis=1), terms[:, 4:].sum(axis=1)], atol=1e-13)

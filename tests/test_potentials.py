@@ -240,7 +240,7 @@ def test_a_broken_fene_bond_is_told_and_a_morse_bond_breaks():
     [
         (lambda: md.MorseBond(1.0, 0.0, 1.0), "a of a Morse bond must be positive"),
         (lambda: md.FENEBond(-1.0, 1.5), "k of a FENE bond must not be negative"),
-        (lambda: md.PeriodicDihedral(1.0, 1.5), "n must be a whole number"),
+        (lambda: md.PeriodicDihedral(1.0, 1.5), "the number of minima in a turn, must be a whole number"),
         (lambda: md.RyckaertBellemans([1.0] * 7), "at most 6"),
         (lambda: md.HarmonicImproper(1.0, 4.0), "angle must lie between -pi and pi"),
         (

@@ -75,7 +75,7 @@ def test_warnings_point_to_the_line_of_the_user():
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         sim.run(1)
-    assert [str(one.message)[:23] for one in caught] == ["the start was projected"]
+    assert [str(one.message)[:31] for one in caught] == ["the initial state was projected"]
     assert caught[0].filename == __file__
 
 

@@ -210,7 +210,7 @@ def test_bonds_of_atoms_that_were_cut_or_repeated_are_not_trusted(folder, change
 def test_array_of_bonds_that_cannot_be_read_is_told(folder):
     atoms = ase.io.read("plain.pdb")
     atoms.arrays["bonds"] = np.array(["25(1)", *["_"] * 19])
-    with pytest.raises(ValueError, match=r"must name atoms 0 to 19 .* beside atom 0 stands '25\(1\)'"):
+    with pytest.raises(ValueError, match=r"must name atoms 0 to 19 .* for atom 0 it has '25\(1\)'"):
         md.System.from_ase(atoms)
 
 

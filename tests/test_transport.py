@@ -4,9 +4,86 @@ import numpy as np
 import pytest
 
 import minimd as md
+from minimd.observers.correlator import MultipleTau, Product
+from minimd.observers.green_kubo import plateau, running_integral
+from minimd.structure.statistics import replicas
 
 VISCOSITY, DIFFUSION, N_PUBLISHED = 3.258, 0.0325, 1372  # K. Meier, A. Laesecke, S. Kabelac, J. Chem. Phys. 121, 3671 and 9526 (2004)
 DENSITY, TEMPERATURE = 0.8442, 0.722
+BLOCKS, COMPONENTS = 32, 5
+SLOW = {  # correlations of a known integral: share of C(0), time of the exponential
+    "one": [(1.0, 1.0)],
+    "two": [(0.9, 1.0), (0.1, 5.0)],
+    "one slow, a tenth of the integral": [(0.99, 1.0), (0.01, 10.0)],
+}
+
+
+def sampled(integral, times, duration, n_samples, rng):
+    """Running integrals as runs find them, (S, T), and their replicas, (S, K, T): noise of 2 η √(t / 5 duration), which grows as a random walk.
+
+    That is the noise of five Gaussian processes, at times longer than their correlations.
+    """
+    steps = np.sqrt(np.diff(times, prepend=0.0) * BLOCKS / (COMPONENTS * duration))
+    blocks = integral + 2.0 * integral[-1] * np.cumsum(rng.normal(size=(n_samples, BLOCKS, len(times))) * steps, axis=-1)
+    total = blocks.sum(axis=1, keepdims=True)
+    return total[:, 0] / BLOCKS, (total - blocks) / (BLOCKS - 1)
+
+
+def honesty(integrals, replicas_of, times, truth):
+    """Mean deviation of the plateaus in standard errors, and the share that is within two of them."""
+    found = [plateau(times, one, without) for one, without in zip(integrals, replicas_of, strict=True)]
+    assert np.mean([one.is_reached for one in found]) > 0.95
+    deviations = np.array([(one.value - truth) / one.error for one in found])
+    return deviations.mean(), (np.abs(deviations) < 2.0).mean()
+
+
+@pytest.mark.parametrize("kind", [*SLOW, "cosine"])
+def test_plateaus_have_honest_error_bars(kind):
+    """However long the run: bias below half a standard error, 90 to 99 of 100 within two, of 150 samples; and in any unit."""
+    lags = np.arange(16) * 2.0 ** np.arange(9)[:, None] / 8.0
+    times = np.unique(lags)
+    if kind == "cosine":  # an integral that first goes far beyond its end: C = e^(−t/2) (cos 3t + 0.1)
+        z, exact = 3.0j - 0.5, 0.1 * 2.0 * (1.0 - np.exp(-times / 2.0))
+        exact = exact + ((np.exp(z * times) - 1.0) / z).real
+        truth = 0.2 + (-1.0 / z).real
+    else:
+        exact = sum(share * tau * (1.0 - np.exp(-times / tau)) for share, tau in SLOW[kind])
+        truth = sum(share * tau for share, tau in SLOW[kind])
+    for duration in (1000.0, 5000.0):
+        integrals, without = sampled(exact, times, duration, 150, np.random.default_rng(3))
+        bias, within = honesty(integrals, without, times, truth)
+        assert abs(bias) < 0.5
+        assert 0.9 <= within <= 0.99
+        one, other = plateau(times, integrals[0], without[0]), plateau(1e-3 * times, 1e5 * integrals[0], 1e5 * without[0])
+        assert (other.value, other.window[0]) == pytest.approx((1e5 * one.value, 1e-3 * one.window[0]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", SLOW)
+def test_plateaus_of_gaussian_processes_have_honest_error_bars(kind):
+    """The same of processes that were correlated as stresses are: 200 samples of five components each, 1500 times the fast correlation."""
+    rng, n, n_samples, dt = np.random.default_rng(4), 12_000, 200, 0.125
+    correlator = MultipleTau(Product(), np.arange(n_samples + 1) * COMPONENTS, 1, 32, 10, averages=True)
+    sums, marks = np.zeros(correlator.size), []
+    parts = [(np.sqrt(share), np.exp(-dt / tau), rng.normal(size=n_samples * COMPONENTS)) for share, tau in SLOW[kind]]
+    for k in range(n):
+        correlator.add(sum(root * x for root, _, x in parts)[None], sums)
+        parts = [(root, a, a * x + np.sqrt(1.0 - a * a) * rng.normal(size=x.size)) for root, a, x in parts]
+        if (k + 1) % (n // BLOCKS) == 0:
+            marks.append(sums.copy())
+    counts, _ = correlator.correlations(sums)
+    times = correlator.lags * dt
+    seen = (counts > 0.0) & (times <= 0.25 * n * dt)
+
+    def integral(total):
+        with np.errstate(all="ignore"):
+            return running_integral(times[seen], correlator.correlations(total)[1][seen, :, 0].T / COMPONENTS)
+
+    without = replicas(integral, sums, np.diff(marks, axis=0, prepend=0.0))
+    bias, within = honesty(integral(sums), without.transpose(1, 0, 2), times[seen], sum(share * tau for share, tau in SLOW[kind]))
+    print(f"{kind}: bias {bias:+.2f} standard errors, within two of them {100 * within:.0f} %")
+    assert abs(bias) < 0.5
+    assert 0.88 <= within <= 0.99  # statistics: two errors of a share of 0.93
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ def hints(engine: Engine) -> Iterator[str]:
 
 
 def too_long_a_step(engine: Engine) -> str | None:
-    """That the time step is longer than a harmonic bond allows, or far longer than suits Lennard-Jones atoms, in a clause; None if it is not."""
+    """A clause if the time step is longer than a harmonic bond allows, or far longer than suits Lennard-Jones atoms, else None."""
     return unstable_bond(engine) or _long_timestep(engine)
 
 

@@ -167,7 +167,7 @@ class Report(Displayed):
     temperatures : means of the first and of the last fifth of the run.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
     lines : results that need no run: see diagnosis.static_checks.
-    too_long_a_step : a clause that says so of the time step; empty if it is not too long, or if nobody knows, as for a file.
+    too_long_a_step : a clause, if the time step of the run is too long; empty if it is not.
     is_at_rest : whether nothing moves except by rounding; changes of momentum then cannot be judged, for lack of a scale.
     """
 

@@ -253,7 +253,7 @@ class RunGuard:
     def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
         """The error for a run that failed in a step, with its crash report; the engine is in the last good state.  at : (N, 3), of the failure."""
         engine, reason = self.engine, self._reason
-        engine.is_whole = True  # a good state, worth keeping, though the roundings of a run from it may be others
+        engine.is_whole = True  # a good state, worth keeping, although runs from it may be rounded differently
         snapshots = self._snapshots or [engine.snapshot()]
         self.failed_from = start = next((one for one in reversed(snapshots) if engine.step - one.step >= LEAST_REPLAY), snapshots[0])
         kind, fault = (type(reason), str(reason)) if isinstance(reason, ConstraintError | RangeError) else (NonFiniteError, fault)

@@ -9,7 +9,7 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.graph import bodies_of
 from minimd.forces.forces import Forces
 from minimd.forces.options import FIXED_POINT
-from minimd.integrators.splitting.barostats import Scene, StochasticCellRescaling, exponential, turned_back
+from minimd.integrators.splitting.barostats import StochasticCellRescaling, ThermodynamicState, exponential, turned_back
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath
 from minimd.structure.cell import Cell
@@ -115,7 +115,7 @@ class CellRescaling:
         Raises RangeError if the strain is too large.  ValueError if there is no virial.
         """
         duration, thermal = self.barostat.every * method.timestep, self._system.units.k_B * self.temperature(method)
-        before = self._scene(thermal, bath)
+        before = self._thermodynamic_state(thermal, bath)
         strain = self.barostat.strain(before, duration, noise_number)
         largest = float(np.abs(strain).max())
         if not largest <= LARGEST_STRAIN:
@@ -125,10 +125,10 @@ class CellRescaling:
             )
         back = self._move(exponential(strain), bath)
         forces_follow()
-        after = self._scene(thermal, bath, back)
+        after = self._thermodynamic_state(thermal, bath, back)
         bath.energy += after.energy - before.energy - self.barostat.change_of_conserved(before, after, strain, duration)
 
-    def _scene(self, thermal: float, bath: Bath, back: Array | None = None) -> Scene:
+    def _thermodynamic_state(self, thermal: float, bath: Bath, back: Array | None = None) -> ThermodynamicState:
         """The present state.  back : (3, 3) rotation applied to its tensors.
 
         If the total momentum is constant, it is no part of the thermal motion, and its degrees of freedom contribute k_B T/V to the pressure.
@@ -147,7 +147,7 @@ class CellRescaling:
             tensor += thermal * np.eye(3) - np.outer(total, total) / masses.sum()
         tensor = tensor if back is None else back @ tensor @ back.T
         energy = kinetic_energy(system.velocities, system.masses) + self._interactions.potential_energy
-        return Scene(tensor / volume, volume, energy, thermal)
+        return ThermodynamicState(tensor / volume, volume, energy, thermal)
 
     def _inner_virial(self) -> Array:
         """Σ (r − R) ⊗ F [energy], (3, 3): the virial of atoms minus that of molecules, to which rigid bonds do not contribute."""

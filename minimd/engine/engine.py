@@ -383,7 +383,7 @@ def _copied(scene: tuple[Any, ...], checkpoint: Checkpoint, is_as_left: bool, co
     with quiet():
         engine = Engine(*scene)
     engine.go_on_from(checkpoint)
-    if not is_as_left:  # somebody has changed its state, and its next run will begin anew
+    if not is_as_left:  # its state was changed, and its next run will begin anew
         engine.moved()
     engine.interactions.counts = counts
     for name, value in more.items():

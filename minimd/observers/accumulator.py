@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Scene:
+class ObservedRun:
     """What results need to know of the run: the same from its first observation to its last.
 
     units : name of the unit system.  species : labels.  numbers : atoms of each.  spacing : time between observations [time].
@@ -41,7 +41,7 @@ class Scene:
     bath_pressure: float | None
 
     @classmethod
-    def of(cls, engine: Engine, every: int) -> Scene:
+    def of(cls, engine: Engine, every: int) -> ObservedRun:
         """The scene of an engine."""
         system, barostat = engine.system, engine.barostat
         temperature, pressure = engine.method.parameters.get("temperature"), None
@@ -65,7 +65,7 @@ class Scene:
 class Result(Displayed):
     """The answer of an observer. Its numbers are in the units of the simulation, see columns and unit."""
 
-    scene: Scene
+    scene: ObservedRun
     title: ClassVar[str] = ""
 
     @abstractmethod
@@ -128,7 +128,7 @@ class Accumulator(ABC, Displayed):
         self.every, self.name = checked_count("every", every), name or self._own_name()
         if not (isinstance(name, str) and self.name.isidentifier()):
             raise ValueError(f"the name of an observer must be made of letters, digits and underscores; name = {shown(name)}")
-        self.scene: Scene | None = None
+        self.scene: ObservedRun | None = None
         self.last_step = -1
 
     def __repr__(self) -> str:
@@ -154,7 +154,7 @@ class Accumulator(ABC, Displayed):
 
     def prepare(self, engine: Engine) -> None:
         """Get ready for the run of an engine.  Raises ValueError if it cannot be observed, or is not the one that was observed before."""
-        scene = Scene.of(engine, self.every)
+        scene = ObservedRun.of(engine, self.every)
         if self.scene is None:
             self._begin(engine)
             self._set_up(scene)
@@ -182,7 +182,7 @@ class Accumulator(ABC, Displayed):
             self.last_step = -1
         return n_later
 
-    def answered(self) -> Scene:
+    def answered(self) -> ObservedRun:
         """The scene, for a result.  Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:
             raise ValueError(f"{self!r} has not looked yet; pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])")
@@ -192,7 +192,7 @@ class Accumulator(ABC, Displayed):
         """Settle what the first run decides."""
 
     @abstractmethod
-    def _laid_out(self, scene: Scene) -> None:
+    def _laid_out(self, scene: ObservedRun) -> None:
         """Make the sums."""
 
     @abstractmethod
@@ -203,7 +203,7 @@ class Accumulator(ABC, Displayed):
     def result(self) -> Any:
         """The answer.  Raises ValueError before the first look."""
 
-    def _set_up(self, scene: Scene) -> None:
+    def _set_up(self, scene: ObservedRun) -> None:
         self.scene = scene
         self._laid_out(scene)
 
@@ -232,7 +232,7 @@ class Accumulator(ABC, Displayed):
         words = json.loads(bytes(state["words"]))
         for name, value in words["settled"].items():
             setattr(self, name, value)
-        self._set_up(Scene(**words["scene"]))
+        self._set_up(ObservedRun(**words["scene"]))
         self.last_step = words["last_step"]
         self.sums.restore(state)
         self._take_arrays(state)

@@ -11,25 +11,52 @@ J. Ramírez, S. K. Sukumaran, B. Vorselaars, A. E. Likhtman, J. Chem. Phys. 133,
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import namedtuple
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel
+from minimd.compiled.kernels import kernel, scalar, type_of
 
 Array = NDArray[np.float64]
 RATIO = 2  # of the spacings of two levels
-summing = partial(kernel, fastmath={"reassoc", "nsz", "contract"})  # sums over atoms in any order: 5 times as fast
 
 
-@summing
-def add_products(ring, slot, first, n_kept, starts, sums):
-    """sums[j, g, c] += Σ a(t) a(t − j), over the particles of group g, for lags j from first to n_kept − 1.
+@scalar
+def product(a, b):
+    """a b: of velocities, or of stresses."""
+    return a * b
 
-    ring : (p, C, n), the last p entries, the newest at slot.  starts : (G + 1,) int, first particle of each group.  sums : (p, G, C).
+
+@scalar
+def squared_difference(a, b):
+    """(a − b)²: of positions."""
+    return (a - b) * (a - b)
+
+
+Product, SquaredDifference = type_of(product)(namedtuple("Product", ())), type_of(squared_difference)(namedtuple("SquaredDifference", ()))
+
+
+def of_both(law, a, b):
+    """What a law, Product() or SquaredDifference(), makes of two numbers."""
+    return law.python(a, b)
+
+
+@overload(of_both)
+def _of_both_compiled(law, a, b):
+    formula = law.instance_class.formula
+    return lambda law, a, b: formula(a, b)
+
+
+@partial(kernel, fastmath={"reassoc", "nsz", "contract"})  # sums over atoms in any order: 5 times as fast
+def add_correlations(law, ring, slot, first, n_kept, starts, sums):
+    """sums[j, g, c] += Σ law(a(t), a(t − j)), over the particles of group g, for lags j from first to n_kept − 1.
+
+    law : Product() or SquaredDifference().  ring : (p, C, n), the last p entries, the newest at slot.
+    starts : (G + 1,) int, first particle of each group.  sums : (p, G, C).
     """
     p = ring.shape[0]
     for j in range(first, n_kept):
@@ -39,36 +66,21 @@ def add_products(ring, slot, first, n_kept, starts, sums):
                 a, b = ring[slot, c, starts[g] : starts[g + 1]], ring[past, c, starts[g] : starts[g + 1]]
                 total = 0.0
                 for i in range(a.size):
-                    total += a[i] * b[i]
-                sums[j, g, c] += total
-
-
-@summing
-def add_squared_differences(ring, slot, first, n_kept, starts, sums):
-    """sums[j, g, c] += Σ [a(t) − a(t − j)]²; arguments as of add_products."""
-    p = ring.shape[0]
-    for j in range(first, n_kept):
-        past = (slot + p - j) % p
-        for g in range(starts.size - 1):
-            for c in range(ring.shape[1]):
-                a, b = ring[slot, c, starts[g] : starts[g + 1]], ring[past, c, starts[g] : starts[g + 1]]
-                total = 0.0
-                for i in range(a.size):
-                    total += (a[i] - b[i]) * (a[i] - b[i])
+                    total += of_both(law, a[i], b[i])
                 sums[j, g, c] += total
 
 
 class MultipleTau:
     """Correlations of C components of n particles in G groups.
 
-    law : add_products or add_squared_differences.  starts : (G + 1,) int, first particle of each group.  n_components : C.
+    law : Product() or SquaredDifference().  starts : (G + 1,) int, first particle of each group.  n_components : C.
     points : p, entries that a level holds, even.  n_levels : at most.  averages : whether levels are averaged, else they are thinned.
 
     size : of the sums, which belong to the caller: counts (L, p), then sums (L, p, G, C).
     lags : (T,) int, in entries, all that there can be, ascending.
     """
 
-    def __init__(self, law: Callable, starts: NDArray[np.int64], n_components: int, points: int, n_levels: int, averages: bool) -> None:
+    def __init__(self, law: tuple, starts: NDArray[np.int64], n_components: int, points: int, n_levels: int, averages: bool) -> None:
         self._law, self._starts, self._averages = law, starts, averages
         self._points, self._n_levels, self._shape = points, n_levels, (points, n_components, int(starts[-1]))
         self._n_counts, n_groups = n_levels * points, len(starts) - 1
@@ -98,7 +110,7 @@ class MultipleTau:
             ring[slot] = entry
             self._n_taken[level] = n + 1
             if n_kept > first:
-                self._law(ring, slot, first, n_kept, self._starts, products[level])
+                add_correlations(self._law, ring, slot, first, n_kept, self._starts, products[level])
                 counts[level, first:n_kept] += 1.0
             if self._averages:
                 self._means[level] += entry / RATIO

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
 from minimd.engine.observation import Look
-from minimd.observers.accumulator import Accumulator, Result, Scene
+from minimd.observers.accumulator import Accumulator, ObservedRun, Result
 from minimd.observers.blocked_sums import BlockedSums
 from minimd.structure.display import Rows
 from minimd.structure.statistics import with_error
@@ -51,7 +51,7 @@ class Fluctuations(Accumulator):
     def _settled(self) -> dict[str, Any]:
         return {"reference": self.reference}
 
-    def _laid_out(self, scene: Scene) -> None:
+    def _laid_out(self, scene: ObservedRun) -> None:
         self.sums = BlockedSums(1 + N_SERIES + N_SERIES**2)  # number of looks, sums, sums of products
 
     def _look(self, engine: Engine) -> None:
@@ -73,7 +73,7 @@ class Fluctuations(Accumulator):
         return FluctuationResult(scene, ensemble, values, errors, self.n_looks)
 
 
-def _coefficients(sums: Array, reference: Array, scene: Scene) -> Array:
+def _coefficients(sums: Array, reference: Array, scene: ObservedRun) -> Array:
     """T, C_V, C_P, κ_T, α_P; NaN for those that the ensemble does not tell."""
     means = sums[1 : 1 + N_SERIES] / sums[0]
     covariance = sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)
@@ -101,7 +101,7 @@ class FluctuationResult(Result):
     [1/temperature], and their standard errors; NaN for those that the ensemble does not tell.  n_looks : looks.
     """
 
-    scene: Scene
+    scene: ObservedRun
     ensemble: str
     values: Array
     errors: Array

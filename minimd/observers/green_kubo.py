@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from minimd.structure.statistics import spread
 
 Array = NDArray[np.float64]
-CHANGE = 1.5  # standard errors that an integral may change in a plateau
+SLOWER = 1.5  # S: the slowest correlation beside the mean time of the integral; Wolff's own value
 OCTAVE = 2.0  # a plateau lasts from a time to this multiple of it
-LONGEST = 0.25  # of the duration: later lags have too few origins
 FEWEST_LAGS = 3  # in a plateau
 
 
@@ -32,22 +31,36 @@ def running_integral(times: Array, correlation: Array) -> Array:
 
 
 def plateau(times: Array, integral: Array, without: Array) -> Plateau:
-    """The earliest octave of times, t to 2t, in which the integral changes by at most one and a half standard errors of the change; its mean there.
+    """The mean of the integral over an octave of times, t to 2t, that begins where noise grows faster than what is left out becomes less.
 
-    times, integral : (T,).  without : (K, T), replicas of the integral. If there is no such octave, that before the last time.
-    The longer one integrates, the more noise is added, while the correlations that are left out become less.
-    R. E. Jones, K. K. Mandadapu, J. Chem. Phys. 136, 154102 (2012), on the trade between the two.
+        A(t) e^(−t/Sτ) ≤ σ(t) Sτ/2t,   τ(t) = ∫₀ᵗ |I(t) − I(s)| ds / A(t),   A(t) = max |I(s)|, s ≤ t,   S = 1.5
+
+    The first t that fulfils this is taken: there the sum of both errors is smallest, if A e^(−t/Sτ) is left out beyond t and the standard
+    error σ grows as √t. For C = e^(−t/τ₀) τ is τ₀; what is slow counts in τ by its share of the integral. If there is no such t, the last octave
+    is taken. A slow correlation whose whole share of the integral is below the error bar cannot be seen, and is missing from it.
+
+    times, integral : (T,), from time 0.  without : (K, T), replicas of the integral.
+
+    U. Wolff, Comput. Phys. Commun. 156, 143 (2004), on the window and S, with τ from the whole integral instead of C(0); N. Madras,
+    A. D. Sokal, J. Stat. Phys. 50, 109 (1988), on windows that are multiples of τ.
     """
+    errors, largest = spread(without), np.maximum.accumulate(np.abs(integral))
     for i in range(1, len(times)):
         inside = (times >= times[i]) & (times <= OCTAVE * times[i])
         if OCTAVE * times[i] > times[-1]:
             break
-        change, error = integral[inside] - integral[i], spread(without[:, inside] - without[:, i : i + 1])
-        if inside.sum() >= FEWEST_LAGS and (np.abs(change) <= CHANGE * error)[1:].all():
+        late = np.trapezoid(np.abs(integral[i] - integral[: i + 1]), times[: i + 1])
+        slowest = SLOWER * late / largest[i] if largest[i] > 0.0 else np.inf
+        is_late = largest[i] * np.exp(-times[i] / slowest) <= errors[i] * slowest / (2.0 * times[i]) if slowest > 0.0 else True
+        if inside.sum() >= FEWEST_LAGS and is_late:
             return _mean_of(times, integral, without, inside, is_reached=True)
     return _mean_of(times, integral, without, times >= times[-1] / OCTAVE, is_reached=False)
 
 
 def _mean_of(times: Array, integral: Array, without: Array, inside: NDArray[np.bool_], is_reached: bool) -> Plateau:
-    error = float(spread(without[:, inside].mean(axis=1))) if len(without) else np.nan
-    return Plateau(float(integral[inside].mean()), error, (float(times[inside][0]), float(times[inside][-1])), is_reached)
+    start, end = float(times[inside][0]), float(times[inside][-1])
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.trapezoid(values[..., inside], times[inside]) / (end - start) if end > start else values[..., inside].mean(axis=-1))
+
+    return Plateau(float(mean(integral)), float(spread(mean(without))) if len(without) else np.nan, (start, end), is_reached)

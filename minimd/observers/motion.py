@@ -11,27 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
-from minimd.observers.accumulator import Accumulator, Scene
-from minimd.observers.blocked_sums import BlockedSums
-from minimd.observers.correlator import MultipleTau, add_products, add_squared_differences
+from minimd.observers.accumulator import ObservedRun
+from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 from minimd.observers.diffusion import is_cubic
-from minimd.observers.green_kubo import LONGEST, plateau, running_integral
 from minimd.observers.motion_results import DisplacementResult, VelocityResult
+from minimd.observers.time_correlation import COUNT, HEAD, TEMPERATURE, VOLUME, TimeCorrelation
 from minimd.structure.cell import Cell
 from minimd.structure.checks import checked_count
-from minimd.structure.observables import kinetic_energy, temperature
-from minimd.structure.statistics import spread
+from minimd.structure.observables import kinetic_energy
 
 Array = NDArray[np.float64]
 POINTS = 16  # of each level of the correlator
-COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
 
 
-class _OfAtoms(Accumulator):
-    """A correlation of a vector that each atom has. Sums: number of looks, temperatures, volumes, correlator."""
+class _OfAtoms(TimeCorrelation):
+    """A correlation of a vector that each atom has."""
 
     arguments = ("every", "n_levels", "most_atoms")
-    law: ClassVar[Callable]
+    law: ClassVar[tuple]  # of the correlator
 
     def __init__(self, every: int = 10, n_levels: int = 10, most_atoms: int = 4096, name: str = "") -> None:
         super().__init__(every, name)
@@ -49,45 +46,20 @@ class _OfAtoms(Accumulator):
     def _settled(self) -> dict[str, Any]:
         return {"chosen": self.chosen, "is_cubic": self.is_cubic, "numbers": self.numbers}
 
-    _volume_of: Cell | None
-
-    def _laid_out(self, scene: Scene) -> None:
+    def _laid_out(self, scene: ObservedRun) -> None:
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
-        self._order, self._volume_of, self._volume = np.array(self.chosen), None, np.nan
+        self._order = np.array(self.chosen)
         self._takes_all = np.array_equal(self._order, np.arange(scene.n_atoms))
-        self._correlator = MultipleTau(type(self).law, starts, 3, POINTS, self.n_levels, averages=False)
-        self.sums = BlockedSums(HEAD + self._correlator.size)
-
-    def interrupt(self) -> None:
-        """See Accumulator."""
-        if self.scene is not None:
-            self._correlator.interrupt()
+        self._correlate_by(MultipleTau(type(self).law, starts, 3, POINTS, self.n_levels, averages=False))
 
     def _look(self, engine: Engine) -> None:
-        sums, system = self.sums.total, engine.system
-        kinetic = kinetic_energy(system.velocities, system.masses)
-        if self._volume_of is not system.cell:  # its determinant takes as long as a lag of the correlator
-            self._volume_of, self._volume = system.cell, system.volume or np.nan
-        sums[:HEAD] += 1.0, temperature(kinetic, engine.n_dof, system.units.k_B), self._volume
         vectors = self._vectors(engine)
-        self._correlator.add((vectors if self._takes_all else np.take(vectors, self._order, axis=0)).T, sums[HEAD:])
+        entry = (vectors if self._takes_all else np.take(vectors, self._order, axis=0)).T
+        self._add(engine, kinetic_energy(engine.system.velocities, engine.system.masses), entry)
 
     @abstractmethod
     def _vectors(self, engine: Engine) -> Array:
         """(N, 3)."""
-
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        return self._correlator.state()
-
-    def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
-        self._correlator.restore(arrays)
-
-    def _seen(self, scene: Scene) -> tuple[NDArray[np.bool_], Array, float]:
-        """Which lags were seen; these [time]; and the longest that is good for a fit [time]."""
-        counts, _ = self._correlator.correlations(self.sums.total[HEAD:])
-        seen = counts > 0.0
-        times: Array = self._correlator.lags[seen] * np.float64(scene.spacing)
-        return seen, times, LONGEST * (self.n_looks - 1) * scene.spacing
 
     def _means(self, seen: NDArray[np.bool_]) -> Callable[[Array], Array]:
         """The law that makes of the sums: means over all atoms, then over those of each species, then along x, y, z; (1 + S + 3, T)."""
@@ -115,9 +87,9 @@ class MeanSquareDisplacement(_OfAtoms):
     """
 
     kind = "mean-square-displacement"
-    law = add_squared_differences
+    law = SquaredDifference()
 
-    def _laid_out(self, scene: Scene) -> None:
+    def _laid_out(self, scene: ObservedRun) -> None:
         super()._laid_out(scene)
         self._carried: Array | None = None  # what the cell has added to the positions
         self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
@@ -156,7 +128,7 @@ class MeanSquareDisplacement(_OfAtoms):
         Raises ValueError before the first look, for a window with fewer than 3 lags, or for a viscosity and a cell that is not cubic.
         """
         scene = self.answered()
-        seen, times, longest = self._seen(scene)
+        seen, times, longest = self._seen()
         means, errors = self.sums.estimate(self._means(seen))
         head = self.sums.total[:HEAD] / self.sums.total[COUNT]
         found = DisplacementResult(scene, times, means, errors, self.is_cubic, float(head[TEMPERATURE]), float(head[VOLUME]), sum(self.numbers))
@@ -176,7 +148,7 @@ class VelocityAutocorrelation(_OfAtoms):
     """
 
     kind = "velocity-autocorrelation"
-    law = add_products
+    law = Product()
 
     def _vectors(self, engine: Engine) -> Array:
         return engine.velocities
@@ -184,16 +156,7 @@ class VelocityAutocorrelation(_OfAtoms):
     def result(self) -> VelocityResult:
         """The autocorrelation so far, its running integral, and D, each with its standard error.  Raises ValueError before the first look."""
         scene = self.answered()
-        seen, times, longest = self._seen(scene)
+        seen, times, longest = self._seen()
         law = self._means(seen)
-        means, errors = self.sums.estimate(law)
-        good = times <= max(longest, times[min(1, len(times) - 1)])
-
-        def integral(sums: Array) -> Array:
-            return running_integral(times, law(sums)[0]) / 3.0
-
-        without = self.sums.replicas(integral)
-        with np.errstate(all="ignore"):
-            integrated = integral(self.sums.total)
-        found = plateau(times[good], integrated[good], without[:, good] if len(without) else np.zeros((0, good.sum())))
-        return VelocityResult(scene, times, means, errors, integrated, spread(without), found, sum(self.numbers))
+        values, errors, found = self._integral(times, longest, lambda sums: law(sums)[0] / 3.0)
+        return VelocityResult(scene, times, *self.sums.estimate(law), values, errors, found, sum(self.numbers))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.observers.accumulator import Result, Scene
+from minimd.observers.accumulator import ObservedRun, Result
 from minimd.observers.diffusion import finite_size_correction, slope
 from minimd.observers.green_kubo import Plateau
 from minimd.structure.display import Rows
@@ -34,7 +34,7 @@ def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
     return f"{with_error(mean, uncertain)} Å²/ps = {mean * CM2_PER_S:.4g} cm²/s"
 
 
-def _series(name: str, scene: Scene, times: Array, means: Array, errors: Array) -> dict[str, Array]:
+def _series(name: str, scene: ObservedRun, times: Array, means: Array, errors: Array) -> dict[str, Array]:
     """Columns of means over all atoms, over each species if there are several, and along each direction."""
     made = {"time": times, name: means[0], f"{name}_error": errors[0]}
     n = len(scene.species)
@@ -54,7 +54,7 @@ class DisplacementResult(Result):
     window : of the straight line [time].  temperature, volume : means.  n_atoms : whose displacements were measured.
     """
 
-    scene: Scene
+    scene: ObservedRun
     times: Array
     means: Array
     errors: Array
@@ -148,7 +148,7 @@ class VelocityResult(Result):
     integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].  plateau : where it stays.  n_atoms : whose velocities were measured.
     """
 
-    scene: Scene
+    scene: ObservedRun
     times: Array
     means: Array
     errors: Array

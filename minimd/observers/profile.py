@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
-from minimd.observers.accumulator import Accumulator, Result, Scene
+from minimd.observers.accumulator import Accumulator, ObservedRun, Result
 from minimd.observers.blocked_sums import BlockedSums
 from minimd.structure.checks import checked_choice, checked_count, checked_number, shown
 from minimd.structure.display import Rows
@@ -61,7 +61,7 @@ class Profile(Accumulator):
             needed = "has its own extent: leave extent out" if pbc[k] else "is open: give its extent, (lower, upper)"
             raise ValueError(f"axis {self.axis} of this cell {needed}")
 
-    def _laid_out(self, scene: Scene) -> None:
+    def _laid_out(self, scene: ObservedRun) -> None:
         self.sums = BlockedSums(HEAD + (len(scene.numbers) + 1) * self.n_bins)
 
     def _look(self, engine: Engine) -> None:
@@ -107,7 +107,7 @@ class ProfileResult(Result):
     temperature, temperature_error : (B,); NaN in layers without atoms.  n_frames : looks.
     """
 
-    scene: Scene
+    scene: ObservedRun
     axis: str
     z: Array
     densities: Array

@@ -12,7 +12,7 @@ from minimd.compiled.kernels import kernel
 from minimd.engine.engine import Engine
 from minimd.neighbors.binning import make_grid, sort_into_bins
 from minimd.neighbors.search import atoms_in_reach, bins_of
-from minimd.observers.accumulator import Accumulator, Result, Scene
+from minimd.observers.accumulator import Accumulator, ObservedRun, Result
 from minimd.observers.blocked_sums import BlockedSums
 from minimd.structure.checks import checked_count, checked_number
 from minimd.structure.display import Rows
@@ -88,7 +88,7 @@ class RadialDistribution(Accumulator):
     def _settled(self) -> dict[str, Any]:
         return {"reach": self.reach}
 
-    def _laid_out(self, scene: Scene) -> None:
+    def _laid_out(self, scene: ObservedRun) -> None:
         n = len(scene.numbers)
         self._pairs = [(a, b) for a in range(n) for b in range(a, n)]
         self._kinds = np.zeros((n, n), dtype=np.int64)
@@ -132,7 +132,7 @@ class RadialDistributionResult(Result):
     pairs : names of the pairs of species, P of them.  g_of_pairs, errors_of_pairs : (P, B).  n_frames : looks.
     """
 
-    scene: Scene
+    scene: ObservedRun
     r: Array
     g: Array
     error: Array

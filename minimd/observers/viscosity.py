@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
 from minimd.engine.observation import Look, check_has_volume
-from minimd.observers.accumulator import Accumulator, Result, Scene
-from minimd.observers.blocked_sums import BlockedSums
-from minimd.observers.correlator import MultipleTau, add_products
-from minimd.observers.green_kubo import LONGEST, Plateau, plateau, running_integral
+from minimd.observers.accumulator import ObservedRun, Result
+from minimd.observers.correlator import MultipleTau, Product
+from minimd.observers.green_kubo import Plateau
+from minimd.observers.time_correlation import HEAD, TEMPERATURE, VOLUME, TimeCorrelation
 from minimd.structure.checks import checked_count
 from minimd.structure.display import Rows
-from minimd.structure.observables import stress, temperature
-from minimd.structure.statistics import spread, with_error
+from minimd.structure.observables import stress
+from minimd.structure.statistics import with_error
 from minimd.structure.units import BAR, PICOSECOND
 
 if TYPE_CHECKING:
@@ -25,12 +25,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 POINTS = 32  # of each level of the correlator: what is averaged there is at most a sixteenth of a lag
-COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
 WEIGHT = 10.0  # of the sum over all components of a symmetric tensor without trace
 MPA_S = 1e-4 / (BAR * PICOSECOND)  # per eV/Å³ Å √(u/eV): a bar times a picosecond is 1e-4 mPa s
 
 
-class Viscosity(Accumulator):
+class Viscosity(TimeCorrelation):
     """Shear viscosity by Green and Kubo, from all components of the stress without its trace, by a multiple-tau correlator that averages.
 
         C(t) = Σ_ab ⟨P_ab(0) P_ab(t)⟩ / 10,   P = −(σ + σᵀ)/2 + tr σ / 3
@@ -62,49 +61,29 @@ class Viscosity(Accumulator):
     def _begin(self, engine: Engine) -> None:
         check_has_volume(engine)
 
-    def _laid_out(self, scene: Scene) -> None:
-        self._correlator = MultipleTau(add_products, np.array([0, 1]), 6, POINTS, self.n_levels, averages=True)
-        self.sums = BlockedSums(HEAD + self._correlator.size)
-
-    def interrupt(self) -> None:
-        """See Accumulator."""
-        if self.scene is not None:
-            self._correlator.interrupt()
+    def _laid_out(self, scene: ObservedRun) -> None:
+        self._correlate_by(MultipleTau(Product(), np.array([0, 1]), 6, POINTS, self.n_levels, averages=True))
 
     def _look(self, engine: Engine) -> None:
         engine.evaluate()
-        look, sums = Look(engine), self.sums.total
-        tensor = -stress(*look.motion, look.virial, look.volume)
-        sums[:HEAD] += 1.0, temperature(look.kinetic_energy, engine.n_dof, look.system.units.k_B), look.volume
-        self._correlator.add(traceless(tensor)[:, None], sums[HEAD:])
-
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        return self._correlator.state()
-
-    def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
-        self._correlator.restore(arrays)
+        look = Look(engine)
+        self._add(engine, look.kinetic_energy, traceless(-stress(*look.motion, look.virial, look.volume))[:, None])
 
     def result(self) -> ViscosityResult:
         """η so far, with its standard error.  Raises ValueError before the first look."""
         scene = self.answered()
-        counts, _ = self._correlator.correlations(self.sums.total[HEAD:])
-        k_B, seen = scene.unit_system.k_B, counts > 0.0  # noqa: N806 - the symbol of the constant
-        times: Array = self._correlator.lags[seen] * np.float64(scene.spacing)
+        seen, times, longest = self._seen()
+        k_B = scene.unit_system.k_B  # noqa: N806 - the symbol of the constant
 
         def correlation(sums: Array) -> Array:
             found: Array = self._correlator.correlations(sums[HEAD:])[1][seen, 0].sum(axis=1) / WEIGHT
             return found
 
-        def integral(sums: Array) -> Array:
-            mean_temperature, volume = sums[TEMPERATURE] / sums[COUNT], sums[VOLUME] / sums[COUNT]
-            return running_integral(times, correlation(sums)) * (volume / (k_B * mean_temperature))
+        def integrand(sums: Array) -> Array:
+            return correlation(sums) * (sums[VOLUME] / (k_B * sums[TEMPERATURE]))  # both are sums over the same looks
 
-        (values, errors), without = self.sums.estimate(correlation), self.sums.replicas(integral)
-        with np.errstate(all="ignore"):
-            integrated = integral(self.sums.total)
-        good = times <= max(LONGEST * (self.n_looks - 1) * scene.spacing, times[min(1, len(times) - 1)])
-        found = plateau(times[good], integrated[good], without[:, good] if len(without) else np.zeros((0, good.sum())))
-        return ViscosityResult(scene, times, values, errors, integrated, spread(without), found)
+        values, errors, found = self._integral(times, longest, integrand)
+        return ViscosityResult(scene, times, *self.sums.estimate(correlation), values, errors, found)
 
 
 def traceless(tensor: Array) -> Array:
@@ -122,7 +101,7 @@ class ViscosityResult(Result):
     integral, integral_error : V/(k_B T) ∫₀ᵗ C, (T,) [pressure time].  plateau : where it stays, with η.
     """
 
-    scene: Scene
+    scene: ObservedRun
     times: Array
     autocorrelation: Array
     autocorrelation_error: Array

@@ -66,7 +66,7 @@ def test_atoms_bonded_on_one_spot_are_named():
     straight = md.System([[0, 0, 0], [1, 0, 0], [1, 0, 0]], bonds=[[1, 2]])
     assert_stops("atoms 1 and 2, 0 apart", lambda: ran(straight, md.HarmonicBond(50.0, 1.0), 0.01, 10))
     assert_stops("atoms 1 and 2, 0 apart", lambda: ran(straight, md.HarmonicAngle(5.0, 2.0, [[0, 1, 2]]), 0.01, 10))
-    assert_stops("atoms 1 and 2 lie on one spot", lambda: ran(straight, WEAK, 0.01, 10, constraints=md.DistanceConstraints([[1, 2]])), ValueError)
+    assert_stops("1 and 2 are at the same place", lambda: ran(straight, WEAK, 0.01, 10, constraints=md.DistanceConstraints([[1, 2]])), ValueError)
 
 
 @pytest.mark.parametrize("friction", [1e-300, 1e-3, 1.0, 1e3, 1e10, 1e300])

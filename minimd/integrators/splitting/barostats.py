@@ -23,7 +23,7 @@ OWN_STREAM = 1  # of random numbers; the stream of thermostats is 0
 
 
 @dataclass(frozen=True)
-class Scene:
+class ThermodynamicState:
     """What a barostat needs to know about a state.
 
     pressure : P, (3, 3) [energy/length³], kinetic part included.  volume : V [length³].  energy : E = K + U [energy].  thermal : k_B T [energy].
@@ -111,18 +111,18 @@ class StochasticCellRescaling(Displayed):
         names = ("pressure", "compressibility", "relaxation_time", "seed", "temperature", "coupling", "every")
         return {name: getattr(self, name) for name in names}
 
-    def strain(self, scene: Scene, duration: float, number: int) -> Array:
+    def strain(self, state: ThermodynamicState, duration: float, number: int) -> Array:
         """ε, (3, 3).  duration : h [time].  number : of the step; it selects the noise."""
         noise = np.random.Generator(np.random.Philox(key=self.seed, counter=np.array([0, OWN_STREAM, 0, number % STEPS], dtype=np.uint64)))
         white = noise.standard_normal((3, 3))
         if self.coupling == "isotropic":
-            spread = sqrt(0.5 * scene.thermal * self.compressibility * duration / self.relaxation_time)
-            larger = 1.0 + (self._drift_of_root(scene, duration) + spread * white[0, 0]) / sqrt(scene.volume)  # λ′/λ
+            spread = sqrt(0.5 * state.thermal * self.compressibility * duration / self.relaxation_time)
+            larger = 1.0 + (self._drift_of_root(state, duration) + spread * white[0, 0]) / sqrt(state.volume)  # λ′/λ
             return np.diag(np.full(3, 2.0 / 3.0 * log(larger) if larger > 0.0 else -inf))
-        spread = sqrt(2.0 * scene.thermal * self.compressibility * duration / (3.0 * scene.volume * self.relaxation_time))
-        return self._drift_of_strain(scene, duration) + spread * self.mask * 0.5 * (white + white.T)
+        spread = sqrt(2.0 * state.thermal * self.compressibility * duration / (3.0 * state.volume * self.relaxation_time))
+        return self._drift_of_strain(state, duration) + spread * self.mask * 0.5 * (white + white.T)
 
-    def change_of_conserved(self, before: Scene, after: Scene, strain: Array, duration: float) -> float:
+    def change_of_conserved(self, before: ThermodynamicState, after: ThermodynamicState, strain: Array, duration: float) -> float:
         """ΔH [energy] of one strain, as above.
 
         It is k_B T ln of the ratio of two probabilities: of the strain and of its reverse, each times that of the state it starts from.
@@ -138,14 +138,14 @@ class StochasticCellRescaling(Displayed):
         gaussian = after.volume * np.square(returned).sum() - before.volume * np.square(gone).sum()
         return float(work - (1.0 + 0.5 * n_free) * entropy + 0.75 * rate * gaussian)
 
-    def _drift_of_root(self, scene: Scene, duration: float) -> float:
+    def _drift_of_root(self, state: ThermodynamicState, duration: float) -> float:
         """b = −(βλh/2τ) (P₀ − P − k_B T/2V) [√volume]."""
-        excess = float(np.trace(scene.pressure)) / 3.0 - self.pressure + 0.5 * scene.thermal / scene.volume
-        return 0.5 * self.compressibility * sqrt(scene.volume) * duration / self.relaxation_time * excess
+        excess = float(np.trace(state.pressure)) / 3.0 - self.pressure + 0.5 * state.thermal / state.volume
+        return 0.5 * self.compressibility * sqrt(state.volume) * duration / self.relaxation_time * excess
 
-    def _drift_of_strain(self, scene: Scene, duration: float) -> Array:
+    def _drift_of_strain(self, state: ThermodynamicState, duration: float) -> Array:
         """m = −(βh/3τ) 𝒫[P₀ 1 − P], (3, 3)."""
-        return self.compressibility * duration / (3.0 * self.relaxation_time) * self.mask * (scene.pressure - self.pressure * np.eye(3))
+        return self.compressibility * duration / (3.0 * self.relaxation_time) * self.mask * (state.pressure - self.pressure * np.eye(3))
 
 
 def exponential(strain: Array) -> Array:

@@ -45,7 +45,7 @@ class Leapfrog(Splitting):
         r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift
 
     A run begins with half a kick backwards and ends with half a kick forwards, so that velocities, energies and files
-    always show v(t) beside r(t). The positions are those of velocity Verlet.
+    always show v(t) together with r(t). The positions are those of velocity Verlet.
     """
 
     name = "leapfrog"

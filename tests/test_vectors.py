@@ -71,7 +71,7 @@ def test_older_vectors_can_be_chosen(chosen, most):
 
 
 def test_other_words_for_vectors_are_refused():
-    with pytest.raises(ValueError, match="MINIMD_VECTORS must be of avx512, avx2, sse; it is 'avx3'"):
+    with pytest.raises(ValueError, match="MINIMD_VECTORS must be one of avx512, avx2, sse; it is 'avx3'"):
         restrict_features("avx3")
 
 

@@ -153,22 +153,22 @@ class Cost:
 class Report(Displayed):
     """What a run conserved, and what it cost. str() gives the report as text.
 
-        Attributes
-        ----------
-        energy_drift : Drift of the total energy per atom [energy/time], minus reservoir energy if has_bath; time in ps, or τ in reduced units.
-        energy_oscillation : standard deviation of the total energy per atom about that line [energy].
-        momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None if P is not a constant.
-        angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None if L is not a constant.
-        constraint_violation : largest |r² − d²|/d², or None without constraints.
-        mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.  temperature_error : standard error of the mean.
-        duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run, if known.
-        kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
-        shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
-        temperatures : means of the first and of the last fifth of the run.
-        not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
-        lines : results that need no run: see diagnosis.static_checks.
-            too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown, as for a file.
-            is_at_rest : whether nothing moves except by rounding; changes of momentum then cannot be judged, for lack of a scale.
+    Attributes
+    ----------
+    energy_drift : Drift of the total energy per atom [energy/time], minus reservoir energy if has_bath; time in ps, or τ in reduced units.
+    energy_oscillation : standard deviation of the total energy per atom about that line [energy].
+    momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None if P is not a constant.
+    angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None if L is not a constant.
+    constraint_violation : largest |r² − d²|/d², or None without constraints.
+    mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.  temperature_error : standard error of the mean.
+    duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run, if known.
+    kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
+    shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
+    temperatures : means of the first and of the last fifth of the run.
+    not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
+    lines : results that need no run: see diagnosis.static_checks.
+    too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown, as for a file.
+    is_at_rest : whether nothing moves except by rounding; changes of momentum then cannot be judged, for lack of a scale.
     """
 
     energy_drift: Drift
@@ -287,9 +287,9 @@ class Report(Displayed):
             return f"the {name} {within}; the run is too short to tell whether it drifts: fluctuations last nearly as long"
         if self.energy_is_conserved:
             return f"the {name} does not drift, BUT {self.too_long_a_step}" if self.too_long_a_step else f"the {name} is conserved"
-        why = self.too_long_a_step or "reduce the time step or smooth the cutoff"
-        if self.is_settling and not self.too_long_a_step:
-            why = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
+        settling = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
+        causes = [self.too_long_a_step] * bool(self.too_long_a_step) + [settling] * self.is_settling
+        why = "; ".join(causes) or "reduce the time step or smooth the cutoff"
         return f"THE {name.upper()} DRIFTS: {why}"
 
     @property

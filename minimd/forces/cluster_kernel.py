@@ -13,6 +13,7 @@ from minimd.forces.cluster_loop import add_cluster_forces, lanes_beyond
 from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, mixed, momentum_in_steps, velocity_of
 from minimd.neighbors.cluster_list import clear, collected, gather, is_mixed, place
 from minimd.neighbors.clusters import DIMENSIONS, gathered, loaded
+from minimd.neighbors.domains import LATE
 from minimd.structure.observables import kinetic_energy_of
 
 
@@ -29,13 +30,19 @@ class Contacts(namedtuple("Contacts", "kept spread duration noise masses before 
     """
 
 
-class Motion(namedtuple("Motion", "steps durations units course contacts velocities inverse_masses own_positions own_velocities own_inverse_masses")):
+class Motion(
+    namedtuple(
+        "Motion",
+        "steps durations units course contacts velocities inverse_masses mass_step own_positions own_velocities own_inverse_masses",
+    )
+):
     """Kicks and drifts, each kick after an evaluation of the forces; only an evaluation if none is to be made.
 
     steps : Steps of fixed-point arithmetic, or ().
     durations : (P, 2) of P kicks and drifts, in turn from the first [time].  units : (P, 2), times of which they are whole multiples.
     course : (2,) int, how many were made before, and how many there are to be in all.  contacts : Contacts.
     velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].
+    mass_step : how far apart those of neighboring slots are in own_inverse_masses: 0 if all are the same, so that a vector of them is enough.
     own_positions, own_velocities, own_inverse_masses : flat, a block for each cluster: the atoms in the order of the clusters. They are read
         at the start and written back at the end. So no two threads write to the same cache line, and vectors of atoms move at a time.
         In fixed-point arithmetic own_velocities holds momenta, in steps.
@@ -54,7 +61,7 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
     positions : (N, 3) [length].  arrays : ClusterArrays.  laws : tuple of pairs, a law type and its parameters, SameForAll or ByLane.
     sums : Sums or ForceSums.  motion : Motion or Rest.
     """
-    n, n_moves, n_made = arrays.domain_start.size - 1, moves(motion), 0
+    n, n_moves, n_made, n_late = arrays.domain_start.size - 1, moves(motion), 0, arrays.domains.numbers[LATE]
     phase = begin(worker, task)
     chunk = take(worker, phase, n)
     while chunk >= 0:
@@ -62,10 +69,12 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
         chunk = finish_and_take(worker, phase, n)
     phase = barrier(worker, phase)
     while True:
-        chunk = take(worker, phase, n)
+        chunk, is_valid = take(worker, phase, n), True
         while chunk >= 0:
             clear(chunk, arrays)
             _add_all(chunk, arrays, laws, sums, motion.steps, which_kick(motion, n_made))
+            if chunk >= n_late and not _finish(chunk, arrays, (0.0, 0.0, 0.0), forces, motion, n_made):  # on one thread: while it is in the cache
+                is_valid = False
             chunk = finish_and_take(worker, phase, n)
         phase = barrier(worker, phase)
         if is_mixed(arrays):
@@ -75,13 +84,11 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
                 chunk = finish_and_take(worker, phase, n)
             phase = barrier(worker, phase)
         excess, is_in_range = _excess(arrays, forces), are_in_range(arrays, motion.steps)
-        chunk = take(worker, phase, n)
+        chunk = take(worker, phase, n_late)
         while chunk >= 0:
-            if n_moves == 0:
-                _scatter(chunk, arrays, excess, forces)
-            elif not (is_in_range and _move(chunk, arrays, excess, motion, n_made)):
+            if not (is_in_range and _finish(chunk, arrays, excess, forces, motion, n_made) and is_valid):
                 stop(worker, phase)
-            chunk = finish_and_take(worker, phase, n)
+            chunk = finish_and_take(worker, phase, n_late)
         moved, phase = phase, barrier(worker, phase)
         if has_bath(motion):
             chunk = take(worker, phase, 1)
@@ -99,6 +106,15 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
             chunk = finish_and_take(worker, phase, n)
         barrier(worker, phase)
     return n_made
+
+
+@scalar
+def _finish(domain, arrays, excess, forces, motion, n_made):
+    """What is done with the forces on the atoms of a domain, once they are whole: they are handed over, or the atoms move. See _move."""
+    if moves(motion) == 0:
+        _scatter(domain, arrays, excess, forces)
+        return True
+    return _move(domain, arrays, excess, motion, n_made)
 
 
 @by_type
@@ -181,8 +197,9 @@ def _begin(domain, arrays, positions, motion):
             gather(k, clusters, positions, motion.own_positions, start)
             gather(k, clusters, motion.velocities, motion.own_velocities, start)
             place(k, arrays, loaded(motion.own_positions, start, clusters.lanes))
-            for slot in range(k * n_lanes, (k + 1) * n_lanes):
-                motion.own_inverse_masses[slot] = motion.inverse_masses[clusters.atom[slot]]
+            if motion.mass_step > 0:
+                for slot in range(k * n_lanes, (k + 1) * n_lanes):
+                    motion.own_inverse_masses[slot] = motion.inverse_masses[clusters.atom[slot]]
             _to_momenta(k, start, n_lanes, motion, motion.steps)
 
     return begin_motion
@@ -196,7 +213,7 @@ def _to_momenta(k, start, n_lanes, motion, steps):
 
     def to_momenta(k, start, n_lanes, motion, steps):
         for at in range(start, start + DIMENSIONS * n_lanes):
-            inverse_mass = motion.own_inverse_masses[k * n_lanes + (at - start) % n_lanes]
+            inverse_mass = motion.own_inverse_masses[(k * n_lanes + (at - start) % n_lanes) * motion.mass_step]
             motion.own_velocities[at] = momentum_in_steps(motion.own_velocities[at], inverse_mass, steps)
 
     return to_momenta
@@ -255,7 +272,7 @@ def _move(domain, arrays, excess, motion, n_made):
         flows, limit2 = of_cycle(motion, which_kick(motion, n_made)), arrays.rows.limits2[arrays.rows.layers[0] - 1]
         for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
             start = k * DIMENSIONS * n_lanes
-            inverse_mass = load(motion.own_inverse_masses, k * n_lanes, lanes)
+            inverse_mass = load(motion.own_inverse_masses, k * n_lanes * motion.mass_step, lanes)
             for c, force in enumerate(collected(k, arrays)):
                 at = start + c * n_lanes
                 velocity, position = load(motion.own_velocities, at, lanes), load(motion.own_positions, at, lanes)
@@ -341,7 +358,8 @@ def _end(domain, arrays, positions, motion):
                 for c in range(3):
                     place = (k * DIMENSIONS + c) * n_lanes + k_lane
                     positions[i, c] = motion.own_positions[place]
-                    motion.velocities[i, c] = _velocity(motion.own_velocities[place], motion.own_inverse_masses[k * n_lanes + k_lane], motion.steps)
+                    inverse_mass = motion.own_inverse_masses[(k * n_lanes + k_lane) * motion.mass_step]
+                    motion.velocities[i, c] = _velocity(motion.own_velocities[place], inverse_mass, motion.steps)
 
     return end
 

@@ -1,7 +1,7 @@
 """Pair laws on the cluster list: eight pairs at a time, on a pool of threads."""
 
 from collections.abc import Iterable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_build import build_clusters
 from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.cluster_search import LAYERS
-from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm
 from minimd.potentials.user_laws import is_recognized
@@ -32,8 +31,8 @@ from minimd.structure.system import System
 NOTHING, NONE = np.zeros((0, 3)), np.zeros(0)
 NO_COURSE = np.zeros(2, dtype=np.int64)
 NO_CONTACTS = Contacts(1.0, 0.0, 0.0, np.zeros((0, 0, 3)), NONE, NONE, NONE, NONE)
-AT_REST = Motion((), np.zeros((1, 2)), np.ones((1, 2)), NO_COURSE, NO_CONTACTS, NOTHING, NONE, NONE, NONE, NONE)  # one compiled kernel for both
-MOST_MOVED = 4_000_000  # atoms in a call, half a second
+AT_REST = Motion((), np.zeros((1, 2)), np.ones((1, 2)), NO_COURSE, NO_CONTACTS, NOTHING, NONE, 1, NONE, NONE, NONE)  # one compiled kernel for both
+MOST_MOVED = 8_000_000  # atoms in a call, about a second
 MOST_NOISE = 1_000_000  # atoms whose noise is kept at a time
 
 
@@ -55,7 +54,7 @@ class ClusterTerm(OwnTerm):
         self._evaluate = evaluate_clusters if are_recognized else without_cache(evaluate_clusters)
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
         self._march = march_clusters if are_recognized else without_cache(march_clusters)
-        self._arranged_for, self._prepared_for = cast(Any, None), (0, 0)  # which arrays of the list; which build, and how many layers
+        self._arranged_for, self._prepared_for = 0, (0, 0)  # which arrays of the list; which build, and how many layers
         self._memory = Buffers()
         self._own: tuple[NDArray, ...] = ()
 
@@ -120,7 +119,7 @@ class ClusterTerm(OwnTerm):
         forces, steps = (state.impulses, self._steps(steps_of(state.grid, units[:, 0]))) if isinstance(state, GridState) else (state.forces, ())
         while course[MADE] < course[TO_MAKE]:
             self._update(system)
-            self._own = self._own or self._own_arrays()
+            self._own = self._own or self._own_arrays(state)
             motion = Motion(steps, lasting, units, course, contacts, state.velocities, state.inverse_masses, *self._own)
             evaluation = system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion
             if self.list.can_be_renewed:
@@ -144,7 +143,7 @@ class ClusterTerm(OwnTerm):
     def _update(self, system: System) -> None:
         """A valid list, and what is prepared for it."""
         self.list.update(system.positions, system.cell)
-        if self._arranged_for is not self.list.arrays:
+        if self._arranged_for != self.list.n_arranged:
             self._arrange(system)
         in_use = self.list.n_builds, int(self.list.rows.layers[0])
         if self._prepared_for != in_use:
@@ -159,17 +158,20 @@ class ClusterTerm(OwnTerm):
         self._needs_preparation = self._precision == FIXED_POINT or any(isinstance(one, ByLane) for one in of_lanes)
         self._force_sums = ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
         self._own = ()  # made where atoms march
-        self._arranged_for, self._prepared_for = self.list.arrays, (0, 0)
+        self._arranged_for, self._prepared_for = self.list.n_arranged, (0, 0)
 
-    def _own_arrays(self) -> tuple[NDArray, ...]:
+    def _own_arrays(self, state: State) -> tuple[Any, ...]:
         """Memory for the atoms in the order of the clusters, see Motion."""
-        n = len(self.list.clusters.atom)
-        return tuple(self._memory.array(f"own {k}", np.float64, size) for k, size in enumerate((DIMENSIONS * n, DIMENSIONS * n, n)))
+        is_same = bool((state.inverse_masses == state.inverse_masses[0]).all())
+        n = self.list.lanes.size if is_same else len(self.list.clusters.atom)
+        masses = self._memory.array("own inverse masses", np.float64, n)
+        masses[:] = state.inverse_masses[0]
+        return 0 if is_same else 1, *self.list.idle, masses
 
     def _sums(self, detail: int) -> Sums:
         """Accumulators with zeros: one for each cluster if only totals are wanted, else one for each slot, and for each lane of a ghost."""
         n = self.list.n_clusters * (1 if detail == TOTALS else self.list.lanes.size)
-        lane_sums = np.zeros(self.list.n_ghosts * self.list.lanes.size * LANE_SUMS if detail == PER_ATOM else 0)
+        lane_sums = np.zeros(int(self.list.domains.window[-1]) * self.list.lanes.size * LANE_SUMS if detail == PER_ATOM else 0)
         return Sums(self.list.memory.forces, np.zeros(n), np.zeros((n, 6)), lane_sums, detail)
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
@@ -178,7 +180,8 @@ class ClusterTerm(OwnTerm):
         atom, real = clusters.atom[: n * n_lanes], (np.arange(n_lanes) < clusters.filled[:n, None]).ravel()
         energies[atom[real]] += sums.energies[real]
         virials[atom[real]] += sums.virials[real]
-        owner, of_lanes = self.list.ghosts.owner[: self.list.n_ghosts], sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes)
+        of_lanes, (first, window) = sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes), (self.list.domains.first, self.list.domains.window)
+        owner = np.concatenate([self.list.ghosts.owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)])
         atoms = atom.reshape(-1, n_lanes)[owner]
         np.add.at(energies, atoms, of_lanes[:, 0])
         np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))

@@ -15,6 +15,7 @@ from minimd.forces.cluster_loop import lanes_beyond
 from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, mixed, momentum_in_steps, velocity_of
 from minimd.neighbors.cluster_list import clear, collected, gather, is_mixed, place
 from minimd.neighbors.clusters import DIMENSIONS, gathered, loaded
+from minimd.neighbors.domains import LATE
 from minimd.structure.observables import kinetic_energy_of
 
 
@@ -35,9 +36,10 @@ class Contacts(ByAddress, namedtuple("Contacts", "kept spread duration noise mas
     """
 
 
-class Atoms(ByAddress, namedtuple("Atoms", "velocities inverse_masses own_positions own_velocities own_inverse_masses")):
+class Atoms(ByAddress, namedtuple("Atoms", "velocities inverse_masses mass_step own_positions own_velocities own_inverse_masses")):
     """What moves beside the positions.  velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].
 
+    mass_step : how far apart those of neighboring slots are in own_inverse_masses: 0 if all are the same, so that a vector of them is enough.
     own_positions, own_velocities, own_inverse_masses : flat, a block for each cluster: the atoms in the order of the clusters. They are read
         at the start of a Motion and written back at its end. So no two threads write to the same cache line, and vectors of atoms move at a
         time. In fixed-point arithmetic own_velocities holds momenta, in steps.
@@ -64,7 +66,7 @@ def evaluate_clusters(worker, task, positions, arrays, loop, forces, motion):
 
     positions : (N, 3) [length].  arrays : ClusterArrays.  loop : Loop.  motion : Motion.
     """
-    n, n_moves, n_made = arrays.domain_start.size - 1, moves(motion), 0
+    n, n_moves, n_made, n_late = arrays.domain_start.size - 1, moves(motion), 0, arrays.domains.numbers[LATE]
     phase = begin(worker, task)
     chunk = take(worker, phase, n)
     while chunk >= 0:
@@ -72,10 +74,12 @@ def evaluate_clusters(worker, task, positions, arrays, loop, forces, motion):
         chunk = finish_and_take(worker, phase, n)
     phase = barrier(worker, phase)
     while True:
-        chunk = take(worker, phase, n)
+        chunk, is_valid = take(worker, phase, n), True
         while chunk >= 0:
             clear(chunk, arrays)
             run_at(loop.add, (chunk, arrays, loop.work, motion.steps, which_kick(motion, n_made)))
+            if chunk >= n_late and not _finish(chunk, arrays, (0.0, 0.0, 0.0), forces, motion, n_made):  # on one thread: while it is in the cache
+                is_valid = False
             chunk = finish_and_take(worker, phase, n)
         phase = barrier(worker, phase)
         if is_mixed(arrays):
@@ -85,13 +89,11 @@ def evaluate_clusters(worker, task, positions, arrays, loop, forces, motion):
                 chunk = finish_and_take(worker, phase, n)
             phase = barrier(worker, phase)
         excess, is_in_range = _excess(arrays, forces), are_in_range(arrays, motion.steps)
-        chunk = take(worker, phase, n)
+        chunk = take(worker, phase, n_late)
         while chunk >= 0:
-            if n_moves == 0:
-                _scatter(chunk, arrays, excess, forces)
-            elif not (is_in_range and _move(chunk, arrays, excess, motion, n_made)):
+            if not (is_in_range and _finish(chunk, arrays, excess, forces, motion, n_made) and is_valid):
                 stop(worker, phase)
-            chunk = finish_and_take(worker, phase, n)
+            chunk = finish_and_take(worker, phase, n_late)
         moved, phase = phase, barrier(worker, phase)
         if has_bath(motion):
             chunk = take(worker, phase, 1)
@@ -109,6 +111,15 @@ def evaluate_clusters(worker, task, positions, arrays, loop, forces, motion):
             chunk = finish_and_take(worker, phase, n)
         barrier(worker, phase)
     return n_made
+
+
+@scalar
+def _finish(domain, arrays, excess, forces, motion, n_made):
+    """What is done with the forces on the atoms of a domain, once they are whole: they are handed over, or the atoms move. See _move."""
+    if moves(motion) == 0:
+        _scatter(domain, arrays, excess, forces)
+        return True
+    return _move(domain, arrays, excess, motion, n_made)
 
 
 @scalar
@@ -164,8 +175,9 @@ def _begin(domain, arrays, positions, motion):
             start = k * DIMENSIONS * n_lanes
             gather(k, clusters, positions, motion.atoms.own_positions, start)
             gather(k, clusters, motion.atoms.velocities, motion.atoms.own_velocities, start)
-            for slot in range(k * n_lanes, (k + 1) * n_lanes):
-                motion.atoms.own_inverse_masses[slot] = motion.atoms.inverse_masses[clusters.atom[slot]]
+            if motion.atoms.mass_step > 0:
+                for slot in range(k * n_lanes, (k + 1) * n_lanes):
+                    motion.atoms.own_inverse_masses[slot] = motion.atoms.inverse_masses[clusters.atom[slot]]
             _to_momenta(k, start, n_lanes, motion, motion.steps)
 
 
@@ -177,7 +189,7 @@ def _to_momenta(k, start, n_lanes, motion, steps):
 
     def to_momenta(k, start, n_lanes, motion, steps):
         for at in range(start, start + DIMENSIONS * n_lanes):
-            inverse_mass = motion.atoms.own_inverse_masses[k * n_lanes + (at - start) % n_lanes]
+            inverse_mass = motion.atoms.own_inverse_masses[(k * n_lanes + (at - start) % n_lanes) * motion.atoms.mass_step]
             motion.atoms.own_velocities[at] = momentum_in_steps(motion.atoms.own_velocities[at], inverse_mass, steps)
 
     return to_momenta
@@ -226,7 +238,7 @@ def _move(domain, arrays, excess, motion, n_made):
     flows, limit2 = of_cycle(motion, which_kick(motion, n_made)), arrays.rows.limits2[arrays.rows.layers[0] - 1]
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
         start = k * DIMENSIONS * n_lanes
-        inverse_mass = load(motion.atoms.own_inverse_masses, k * n_lanes, lanes)
+        inverse_mass = load(motion.atoms.own_inverse_masses, k * n_lanes * motion.atoms.mass_step, lanes)
         for c, force in enumerate(collected(k, arrays)):
             at = start + c * n_lanes
             velocity, position = load(motion.atoms.own_velocities, at, lanes), load(motion.atoms.own_positions, at, lanes)
@@ -302,7 +314,8 @@ def _end(domain, arrays, positions, motion):
     clusters, atoms, n_lanes = arrays.clusters, motion.atoms, count(arrays.clusters.lanes)
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
         for k_lane in range(clusters.filled[k]):
-            i, inverse_mass = clusters.atom[k * n_lanes + k_lane], atoms.own_inverse_masses[k * n_lanes + k_lane]
+            slot = k * n_lanes + k_lane
+            i, inverse_mass = clusters.atom[slot], atoms.own_inverse_masses[slot * atoms.mass_step]
             for c in range(3):
                 place = (k * DIMENSIONS + c) * n_lanes + k_lane
                 positions[i, c] = atoms.own_positions[place]

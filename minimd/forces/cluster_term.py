@@ -1,7 +1,7 @@
 """Pair laws on the cluster list: eight pairs at a time, on a pool of threads."""
 
 from collections.abc import Iterable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_build import build_clusters
 from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.cluster_search import LAYERS
-from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm
 from minimd.potentials.user_laws import is_recognized
@@ -32,8 +31,8 @@ from minimd.structure.system import System
 NOTHING, NONE = np.zeros((0, 3)), np.zeros(0)
 NO_COURSE = np.zeros(2, dtype=np.int64)
 NO_CONTACTS = Contacts(1.0, 0.0, 0.0, np.zeros((0, 0, 3)), NONE, NONE, NONE, NONE)
-AT_REST = Motion((), np.ones((1, 2, 2)), NO_COURSE, NO_CONTACTS, Atoms(NOTHING, NONE, NONE, NONE, NONE))
-MOST_MOVED = 4_000_000  # atoms in a call, half a second
+AT_REST = Motion((), np.ones((1, 2, 2)), NO_COURSE, NO_CONTACTS, Atoms(NOTHING, NONE, 1, NONE, NONE, NONE))
+MOST_MOVED = 8_000_000  # atoms in a call, about a second
 MOST_NOISE = 1_000_000  # atoms whose noise is kept at a time
 
 
@@ -55,7 +54,7 @@ class ClusterTerm(OwnTerm):
         kernels = (add_forces_of_laws, prepare_loop)
         self._add_forces, self._prepare_loop = kernels if are_recognized else map(without_cache, kernels)
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
-        self._arranged_for, self._prepared_for = cast(Any, None), (0, 0)  # which arrays of the list; which build, and how many layers
+        self._arranged_for, self._prepared_for = 0, (0, 0)  # which arrays of the list; which build, and how many layers
         self._memory = Buffers()
         self._atoms: Atoms | None = None
         self._work_of_totals: Work | None = None
@@ -148,7 +147,7 @@ class ClusterTerm(OwnTerm):
     def _update(self, system: System) -> None:
         """A valid list, and what is prepared for it."""
         self.list.update(system.positions, system.cell)
-        if self._arranged_for is not self.list.arrays:
+        if self._arranged_for != self.list.n_arranged:
             self._arrange(system)
         in_use = self.list.n_builds, int(self.list.rows.layers[0])
         if self._prepared_for != in_use:
@@ -164,14 +163,16 @@ class ClusterTerm(OwnTerm):
         self._work = Work(self._laws, ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES))
         self._work_of_totals = None
         self._atoms = None  # made where atoms march
-        self._arranged_for, self._prepared_for = self.list.arrays, (0, 0)
+        self._arranged_for, self._prepared_for = self.list.n_arranged, (0, 0)
 
     def _atoms_of(self, state: State) -> Atoms:
         """Atoms, with memory for them in the order of the clusters."""
         if self._atoms is None or self._atoms.velocities is not state.velocities or self._atoms.inverse_masses is not state.inverse_masses:
-            n = len(self.list.clusters.atom)
-            own = (self._memory.array(f"own {k}", np.float64, size) for k, size in enumerate((DIMENSIONS * n, DIMENSIONS * n, n)))
-            self._atoms = Atoms(state.velocities, state.inverse_masses, *own)
+            are_same = bool((state.inverse_masses == state.inverse_masses[0]).all())
+            masses = self._memory.array("own inverse masses", np.float64, self.list.lanes.size if are_same else len(self.list.clusters.atom))
+            masses[:] = state.inverse_masses[0]
+            positions, velocities = self.list.idle
+            self._atoms = Atoms(state.velocities, state.inverse_masses, 0 if are_same else 1, positions, velocities, masses)
         return self._atoms
 
     def _totals(self) -> Work:
@@ -184,7 +185,7 @@ class ClusterTerm(OwnTerm):
     def _work_with(self, detail: int) -> Work:
         """Work with accumulators that are zero: one for each cluster if only totals are wanted, else for each slot and each lane of a ghost."""
         n = self.list.n_clusters * (1 if detail == TOTALS else self.list.lanes.size)
-        lane_sums = np.zeros(self.list.n_ghosts * self.list.lanes.size * LANE_SUMS if detail == PER_ATOM else 0)
+        lane_sums = np.zeros(int(self.list.domains.window[-1]) * self.list.lanes.size * LANE_SUMS if detail == PER_ATOM else 0)
         return Work(self._laws, Sums(self.list.memory.forces, np.zeros(n), np.zeros((n, 6)), lane_sums, detail))
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
@@ -193,7 +194,8 @@ class ClusterTerm(OwnTerm):
         atom, real = clusters.atom[: n * n_lanes], (np.arange(n_lanes) < clusters.filled[:n, None]).ravel()
         energies[atom[real]] += sums.energies[real]
         virials[atom[real]] += sums.virials[real]
-        owner, of_lanes = self.list.ghosts.owner[: self.list.n_ghosts], sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes)
+        of_lanes, (first, window) = sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes), (self.list.domains.first, self.list.domains.window)
+        owner = np.concatenate([self.list.ghosts.owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)])
         atoms = atom.reshape(-1, n_lanes)[owner]
         np.add.at(energies, atoms, of_lanes[:, 0])
         np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))

@@ -13,6 +13,7 @@ from minimd.analysis.check import check_file
 from minimd.engine.observation import OBSERVABLES, Observable, register
 from minimd.engine.record import SERIES
 from minimd.files.h5md_reader import damage, read_file
+from minimd.files.h5md_schema import chunk_rows
 from minimd.structure.quiet import quiet
 
 SIDE = [[20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [20.0, 20.0, 0.0]]
@@ -119,3 +120,15 @@ def test_a_file_that_a_universe_of_this_script_has_open_says_how_to_close_it(tmp
         made.run(2, every=1, trajectory=tmp_path / "run.h5md", append=True)
     reading.trajectory.close()
     made.run(2, every=1, trajectory=tmp_path / "run.h5md", append=True)
+
+
+def test_a_file_of_few_frames_is_small_and_that_of_many_has_large_chunks(tmp_path):
+    """A chunk takes its full size on the disk, whatever is in it. Chunks of a long run stay as large as they were."""
+    made = simulation()
+    made.run(1, every=1, trajectory=tmp_path / "short.h5md")
+    assert (tmp_path / "short.h5md").stat().st_size < 130_000
+    number, numbers, many = np.zeros(()), np.zeros((27, 3)), 10_000
+    assert [chunk_rows(entry, many) for entry in (number, numbers)] == [chunk_rows(entry) for entry in (number, numbers)] == [512, 101]
+    assert [chunk_rows(entry, 2) for entry in (number, numbers, np.zeros((10_000, 3)))] == [16, 16, 1]
+    made.run(40, every=1, trajectory=tmp_path / "short.h5md", append=True)
+    assert read_file(tmp_path / "short.h5md").n_frames == 42

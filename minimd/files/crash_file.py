@@ -105,7 +105,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     start = guard.failed_from or last.state
     claim = Claim(part, overwrite=True)
     try:
-        writer = H5MDWriter(claim, engine, store_forces=True, every=max(1, last.state.step - start.step))
+        writer = H5MDWriter(claim, engine, store_forces=True, every=max(1, last.state.step - start.step), n_frames=2)
         try:
             for snapshot in (start, last.state):
                 engine.restore(snapshot)

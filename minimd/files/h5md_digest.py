@@ -23,7 +23,7 @@ FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups
 def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
     """Append a row: so many frames are in the file, the last of them with these entries, by the paths of their series."""
     if BLOCKS not in h5:
-        h5.create_dataset(BLOCKS, (0, 2), np.int64, maxshape=(None, 2), chunks=(512, 2)).attrs["series"] = sorted(entries)
+        h5.create_dataset(BLOCKS, (0, 2), np.int64, maxshape=(None, 2), chunks=(64, 2)).attrs["series"] = sorted(entries)
     blocks = h5[BLOCKS]
     row = int(np.searchsorted(blocks[:, 0], n_frames)) if len(blocks) else 0  # a block that is written again takes its place
     blocks.resize(row + 1, axis=0)

@@ -33,7 +33,7 @@ from minimd.structure.errors import sentence
 from minimd.structure.system import System
 
 CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own
-CHUNK_ROWS = 512  # at most
+CHUNK_ROWS, FEW_ROWS = 512, 16  # at most; and of a file that expects few frames, at least: it may be appended to
 LARGEST_ENUMERATION = 1000  # labels that fit into the header of a dataset, 64 KiB
 TRAJECTORY = "particles/trajectory"
 STEPS, TIMES = f"{TRAJECTORY}/position/step", f"{TRAJECTORY}/position/time"
@@ -83,16 +83,20 @@ def has_edges(cell: Cell) -> bool:
     return cell.is_periodic and np.linalg.matrix_rank(cell.vectors) == 3
 
 
-def chunk_rows(entry: np.ndarray) -> int:
-    """Entries that one chunk of a series holds."""
-    return int(np.clip(CHUNK_BYTES // entry.nbytes, 1, CHUNK_ROWS))
+def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
+    """Entries that one chunk of a series holds; a chunk takes its full size on the disk.  n_frames : expected in the file, if that is known."""
+    expected = CHUNK_ROWS if n_frames is None else max(FEW_ROWS, n_frames)
+    return int(np.clip(CHUNK_BYTES // entry.nbytes, 1, min(CHUNK_ROWS, expected)))
 
 
-def series_of(h5: h5py.File, column: Column, like: np.ndarray) -> h5py.Dataset:
-    """The series of a column, made empty if it is not there yet, for entries like this one; those of H5MD share one step and one time."""
+def series_of(h5: h5py.File, column: Column, like: np.ndarray, n_frames: int | None = None) -> h5py.Dataset:
+    """The series of a column, made empty if it is not there yet, for entries like this one; those of H5MD share one step and one time.
+
+    n_frames : as for chunk_rows.
+    """
     if column.path in h5:
         return h5[column.path]
-    growing = {"maxshape": (None, *like.shape), "chunks": (chunk_rows(like), *like.shape)}
+    growing = {"maxshape": (None, *like.shape), "chunks": (chunk_rows(like, n_frames), *like.shape)}
     series = h5.create_dataset(column.path, (0, *like.shape), like.dtype, **growing)
     if column.unit:
         series.attrs["unit"] = column.unit

@@ -42,6 +42,7 @@ class H5MDWriter:
     Its restart is the state of the engine at the last flush, checkpoint or close.
 
     claim : on the file.  engine : whose frames will come.  store_forces : also write forces.  every : steps between two frames.
+    n_frames : how many are expected, if that is known.
     observers : of the run, whose state is kept with each restart, and whose answers with the end of the run.
 
     Raises OSError if the file cannot be created or has no room.
@@ -52,13 +53,22 @@ class H5MDWriter:
     _store_forces: bool
     _next_flush: float
     _n_frames: int
+    _n_expected: int | None = None
     _pending: FrameBlock | None
     _columns: list[layout.Column]
     _every: int | None  # None where a file that is continued does not hold it
 
-    def __init__(self, claim: Claim, engine: Engine, store_forces: bool, every: int = 1, observers: Sequence[Accumulator] = ()) -> None:
+    def __init__(
+        self,
+        claim: Claim,
+        engine: Engine,
+        store_forces: bool,
+        every: int = 1,
+        observers: Sequence[Accumulator] = (),
+        n_frames: int | None = None,
+    ) -> None:
         self._begin(claim, engine, store_forces, "w")
-        self._every, self._observers = every, observers
+        self._every, self._observers, self._n_expected = every, observers, n_frames
         with self._telling("begin"):
             layout.describe(self._h5, engine)
             describe_observers(self._h5, observers)
@@ -170,7 +180,7 @@ class H5MDWriter:
     def _add(self, pending: dict[str, np.ndarray], n_frames: int) -> None:
         """The series and their digest, with the pending frames; done again after an error, it leaves the same."""
         for column in self._columns:
-            series = layout.series_of(self._h5, column, pending[column.path][0])
+            series = layout.series_of(self._h5, column, pending[column.path][0], self._n_expected)
             series.resize(n_frames, axis=0)
             series[self._n_frames :] = pending[column.path]
         add_block(self._h5, n_frames, pending)

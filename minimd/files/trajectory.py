@@ -29,7 +29,7 @@ class Writer(Protocol):
 
 
 FORMATS = {  # suffix: module and class of its writer, loaded when needed, and the options that it takes beside claim and engine
-    ".h5md": ("minimd.files.h5md_writer", "H5MDWriter", ("store_forces", "every", "observers")),
+    ".h5md": ("minimd.files.h5md_writer", "H5MDWriter", ("store_forces", "every", "observers", "n_frames")),
     **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())),
     **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter", ("store_forces",))),
 }
@@ -44,11 +44,13 @@ def open_trajectories(
     overwrite: bool,
     append: bool = False,
     every: int = 1,
+    n_steps: int | None = None,
     observers: Sequence[Accumulator] = (),
 ) -> Iterator[list[Writer]]:
     """Writers for some files, all checked before the first is opened, all closed at the end; if one cannot be opened, none is left.
 
-    every : steps between two frames.  observers : whose state and answers files hold that can; those that have not looked yet go on from there.
+    every : steps between two frames.  n_steps : of the run, if that is known.
+    observers : whose state and answers files hold that can; those that have not looked yet go on from there.
     Raises ValueError for a suffix that no writer knows, a file that is named twice, or one that cannot be appended to.  FileExistsError for a
     file that exists, unless overwrite.  FileNotFoundError, PermissionError for a folder that does not exist or cannot be written.
     OSError if another run writes the file, or it is no regular file.
@@ -56,7 +58,7 @@ def open_trajectories(
     several = named_files("trajectory", paths)
     _check_are_different(several)
     files = [_appendable(path) if append else checked_output(path, overwrite) for path in several]
-    options = {"store_forces": store_forces, "every": every, "observers": observers}
+    options = {"store_forces": store_forces, "every": every, "n_frames": None if n_steps is None else n_steps // every + 2, "observers": observers}
     with ExitStack() as closing:
         writers: list[Writer] = []
         for file in files:
@@ -82,7 +84,7 @@ def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -
 def _continued(file: Path, engine: Engine, options: dict[str, Any]) -> Writer:
     from minimd.files.h5md_writer import H5MDWriter
 
-    return H5MDWriter.append_to(file, engine, **options)
+    return H5MDWriter.append_to(file, engine, **{name: options[name] for name in ("store_forces", "every", "observers")})
 
 
 def _appendable(file: Path) -> Path:

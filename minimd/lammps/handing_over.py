@@ -307,7 +307,7 @@ class Job:
         theirs = {step: row[0] for step, row in zip(log.steps, log.rows, strict=True)}
         baths = {step: start - row[1] for step, row in zip(log.steps, log.rows, strict=True) if len(row) > 1}
         apart = []
-        opened = open_trajectories(self.trajectory, self.engine, every=self.every, store_forces=store_forces, overwrite=False)
+        opened = open_trajectories(self.trajectory, self.engine, every=self.every, n_steps=self.steps, store_forces=store_forces, overwrite=False)
         with self._titled(), opened as writers:
             for step, columns in chain([(self.first_step, None)], [first] if first else [], found):
                 if columns is not None:

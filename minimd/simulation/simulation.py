@@ -196,7 +196,7 @@ class Simulation(Closed, Displayed):
             guard.check_start()
             with (
                 stop_on_signals(engine.surroundings),
-                open_trajectories(trajectory, engine, every=every, observers=attached.accumulators, **files) as writers,
+                open_trajectories(trajectory, engine, every=every, n_steps=end - start, observers=attached.accumulators, **files) as writers,
                 progress_of(end - start, "running", progress) as tell,
                 attached.broken_off(),
             ):

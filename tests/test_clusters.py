@@ -190,6 +190,19 @@ def test_chunks_change_nothing_but_rounding(atoms, pbc):
     assert n_domains(clustered) >= (1 if atoms == 800 else 5)
 
 
+def test_one_thread_keeps_the_forces_of_few_domains_and_sums_the_same():
+    """Forces of a domain take the place of those that are needed no more; two threads keep all of them."""
+    system = rod()
+    with atoms_per_domain(40):
+        alone, together = (ClusterTerm(system, pair_laws(system, POTENTIALS["exclusions"]), Options(skin=SKIN, threads=n)) for n in (1, 2))
+        for detail in (TOTALS, PER_ATOM):
+            for a, b in zip(summed(alone, system, detail), summed(together, system, detail), strict=True):
+                assert np.array_equal(a, b)
+    kept, needed = (int(term.list.domains.numbers[BLOCKS]) for term in (alone, together))
+    assert kept < 0.8 * needed == 0.8 * alone.list.domains.window[-1]
+    assert len(alone.list.memory.forces) < len(together.list.memory.forces)
+
+
 def lennard_jones_by_hand(system, cutoff):
     """Forces, energies and virials of all atoms, shifted Lennard-Jones, each pair from both sides."""
     pairs = np.array(sorted(brute_force_pairs(system.positions, system.cell.vectors, system.cell.pbc, cutoff)), dtype=int).reshape(-1, 5)

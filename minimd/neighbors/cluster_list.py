@@ -25,6 +25,7 @@ from minimd.neighbors.clusters import (
     make_clusters,
     make_columns,
     most_clusters,
+    offsets_of,
 )
 from minimd.neighbors.domains import BLOCKS, IMAGES, SIDES, Layout, ghosts_for_search, make_domains, make_ghosts
 from minimd.neighbors.verlet_list import VerletList, partners
@@ -129,9 +130,12 @@ class ClusterList(VerletList):
 
     def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
         positions = self._blocks(self.clusters.positions)
-        self._original = positions.copy() if self._original is None else self._original
+        if self._original is None:
+            whole = self.clusters.positions.copy()
+            self._original, self.clusters = self._blocks(whole), self.clusters._replace(origins=whole)
+            self.arrays = self.arrays._replace(clusters=self.clusters)
         strained(self._original, strain, positions)
-        before.follow(cell, self._blocks(self.clusters.offsets))
+        self.clusters.wrapping.lattice[:] = cell.lattice
         before.follow(cell, self._shifts)
         if self._is_mixed:
             self.memory.shift[:] = np.rint(self._shifts / self.memory.unit)
@@ -141,7 +145,10 @@ class ClusterList(VerletList):
         self.rows.limits2[:] = [self._limit2(width) for width in self._widths]
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        self._original = None
+        if self._original is not None:
+            self._original, self.clusters = None, self.clusters._replace(origins=self.clusters.positions)
+            self.arrays = self.arrays._replace(clusters=self.clusters)
+            self.clusters.wrapping.lattice[:] = self._columns.lattice
         if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
             self._columns, self._columns_of = make_columns(cell, positions, self.cutoff + self.skin, self.lanes), cell
             self._make_clusters()
@@ -265,7 +272,7 @@ def place(k, arrays, at):
     """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts. Indices are unsigned: none counts from the end."""
     ghosts, memory, lanes, n_lanes = arrays.ghosts, arrays.memory, arrays.clusters.lanes, np.uintp(count(arrays.clusters.lanes))
     like, block = load(memory.coordinates, 0, lanes), np.uintp(DIMENSIONS) * n_lanes
-    x, y, z = loaded(arrays.clusters.offsets, np.uintp(k) * block, lanes)
+    x, y, z = offsets_of(np.uintp(k) * block, arrays.clusters)
     x = coordinate(at[0] + x, memory.origin[0], memory.unit, like)
     y = coordinate(at[1] + y, memory.origin[1], memory.unit, like)
     z = coordinate(at[2] + z, memory.origin[2], memory.unit, like)

@@ -39,17 +39,37 @@ class Columns(ByAddress, namedtuple("Columns", "counts distance reach along orig
     """
 
 
-class Clusters(ByAddress, namedtuple("Clusters", "lanes atom filled positions offsets column_start bottom top boxes")):
+class Clusters(ByAddress, namedtuple("Clusters", "lanes atom filled positions origins wrapping column_start bottom top boxes")):
     """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n. Arrays of C elements have room for more.
 
     lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
-    positions, offsets : flat, a block of 3 n numbers for each cluster: of its atoms when it was made, and lattice vectors that bring them into
-        the cell [length].
+    positions : flat, a block of 3 n numbers for each cluster: of its atoms when it was made, strained since as the cell was [length].
+    origins : the same without the strain, and the same array if there was none.  wrapping : Wrapping.
     column_start : (columns + 1,) int, first cluster of each column; the last number is C.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
     bottom, top and boxes are needed for a build only; afterwards their memory has other uses.
     """
+
+
+class Wrapping(namedtuple("Wrapping", "inverse periodic lattice")):
+    """How atoms are brought into the cell: by as many lattice vectors as for their origins. These are computed, not kept: memory is slower.
+
+    inverse : (3, 3) of the cell in which clusters were made [1/length], and periodic : (3,) 1.0 where it was, else 0.0.
+    lattice : (3, 3) of the cell as it is now [length].
+    """
+
+
+@scalar
+def offsets_of(start, clusters):
+    """Lattice vectors that bring the atoms of a cluster into the cell: vectors x, y, z [length].  start : of its block."""
+    (inverse, periodic, lattice), (x, y, z) = clusters.wrapping, loaded(clusters.origins, start, clusters.lanes)
+    a = -np.floor(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0]) * periodic[0]
+    b = -np.floor(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1]) * periodic[1]
+    c = -np.floor(x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2]) * periodic[2]
+    x = a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
+    y = a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
+    return x, y, a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
 
 
 def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float, lanes: Lanes) -> Columns:
@@ -81,8 +101,9 @@ def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Se
     n_slots, array = n_clusters * lanes.size, partial(memory.array, spare=spare)
     column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)
     atom, filled = array("atom", np.int32, n_slots), array("filled", np.int32, n_clusters)
-    at, offsets = (array(name, np.float64, n_slots * DIMENSIONS) for name in ("positions", "offsets"))
-    return Clusters(lanes, atom, filled, at, offsets, column_start, *for_build)
+    at = array("positions", np.float64, n_slots * DIMENSIONS)
+    wrapping = Wrapping(columns.inverse, columns.pbc.astype(np.float64), columns.lattice.copy())
+    return Clusters(lanes, atom, filled, at, at, wrapping, column_start, *for_build)
 
 
 def clusters_for_build(n_clusters: int) -> Fields:
@@ -141,10 +162,8 @@ def _fill_column(column, positions, columns, binned, clusters):
             _, b = into_cell(positions, i, columns.inverse, columns.pbc, 1)
             _, d = into_cell(positions, i, columns.inverse, columns.pbc, 2)
             for c in range(3):
-                place = (cluster * DIMENSIONS + c) * n_lanes + k
-                clusters.positions[place] = positions[i, c]
-                clusters.offsets[place] = a * lattice[0, c] + b * lattice[1, c] + d * lattice[2, c]
-                x = clusters.positions[place] + clusters.offsets[place]
+                clusters.positions[(cluster * DIMENSIONS + c) * n_lanes + k] = positions[i, c]
+                x = positions[i, c] + (a * lattice[0, c] + b * lattice[1, c] + d * lattice[2, c])
                 clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = (
                     min(clusters.boxes[cluster, c], x),
                     max(clusters.boxes[cluster, c + 3], x),

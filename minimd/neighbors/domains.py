@@ -34,11 +34,11 @@ from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import scalar
-from minimd.compiled.simd import load, store
+from minimd.compiled.simd import store
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import MOST_CHUNKS
 from minimd.neighbors.buffers import Buffers, Fields
-from minimd.neighbors.clusters import DIMENSIONS, Columns
+from minimd.neighbors.clusters import DIMENSIONS, Columns, loaded, offsets_of
 
 SIDES = 6  # of a box: smallest x, y, z, and largest
 BOXES = 8  # compared at a time
@@ -205,14 +205,15 @@ def fill_ghosts(domain, layout):
                     ghosts.owner[ghost], ghosts.image[ghost] = k, image
                     ghosts.lanes[ghost] = (1 << clusters.filled[k]) - 1
                     ghosts.bottom[ghost], ghosts.top[ghost] = clusters.bottom[k] + image_z, clusters.top[k] + image_z
-                    for d in range(3):
+                    start = k * DIMENSIONS * n_lanes
+                    x, y, z = loaded(clusters.positions, start, lanes)
+                    to_x, to_y, to_z = offsets_of(start, clusters)
+                    for d, at in enumerate((x + to_x, y + to_y, z + to_z)):
                         shift = shifts[image, d]
                         low, high = (clusters.boxes[k, d] + shift) / unit, (clusters.boxes[k, d + 3] + shift) / unit
                         ghosts.boxes[d * stride + ghost] = low - OUTWARD * abs(low)
                         ghosts.boxes[(d + 3) * stride + ghost] = high + OUTWARD * abs(high)
-                        place = (k * DIMENSIONS + d) * n_lanes
-                        x = load(clusters.positions, place, lanes) + load(clusters.offsets, place, lanes)
-                        store(coordinates, (ghost * DIMENSIONS + d) * n_lanes, x + shift)
+                        store(coordinates, (ghost * DIMENSIONS + d) * n_lanes, at + shift)
                     if image == HOME:
                         ghosts.home[k] = ghost
                         ghosts.is_used[domains.window[domain] + ghost - domains.first[domain]] = True

@@ -17,6 +17,8 @@ from minimd.neighbors.cluster_build import Building, build_clusters
 from minimd.neighbors.cluster_search import AHEAD, GHOST_BITS, LAYERS, Rows, exclude_pairs
 from minimd.neighbors.clusters import (
     DIMENSIONS,
+    Clusters,
+    Columns,
     any_moved_from_clusters,
     bins_for_sort,
     clusters_for_build,
@@ -27,7 +29,7 @@ from minimd.neighbors.clusters import (
     most_clusters,
     offsets_of,
 )
-from minimd.neighbors.domains import BLOCKS, IMAGES, SIDES, Layout, ghosts_for_search, make_domains, make_ghosts
+from minimd.neighbors.domains import BLOCKS, IMAGES, SIDES, Domains, GhostClusters, Layout, ghosts_for_search, make_domains, make_ghosts
 from minimd.neighbors.verlet_list import VerletList, partners
 from minimd.structure.cell import Cell
 from minimd.structure.strain import strained
@@ -68,6 +70,17 @@ class ClusterList(VerletList):
     n_arranged : how often they were replaced.  building : what build_clusters needs.
     idle : two arrays, flat, a block for each cluster, that are free between two builds.
     """
+
+    clusters: Clusters
+    domains: Domains
+    ghosts: GhostClusters
+    rows: Rows
+    memory: Memory
+    arrays: ClusterArrays
+    building: Building
+    _columns: Columns
+    _bins: Binned
+    _exact: NDArray[np.float64]
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool) -> None:
         super().__init__(cutoff, skin)

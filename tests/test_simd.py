@@ -27,30 +27,44 @@ def numbers(kind, n, seed=0, low=0.5, high=4.0):
     )
 
 
-def on_vectors(function, n):
-    """The function of two vectors, compiled, as a function of two arrays of n elements that fills a third."""
-    compiled = scalar(function)
+def on_vectors(functions, n):
+    """Functions of two vectors, compiled, as one function of two arrays of n elements that fills n more of a third for each of them."""
 
-    @numba.njit(error_model="numpy")
-    def run(a, b, out):
-        store(out, 0, compiled(load(a, 0, n), load(b, 0, n)))
+    def from_place(k):
+        if k == len(functions):
+            return scalar(lambda a, b, out: None)
+        compiled, others = scalar(functions[k]), from_place(k + 1)
 
-    return run
+        def run(a, b, out):
+            store(out, k * n, compiled(load(a, 0, n), load(b, 0, n)))
+            others(a, b, out)
+
+        return scalar(run)
+
+    run_all = from_place(0)
+    return numba.njit(error_model="numpy")(lambda a, b, out: run_all(a, b, out))
+
+
+def rows(functions, a, b):
+    """What each function makes of the vectors a and b."""
+    out = np.zeros(len(functions) * len(a), a.dtype)
+    on_vectors(functions, len(a))(a, b, out)
+    return out.reshape(len(functions), -1)
 
 
 @pytest.mark.parametrize("kind", TYPES)
 @pytest.mark.parametrize("n", LANES)
 def test_arithmetic_and_memory(kind, n):
-    a, b, out = numbers(kind, n), numbers(kind, n, 1), np.zeros(n, kind)
-    for function in (lambda x, y: x + y, lambda x, y: x - y * y, lambda x, y: x * y - x):
-        on_vectors(function, n)(a, b, out)
-        assert np.array_equal(out, function(a, b))
+    a, b = numbers(kind, n), numbers(kind, n, 1)
+    functions = [lambda x, y: x + y, lambda x, y: x - y * y, lambda x, y: x * y - x]
+    for function, row in zip(functions, rows(functions, a, b), strict=True):
+        assert np.array_equal(row, function(a, b))
 
 
 @pytest.mark.parametrize("kind", FLOATS)
 @pytest.mark.parametrize("n", LANES)
 def test_division_functions_and_numbers(kind, n):
-    a, b, out = numbers(kind, n), numbers(kind, n, 1), np.zeros(n, kind)
+    a, b = numbers(kind, n), numbers(kind, n, 1)
     cases = [
         (lambda x, y: x / y, lambda x, y: x / y),
         (lambda x, y: 1.0 / x + 2 * y - 0.5, lambda x, y: kind(1) / x + kind(2) * y - kind(0.5)),
@@ -64,24 +78,25 @@ def test_division_functions_and_numbers(kind, n):
         (lambda x, y: select((x >= y) | (x <= 1.0), x, y), lambda x, y: np.where((x >= y) | (x <= 1), x, y)),
         (lambda x, y: select((x > y) & (x != 1.0), x, y), lambda x, y: np.where((x > y) & (x != 1), x, y)),
     ]
-    for function, expected in cases:
-        on_vectors(function, n)(a, b, out)
-        assert np.array_equal(out, expected(a, b).astype(kind))
+    for (_, expected), row in zip(cases, rows([function for function, _ in cases], a, b), strict=True):
+        assert np.array_equal(row, expected(a, b).astype(kind))
 
 
 @pytest.mark.parametrize("name", ["exp", "log", "sin", "cos", "tanh"])
 def test_functions_lane_by_lane(name):
-    a, out, of_math, of_numpy = numbers(np.float64, 8), np.zeros(8), getattr(math, name), getattr(np, name)
-    on_vectors(lambda x, y: of_math(x) + of_numpy(y), 8)(a, a, out)
-    assert out == pytest.approx(2 * of_numpy(a), rel=1e-15)
-    for power in (0.5, 2, 3, -1, 2.0, 1.5, -3):
-        on_vectors(lambda x, y, power=power: x**power, 8)(a, a, out)
-        assert out == pytest.approx(a**power, rel=1e-15)
+    a, of_math, of_numpy = numbers(np.float64, 8), getattr(math, name), getattr(np, name)
+    assert rows([lambda x, y: of_math(x) + of_numpy(y)], a, a)[0] == pytest.approx(2 * of_numpy(a), rel=1e-15)
+
+
+def test_powers_lane_by_lane():
+    a, powers = numbers(np.float64, 8), (0.5, 2, 3, -1, 2.0, 1.5, -3)
+    for power, row in zip(powers, rows([lambda x, y, power=power: x**power for power in powers], a, a), strict=True):
+        assert row == pytest.approx(a**power, rel=1e-15)
 
 
 def test_fused_multiply_add_rounds_once():
-    a, out = np.full(8, 1.0 + 2.0**-30), np.zeros(8)
-    on_vectors(lambda x, y: fma(x, y, broadcast(-1.0, x)), 8)(a, a, out)
+    a = np.full(8, 1.0 + 2.0**-30)
+    (out,) = rows([lambda x, y: fma(x, y, broadcast(-1.0, x))], a, a)
     assert np.array_equal(out, np.full(8, 2.0**-29 + 2.0**-60))
 
 
@@ -183,7 +198,7 @@ def test_vector_code_uses_vector_instructions():
 
     if not llvmlite.binding.get_host_cpu_features().get("avx512f"):
         pytest.skip("no AVX-512 here")
-    run = on_vectors(lambda x, y: x / y + x, 8)
+    run = on_vectors([lambda x, y: x / y + x], 8)
     run(*(np.ones(8) for _ in range(3)))
     code = next(iter(run.inspect_asm().values()))
     assert "vdivpd" in code
@@ -194,4 +209,4 @@ def test_vector_code_uses_vector_instructions():
 @pytest.mark.parametrize("operation", [operator.mod, operator.floordiv])
 def test_what_vectors_cannot_do_is_an_error(operation):
     with pytest.raises(numba.core.errors.TypingError):
-        on_vectors(lambda x, y: operation(x, y), 8)(*(np.ones(8) for _ in range(3)))
+        rows([lambda x, y: operation(x, y)], np.ones(8), np.ones(8))

@@ -132,3 +132,11 @@ def test_a_file_of_few_frames_is_small_and_that_of_many_has_large_chunks(tmp_pat
     assert [chunk_rows(entry, 2) for entry in (number, numbers, np.zeros((10_000, 3)))] == [16, 16, 1]
     made.run(40, every=1, trajectory=tmp_path / "short.h5md", append=True)
     assert read_file(tmp_path / "short.h5md").n_frames == 42
+
+
+def test_numbers_of_a_cell_have_their_units():
+    slab = str(md.System(np.eye(3), cell=[3.0, 3.0, 9.0], pbc=(True, True, False)))
+    assert "(0, 0, 9) σ, open" in slab
+    argon = str(md.System(np.eye(3), masses=40.0, cell=4.0, units=md.units.ASE))
+    assert "cell a         (4, 0, 0) Å\n" in argon
+    assert "volume         64 Å³\n" in argon

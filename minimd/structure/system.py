@@ -120,7 +120,8 @@ class System(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         units, counts = self.units, zip(np.bincount(self.species_index), self.species_names, strict=True)
-        rows = [("atoms", f"{len(self)}: {', '.join(f'{n} {name}' for n, name in counts)}"), *self.cell.display_rows()]
+        rows = [("atoms", f"{len(self)}: {', '.join(f'{n} {name}' for n, name in counts)}")]
+        rows += [(name, _with_unit(name, words, units)) for name, words in self.cell.display_rows()]
         if self.volume is not None:
             density = len(self) / self.volume
             mass = self.masses.sum() / self.volume
@@ -282,3 +283,8 @@ def number_density(system: System, thickness: float) -> float:
     fractional = np.einsum("ij,jk->ik", system.positions, cell.inverse)  # not @: see observables
     widths = np.where(cell.pbc, cell.heights, np.maximum(thickness, np.ptp(fractional, axis=0) * cell.heights))
     return len(system) / float(widths.prod())
+
+
+def _with_unit(name: str, words: str, units: UnitSystem) -> str:
+    """A row of a cell, with the unit behind its numbers."""
+    return f"{words} {units.volume}" if name == "volume" else words.replace(")", f") {units.length}")

@@ -102,23 +102,20 @@ def parameters(contents: H5MDContents) -> Rows:
     """What was run, in the units of the system; times and what is made of them in ps, or τ."""
     system, units = contents.system, contents.system.units
     mass, picosecond = ("u", f", of which {units.to_picosecond**-1:.5g} make a ps") if units is ASE else ("m", "")
-    named = f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, times in {units.time}{picosecond}"
-    rows = [*system.display_rows(), ("method", contents.method), ("time step", units.shown(contents.timestep))]
+    words = f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, times in {units.time}{picosecond}"
+    rows = [row for row in system.display_rows() if row[0] != "units"]
+    rows += [("method", contents.method), ("time step", units.shown(contents.timestep))]
+    shown = {
+        "temperature": lambda value: f"{value:.10g} {units.temperature}",
+        "friction": lambda value: f"{value / units.to_picosecond:.10g} / {units.shown_time}",
+        "relaxation_time": units.shown,
+    }
     for name, value in contents.parameters.items():
-        if name == "temperature":
-            rows.append((name, f"{value:.10g} {units.temperature}"))
-        elif name == "friction":
-            rows.append((name, f"{value / units.to_picosecond:.10g} / {units.shown_time}"))
-        elif name.endswith("time"):
-            rows.append((name.replace("_", " "), units.shown(value)))
-        elif name != "timestep":
-            rows.append((name, str(value)))
+        if name != "timestep":
+            rows.append((name.replace("_", " "), shown.get(name, str)(value)))
     rows += [("barostat", repr(contents.barostat))] if contents.barostat is not None else []
-    return [
-        *rows,
-        *(("potential", one.partition(": ")[2]) for one in contents.potentials),
-        ("numbers", f"{named}, temperatures in {units.temperature}"),
-    ]
+    rows += [("potential", one.partition(": ")[2]) for one in contents.potentials]
+    return [*rows, ("units", f"{words}, temperatures in {units.temperature}")]
 
 
 def _left_out(motion: Motion, repaired: str = "") -> tuple[str, ...]:

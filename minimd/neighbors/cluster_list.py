@@ -16,6 +16,8 @@ from minimd.neighbors.cluster_build import Building, build_clusters
 from minimd.neighbors.cluster_search import AHEAD, GHOST_BITS, LAYERS, Rows, exclude_pairs
 from minimd.neighbors.clusters import (
     DIMENSIONS,
+    Clusters,
+    Columns,
     any_moved_from_clusters,
     bins_for_sort,
     clusters_for_build,
@@ -26,7 +28,7 @@ from minimd.neighbors.clusters import (
     most_clusters,
     offsets_of,
 )
-from minimd.neighbors.domains import BLOCKS, IMAGES, SIDES, Layout, ghosts_for_search, make_domains, make_ghosts
+from minimd.neighbors.domains import BLOCKS, IMAGES, SIDES, GhostClusters, Layout, ghosts_for_search, make_domains, make_ghosts
 from minimd.neighbors.verlet_list import VerletList, partners
 from minimd.structure.cell import Cell
 from minimd.structure.strain import strained
@@ -68,6 +70,16 @@ class ClusterList(VerletList):
     idle : two arrays, flat, a block for each cluster, that are free between two builds.
     """
 
+    clusters: Clusters
+    ghosts: GhostClusters
+    rows: Rows
+    memory: Memory
+    arrays: ClusterArrays
+    building: Building
+    _columns: Columns
+    _bins: Binned
+    _exact: NDArray[np.float64]
+
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool) -> None:
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
@@ -77,7 +89,8 @@ class ClusterList(VerletList):
         self._original: NDArray[np.float64] | None = None  # positions of the clusters at the last build, if the cell was strained since
         self._calls = DirectCalls()
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
-        self._room, self._entry_start, self._entries = (0, 0, 0), np.zeros(1, dtype=np.int64), np.empty(AHEAD, dtype=np.uint32)
+        self._room: tuple[int, ...] = (0, 0, 0)
+        self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(AHEAD, dtype=np.uint32)
         self._memory, self.n_arranged, self._shifts = Buffers(), 0, np.zeros((IMAGES, DIMENSIONS))
         sets = far(self.lanes.size)
         self._far = self._memory.array("far", np.float32 if self._is_mixed else np.float64, len(sets))
@@ -178,7 +191,7 @@ class ClusterList(VerletList):
         if len(self._entry_start) != self.n_domains + 1:
             self._make_entries(np.diff(self.domains.cluster) * self.lanes.size * ENTRIES_GUESSED)
         elif is_enough:
-            self._make_entries(np.maximum(np.diff(self._entry_start), [with_room(n) for n in self._needed]))
+            self._make_entries(np.maximum(np.diff(self._entry_start), [with_room(n) for n in self._needed.tolist()]))
         self._arrange()
 
     def _make_entries(self, room: NDArray[np.int64]) -> None:

@@ -1,6 +1,7 @@
 """What was wrong once with runs, their failures and their warnings."""
 
 import warnings
+import weakref
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from references import liquid
 
 import minimd as md
 from minimd.diagnosis import run_guard
+from minimd.engine.engine import Engine
 
 LJ = md.LennardJones(1.0, 1.0, 1.85, "switched")
 
@@ -41,6 +43,22 @@ def test_a_failure_is_judged_by_the_energy_of_its_own_positions(monkeypatch):
     held, true = np.array(judged).T
     assert len(judged) > 1
     assert held == pytest.approx(true, rel=1e-9)  # rounding
+
+
+@pytest.mark.parametrize(("room", "n_kept"), [(1, 1), (300, 2)])
+def test_states_to_go_back_to_are_as_many_as_there_is_room_for(monkeypatch, room, n_kept):
+    made, snapshot = [], Engine.snapshot
+
+    def noted(engine):
+        one = snapshot(engine)
+        made.append(weakref.ref(one.positions))
+        return one
+
+    monkeypatch.setattr(Engine, "snapshot", noted)
+    monkeypatch.setattr(run_guard, "ROOM", room)
+    sim = liquid_run()
+    sim.run(300, every=60)
+    assert (len(made), sum(positions() is not None for positions in made)) == (5, n_kept)
 
 
 @pytest.mark.parametrize("count", [True, 2.0, -1, "3", None])

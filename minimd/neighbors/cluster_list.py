@@ -193,7 +193,7 @@ class ClusterList(VerletList):
         if len(self._entry_start) != self.n_domains + 1:
             self._make_entries(np.diff(self.domains.cluster) * self.lanes.size * ENTRIES_GUESSED)
         elif is_enough:
-            self._make_entries(np.maximum(np.diff(self._entry_start), [with_room(int(n)) for n in self._needed]))
+            self._make_entries(np.maximum(np.diff(self._entry_start), [with_room(n) for n in self._needed.tolist()]))
         self._arrange()
 
     def _make_entries(self, room: NDArray[np.int64]) -> None:

@@ -91,7 +91,7 @@ shear = np.stack([stress[:, 0, 1], stress[:, 1, 2], stress[:, 2, 0],
                   (stress[:, 0, 0] - stress[:, 1, 1]) / 2.0, (stress[:, 1, 1] - stress[:, 2, 2]) / 2.0], axis=1)  # fmt: skip
 running = volume / t * integral(memory(shear, n_lags))
 viscosity = running[n_lags // 3 : n_lags // 2].mean()
-print(f"η = {viscosity:.2f}   (3.2 to 3.3 for the law without a cutoff, less with one; this run is good to a tenth or two)")
+print(f"η = {viscosity:.2f}   (3.2 to 3.3 for the law without a cutoff, less with one; this run is good to some 0.3)")
 
 figure, panels = plt.subplots(1, 3, figsize=(12.0, 3.6), layout="constrained")
 panels[0].plot(lags, correlation / correlation[0])

@@ -49,11 +49,11 @@ def hue(cluster, found):
 def draw(panel, system, found):
     """The first domain with its ghosts, and the row of one atom."""
     ghosts, atoms = found.ghosts, found.memory.coordinates.reshape(-1, 3, found.lanes.size)[:, ::2]
-    at_home = set(found.ghosts.home.tolist())
+    at_home = set(found.ghosts.home[: found.domains.cluster[1]].tolist())
     panel.add_patch(Rectangle((0, 0), WIDTH, HEIGHT, fill=False, ec=INK, lw=1.2))
     inside = system.positions[:, [0, 2]] % (WIDTH, HEIGHT)
     panel.scatter(*inside.T, s=5, c=QUIET, lw=0, zorder=1)
-    for ghost in range(found.domains.ghost[found.domains.run[1]]):
+    for ghost in range(found.domains.window[1]):
         n, own = int(ghosts.lanes[ghost]).bit_count(), ghost in at_home
         x, z = atoms[ghost, :, :n]
         color = hue(ghosts.owner[ghost], found)

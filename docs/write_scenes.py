@@ -36,27 +36,27 @@ CHOICES = {"lattice": BASES, "mixing": MIXING, "truncation": TRUNCATIONS, "metho
 MEANINGS = {
     "": {
         "title": "a line for reports and files",
-        "units": "those of the whole file",
+        "units": "of the whole file",
     },
     "structure": {
         "file": "of any format that ASE or MDAnalysis reads, relative to the scene; instead of `lattice`",
         "lattice": "a block of a cubic crystal",
-        "element": "chemical symbol of its atoms, beside `lattice`; reduced units need none",
-        "repeat": "cells along x, y and z, beside `lattice`",
-        "density": "beside `lattice`: of mass; in reduced units of atoms",
+        "element": "chemical symbol of the atoms of `lattice`; not needed in reduced units",
+        "repeat": "cells of `lattice` along x, y and z",
+        "density": "of `lattice`: of mass, in reduced units of atoms",
         "lattice_constant": "edge of the cubic cell, instead of `density`",
         "cell": "edges, instead of those of the file; 0 in a direction that does not repeat",
         "pbc": "periodic directions, one for all or three; of a slab `[true, true, false]`",
         "species": "a label for each atom, instead of those of the file or the element",
-        "format": 'of a file whose suffix does not tell it, such as `"lammps-data"`',
+        "format": 'of `file`, if its suffix does not tell it, such as `"lammps-data"`',
         "bonds": 'pairs of atoms; `"file"` for those that the file names, with its angles and dihedrals; or another file that names them',
     },
     "constraints": {
         "pairs": 'of atoms whose distance is held; `"bonds"` for those of the structure',
         "lengths": "one for all, or one for each pair; as they are at the start if not given",
         "fixed": "atoms that stay where they are",
-        "tolerance": "of `solver`, relative",
-        "solver": "of the lengths",
+        "tolerance": "relative, of the solver `shake`",
+        "solver": "for the lengths",
     },
     "potential, lennard-jones": {
         "type": "of the potential",
@@ -66,8 +66,8 @@ MEANINGS = {
         "pairs": "parameters of two species that do not follow the mixing rule, see below",
         "mixing": "rule for unlike species",
         "cutoff": "needed in a periodic cell",
-        "truncation": "what becomes of the law at the cutoff",
-        "switch_start": 'where `"switched"` begins',
+        "truncation": "how the law goes to zero at the cutoff",
+        "switch_start": 'where `"switched"`, `"charmm"` and `"smooth"` begin; 0.8 of the cutoff if not given',
         "bonded_scale": "factors for pairs one, two and three bonds apart",
         "tail_correction": "add the energy and pressure of the pairs beyond the cutoff",
     },
@@ -79,8 +79,8 @@ MEANINGS = {
         "file": "table of all atoms: two columns, r and u in the units of the scene, relative to the scene; or a name in `[tables]`",
         "pairs": "instead of `file`: a table for each pair of species, see below",
         "cutoff": "the last r of the table if not given",
-        "truncation": "what becomes of the law at the cutoff",
-        "switch_start": 'where `"switched"` begins',
+        "truncation": "how the law goes to zero at the cutoff",
+        "switch_start": 'where `"switched"`, `"charmm"` and `"smooth"` begin; 0.8 of the cutoff if not given',
         "bonded_scale": "factors for pairs one, two and three bonds apart",
     },
     "potential, harmonic-bond": {
@@ -188,24 +188,24 @@ MEANINGS = {
         "method": "of integration",
         "timestep": "Δt",
         "steps": "of the run",
-        "temperature": "of the first velocities, and of a thermostat; without it velocities stay as they are",
-        "relaxation_time": "of a thermostat, which needs it: 1/friction of Langevin dynamics",
+        "temperature": "of the initial velocities, and of a thermostat; without it velocities stay as they are",
+        "relaxation_time": "of a thermostat, which needs it; for Langevin dynamics 1/friction",
         "seed": "of velocities and noise",
         "threads": "at most; all cores of the process if not given",
         "precision": "of the forces between pairs",
     },
     "barostat": {
         "pressure": "P₀",
-        "compressibility": "isothermal, roughly: 4.6e-5 bar⁻¹ for water, 2e-4 bar⁻¹ for liquid argon",
+        "compressibility": "isothermal; a rough value is enough: 4.6e-5 bar⁻¹ for water, 2e-4 bar⁻¹ for liquid argon",
         "relaxation_time": "of the volume, at least ten times the time between two strains",
-        "coupling": "which strains of the cell: one for all axes, any, or axes each by itself",
+        "coupling": "which strains the cell can have: the same along all axes, any, or along some axes independently",
         "every": "steps between two strains",
         "seed": "of the noise",
     },
     "minimization": {
         "force_tolerance": "the largest force that may remain",
-        "max_steps": "at most",
-        "max_step_length": "of an atom in one step",
+        "max_steps": "largest number of steps",
+        "max_step_length": "largest displacement of an atom in one step",
     },
     "equilibration": {
         "steps": "before the run, which then begins at step 0",
@@ -213,13 +213,13 @@ MEANINGS = {
         "rescale_every": "steps between two rescalings",
     },
     "observer": {
-        "kind": "what is measured while the run goes on, see [observers](observers.md)",
-        "every": "steps between two looks",
-        "name": "under which files hold it; the kind if not given",
+        "kind": "what is measured during the run, see [observers](observers.md)",
+        "every": "steps between two measurements",
+        "name": "under which files store it; the kind if not given",
         "r_max": "of `radial-distribution`; half the height of the cell if not given",
         "n_bins": "of `radial-distribution` and `profile`",
         "n_levels": "of the correlator, of `mean-square-displacement`, `velocity-autocorrelation` and `viscosity`",
-        "most_atoms": "at most, evenly chosen, of `mean-square-displacement` and `velocity-autocorrelation`",
+        "most_atoms": "largest number of atoms, evenly chosen, for `mean-square-displacement` and `velocity-autocorrelation`",
         "axis": "of `profile`: the lattice vector",
         "extent": "of `profile` along an open axis: lower and upper end",
     },
@@ -229,7 +229,7 @@ MEANINGS = {
         "forces": "store them in the trajectory",
         "shadow_energy": "observe it",
         "stress": "observe the tensor",
-        "plot": "draw the run beside the trajectory, or in a file that ends in " + ", ".join(PLOT_SUFFIXES),
+        "plot": "draw the run, next to the trajectory or into a file that ends in " + ", ".join(PLOT_SUFFIXES),
     },
 }
 INTRODUCTION = """# What can stand in a scene file?
@@ -261,8 +261,8 @@ steps = 20
 temperature_K = 94.4
 ```
 
-A key that holds a quantity ends in its unit, as `timestep_fs` does. With `units = "LJ"` numbers are reduced and keys have no ending (`timestep`), but
-for angles. An unknown key is refused, and the message names those that there are. The tables below have every key. (This page is written by
+The key of a quantity ends in its unit, as `timestep_fs` does. With `units = "LJ"` numbers are reduced and keys have no such ending (`timestep`),
+except for angles. An unknown key is refused, and the message lists the known ones. The tables below have every key. (This page is written by
 `docs/write_scenes.py` from the code that reads scenes.)
 """
 HEADINGS = {
@@ -272,17 +272,17 @@ HEADINGS = {
 }
 NOTES = {
     "structure": "Either `file`, or `lattice` with `repeat` and `density` or `lattice_constant`, and `element` unless units are reduced.",
-    "constraints": "Optional. What it does not name stays as the structure file has it.",
+    "constraints": "Optional. What it does not name is taken from the structure file.",
     "potential, lennard-jones": "Double brackets: a scene can have several potentials. Either `epsilon` and `sigma`, or `species`.",
-    "potential, fene-bond": "Leave bonded pairs out of the potential between all beads, by `bonded_scale = [0.0, 1.0, 1.0]`.",
+    "potential, fene-bond": "Exclude bonded pairs from the potential between all beads with `bonded_scale = [0.0, 1.0, 1.0]`.",
     "potential, steered-spring": "The work that moving the points does is recorded as `work`.",
-    "potential, wall": "Fields act from outside. What they mean, and all other potentials, is in [forces.md](forces.md).",
+    "potential, wall": "Fields are external forces. Their formulas, and those of all other potentials, are on the page on [forces](forces.md).",
     "potential.species.X": "A table for each species X, below its `[[potential]]`, or: `species = { X = { epsilon_eV = 0.01, sigma_A = 3.4 } }`",
     "potential.pairs": "One table for each pair, below its `[[potential]]`.",
     "potential, tabulated": "Either `file` or `pairs`.",
     "tables": "A table `[tables.X]` is what a file named X would hold: a scene that is stored in the file of its run has its tables there.",
     "barostat": "Optional: constant pressure by stochastic cell rescaling, at the temperature of `[dynamics]`; see [pressure.md](pressure.md).",
-    "minimization": "Optional: before everything else atoms move to a minimum of the energy nearby. `[minimization]` alone is enough.",
+    "minimization": "Optional: before everything else, atoms move to a nearby minimum of the energy. `[minimization]` alone is enough.",
     "equilibration": "Optional: steps before the run, with velocities rescaled.",
     "observer": "Optional. Double brackets: a scene can have several. The defaults are those of the kind.",
     "output": "Optional.",

@@ -89,7 +89,7 @@ def pair_laws(system, potentials):
 
 
 def n_domains(term):
-    return len(term.list.domains.run) - 1
+    return len(term.list.domains.first)
 
 
 def evaluated(term, system, detail=TOTALS):

@@ -13,6 +13,7 @@ from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.neighbors.cluster_list import ClusterList
+from minimd.neighbors.domains import BLOCKS
 from minimd.potentials.term import PER_ATOM, TOTALS
 
 SKINNED, BARE = Options(skin=SKIN, threads=2), Options(skin=0.0)
@@ -121,8 +122,9 @@ def test_memory_follows_the_number_of_clusters(pbc):
         system.positions[:] = rng.uniform(0, 4.4, (64, 3)) * rng.uniform(0.3, 1.0, 3)
         a, b = summed(clustered, system), summed(listed, system)
         assert a[0] == pytest.approx(b[0], rel=1e-11, abs=1e-11)
-        memory, needed = clustered.list.memory, len(clustered.list.ghosts.owner) * clustered.list.lanes.size * 3
-        assert (len(memory.coordinates), len(memory.forces)) == (needed, needed)
+        memory, needed, block = clustered.list.memory, len(clustered.list.ghosts.owner), clustered.list.lanes.size * 3
+        n_ghosts, n_blocks = clustered.list.n_ghosts, int(clustered.list.domains.numbers[BLOCKS])
+        assert (len(memory.coordinates), n_ghosts <= needed, n_blocks * block <= len(memory.forces)) == (needed * block, True, True)
         numbers.add(needed)
     assert len(numbers) > 1
 
@@ -186,6 +188,19 @@ def test_chunks_change_nothing_but_rounding(atoms, pbc):
         clustered, listed = both_lists(system, POTENTIALS["exclusions"])
         agree(clustered, listed, system, EQUAL)
     assert n_domains(clustered) >= (1 if atoms == 800 else 5)
+
+
+def test_one_thread_keeps_the_forces_of_few_domains_and_sums_the_same():
+    """Forces of a domain take the place of those that are needed no more; two threads keep all of them."""
+    system = rod()
+    with atoms_per_domain(40):
+        alone, together = (ClusterTerm(system, pair_laws(system, POTENTIALS["exclusions"]), Options(skin=SKIN, threads=n)) for n in (1, 2))
+        for detail in (TOTALS, PER_ATOM):
+            for a, b in zip(summed(alone, system, detail), summed(together, system, detail), strict=True):
+                assert np.array_equal(a, b)
+    kept, needed = (int(term.list.domains.numbers[BLOCKS]) for term in (alone, together))
+    assert kept < 0.8 * needed == 0.8 * alone.list.domains.window[-1]
+    assert len(alone.list.memory.forces) < len(together.list.memory.forces)
 
 
 def lennard_jones_by_hand(system, cutoff):

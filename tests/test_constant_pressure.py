@@ -8,6 +8,7 @@ import step_scenes
 from scipy.optimize import minimize_scalar
 
 import minimd as md
+from minimd.engine.cell_rescaling import rescaling_of
 from minimd.integrators.splitting.barostats import ThermodynamicState
 from minimd.structure.cell import Cell
 
@@ -126,8 +127,8 @@ class Clock(md.Term):
         self.times += [round(self.time, 9)] if detail else []
 
 
-def atom_with_clock():
-    clock, bath = Clock(), barostat(temperature=0.8, relaxation_time=50.0)
+def atom_with_clock(**changes):
+    clock, bath = Clock(), barostat(**{"temperature": 0.8, "relaxation_time": 50.0} | changes)
     return md.Simulation(md.System([[0.0, 0.0, 0.0]], cell=[3.0] * 3), clock, md.VelocityVerlet(0.1), barostat=bath), clock
 
 
@@ -228,6 +229,43 @@ def test_one_axis_alone_changes():
     first, last = record.cell[0], record.cell[-1]
     assert np.array_equal(first[:2], last[:2])
     assert last[2, 2] != first[2, 2]
+
+
+def test_what_evaporates_at_a_negative_pressure_is_told():
+    """A dilute system, which would grow without end: the barostat is the cause, in the message and in the report of the crash."""
+    simulation, _ = atom_with_clock(pressure=-1.0, compressibility=1.0, relaxation_time=6.0)
+    with pytest.raises(md.NonFiniteError, match=r"cell has grown from 27 to 2\d\d.* at pressure -1 .* take a pressure above zero") as caught:
+        simulation.run(1000, every=1000, progress=False)
+    found = caught.value.crash_report
+    assert found.kind == "barostat"
+    assert "no dense state exists" in found.cause
+    assert simulation.system.volume < 300.0
+    gas = at_pressure("pair list", temperature=3.0, pressure=1e-3, compressibility=1.0, relaxation_time=0.2)
+    gas.run(1500, every=50, progress=False)
+    assert "EVAPORATED" in str(gas.report())
+
+
+def test_displacements_of_rigid_molecules_are_those_beside_the_motion_of_their_centers():
+    """A strain alone, which moves centers, is no displacement; of molecules that lie across the boundary, too."""
+    for make in (step_scenes.rigid_dumbbells, wrapped_dumbbells):
+        system, laws, constraints = make()
+        simulation = md.Simulation(system, laws, md.VelocityVerlet(0.003), constraints, barostat=barostat(temperature=0.8, coupling="triclinic"))
+        engine, looking, volume = simulation.engine, md.observers.MeanSquareDisplacement(every=1), simulation.system.volume
+        rescaling = rescaling_of(engine.barostat, engine.system, engine.interactions, engine.constraint_set, engine.method, holds_center=False)
+
+        def forces_follow(engine=engine):
+            engine.moved()
+            engine.interactions.follow()
+            engine.evaluate()
+
+        looking.prepare(engine)
+        engine.evaluate()
+        for _ in range(4):
+            looking.observe(engine)
+            rescaling.apply(engine.method, engine.step, engine.surroundings.bath, forces_follow)
+            engine.count(1)
+        assert abs(engine.system.volume / volume - 1.0) > 1e-5
+        assert looking.result().msd == pytest.approx(0.0, abs=1e-24)  # rounding
 
 
 def test_what_cannot_be_at_constant_pressure_is_refused():

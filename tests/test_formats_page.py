@@ -39,7 +39,7 @@ def test_scripts_of_the_page_run(folder, capsys):
     for script in SCRIPTS:
         exec(compile(script, "formats.md", "exec"), names)
         assert capsys.readouterr().out.strip()
-    assert len(SCRIPTS) == 6
+    assert len(SCRIPTS) == 7
     assert len(POSITIONS) == len(names["atoms"])
 
 

@@ -51,7 +51,7 @@ def test_fast_forces_quotes_the_loop_as_it_stands():
 
 
 def test_numbers_of_atoms_are_those_of_the_code():
-    assert f"Scenes below {2 * ATOMS_PER_DOMAIN} atoms" in LISTS.read_text(encoding="utf-8")
+    assert f"Scenes with fewer than {2 * ATOMS_PER_DOMAIN} atoms" in LISTS.read_text(encoding="utf-8")
     assert f"if it has {CLUSTERS_FROM} atoms or more" in LISTS.read_text(encoding="utf-8")
     assert f"A domain has at least {ATOMS_PER_DOMAIN} atoms" in FAST_FORCES.read_text(encoding="utf-8")
     assert f"- {CLUSTERS_FROM} atoms or more" in FAST_FORCES.read_text(encoding="utf-8")

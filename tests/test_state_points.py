@@ -1,4 +1,4 @@
-"""Thermodynamics of the Lennard-Jones fluid, beside NIST's Monte Carlo results: energy and pressure at each state point.
+"""Thermodynamics of the Lennard-Jones fluid: energy and pressure beside NIST's Monte Carlo results, constant pressure beside LAMMPS.
 
 Provenance in the data file. N = 500, r_c = 3 σ with tail corrections, 200 t* or more at controlled temperature.
 """
@@ -11,6 +11,7 @@ import pytest
 
 import minimd as md
 from minimd.structure.lattice import constant_from_density, crystal
+from minimd.structure.statistics import mean_and_error
 
 DATA = json.loads((Path(__file__).parent / "data" / "nist_lj" / "state_points.json").read_text())
 TIMESTEP, EVERY = 0.004, 10
@@ -46,3 +47,27 @@ def test_energy_and_pressure_are_those_of_nist(row):
     assert abs(pressure - row["p"]) < 0.03
     assert of_energy < 0.004
     assert of_pressure < 0.025
+
+
+@pytest.mark.slow
+def test_density_and_its_fluctuations_at_constant_pressure_are_those_of_lammps():
+    """Mean density and compressibility of a liquid, within three standard errors of both; provenance in the data file."""
+    theirs = json.loads((Path(__file__).parent / "data" / "lammps_npt" / "force_shifted.json").read_text())
+    temperature, pressure = theirs["temperature"], theirs["pressure"]
+    positions, edges = crystal("fcc", [5] * 3, constant_from_density("fcc", theirs["density"]))
+    law = md.LennardJones(1.0, 1.0, theirs["cutoff"], "force-shifted")
+    bath = md.LangevinBAOAB(TIMESTEP, temperature, friction=0.5, seed=7)
+    barostat = md.StochasticCellRescaling(pressure, theirs["compressibility"], relaxation_time=1.5, seed=7, every=10)
+    liquid = md.Simulation(md.System(positions, cell=edges), law, bath, barostat=barostat)
+    liquid.set_temperature(2.0 * temperature, seed=7)
+    liquid.run(N_MELT + N_EQUILIBRATION, every=N_EQUILIBRATION)
+    looking = md.observers.Fluctuations(every=10)
+    record = liquid.run(400_000, every=EVERY, observers=[looking])
+    (density, of_density), found = mean_and_error(len(positions) / record.volume), looking.result()
+    print(f"density {density:.5f} ± {of_density:.5f} ({theirs['density']:.5f} ± {theirs['density_error']:.5f})")
+    ours, of_theirs = f"{found.compressibility:.4f} ± {found.compressibility_error:.4f}", theirs["compressibility_error"]
+    print(f"κ_T {ours} ({theirs['compressibility']:.4f} ± {of_theirs:.4f})")
+    assert 0.0 < of_density < 0.001
+    assert 0.0 < found.compressibility_error < 0.015
+    assert abs(density - theirs["density"]) < 3.0 * np.hypot(of_density, theirs["density_error"])
+    assert abs(found.compressibility - theirs["compressibility"]) < 3.0 * np.hypot(found.compressibility_error, theirs["compressibility_error"])

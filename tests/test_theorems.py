@@ -52,7 +52,7 @@ from minimd.integrators import (
 )
 
 ORBIT_START = (0.7, 0.1), (-0.1, 1.2)
-STEPS = {1: 400, 2: 200, 3: 200, 4: 60, 5: 40, 6: 30, 8: 16}  # by order: errors small, above rounding
+STEPS = {1: 200, 2: 100, 3: 200, 4: 60, 5: 40, 6: 30, 8: 16}  # by order: errors small, above rounding
 PROBLEMS = {
     "kepler": (KEPLER, KEPLER_START, 2.0, 0.0, kepler_orbit(2.0)),
     "henon-heiles": (HENON_HEILES, HENON_HEILES_START, 8.0, 0.0, reference(HENON_HEILES, HENON_HEILES_START, 8.0)),

@@ -22,10 +22,10 @@ def test_shortest_path_decides_in_any_graph():
     for n, density in ((2, 1.0), (6, 0.3), (12, 0.15), (20, 0.1), (8, 0.6)):
         bonds = np.argwhere(np.triu(rng.random((n, n)) < density, k=1))
         expected = distances_by_matrix_powers(bonds, n)
-        for apart, pairs in enumerate(pairs_by_bonds_apart(bonds, n), start=1):
+        for apart, pairs in enumerate(pairs_by_bonds_apart(bonds), start=1):
             assert pairs.tolist() == np.argwhere(np.triu(expected == apart, k=1)).tolist()
 
 
 def test_ring_of_four_has_no_third_neighbors():
-    one, two, three = pairs_by_bonds_apart(np.array([[0, 1], [1, 2], [2, 3], [3, 0]]), 4)
+    one, two, three = pairs_by_bonds_apart(np.array([[0, 1], [1, 2], [2, 3], [3, 0]]))
     assert (len(one), len(two), len(three)) == (4, 2, 0)

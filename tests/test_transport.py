@@ -30,11 +30,14 @@ def sampled(integral, times, duration, n_samples, rng):
 
 
 def honesty(integrals, replicas_of, times, truth):
-    """Mean deviation of the plateaus in standard errors, and the share that is within two of them."""
+    """Mean deviation of the plateaus beside their mean standard error, and the share that is within two of its own.
+
+    The mean of (value - truth)/error is no measure of a bias: an integral that is too small by chance has a smaller error, too.
+    """
     found = [plateau(times, one, without) for one, without in zip(integrals, replicas_of, strict=True)]
     assert np.mean([one.is_reached for one in found]) > 0.95
-    deviations = np.array([(one.value - truth) / one.error for one in found])
-    return deviations.mean(), (np.abs(deviations) < 2.0).mean()
+    values, errors = np.array([one[:2] for one in found]).T
+    return (values - truth).mean() / errors.mean(), (np.abs(values - truth) < 2.0 * errors).mean()
 
 
 @pytest.mark.parametrize("kind", [*SLOW, "cosine"])

@@ -5,17 +5,25 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 
-@intrinsic
-def call_at(_context, address, arguments):
-    """The whole number that a kernel returns. Its arguments, a tuple, must be of the very types that DirectCalls.address was given."""
+def _call(returned: types.Type):
+    """An intrinsic (address, arguments): calls a kernel that returns this. The arguments, a tuple, must be of the types that DirectCalls.address
+    was given; for a ByAddress its address will do.
+    """
 
-    def generate(context, builder, signature, values):
-        kinds, convention = signature.args[1].types, context.call_conv
-        code = builder.inttoptr(values[0], convention.get_function_type(types.int64, kinds).as_pointer())
-        each = cgutils.unpack_tuple(builder, values[1], len(kinds))
-        status, number = convention.call_function(builder, code, types.int64, kinds, each)
-        with cgutils.if_unlikely(builder, status.is_error):
-            convention.return_status_propagate(builder, status)
-        return number
+    @intrinsic
+    def call(_context, address, arguments):
+        def generate(context, builder, signature, values):
+            kinds, convention = signature.args[1].types, context.call_conv
+            code = builder.inttoptr(values[0], convention.get_function_type(returned, kinds).as_pointer())
+            each = cgutils.unpack_tuple(builder, values[1], len(kinds))
+            status, result = convention.call_function(builder, code, returned, kinds, each)
+            with cgutils.if_unlikely(builder, status.is_error):
+                convention.return_status_propagate(builder, status)
+            return result
 
-    return types.int64(types.intp, arguments), generate
+        return returned(types.intp, arguments), generate
+
+    return call
+
+
+call_at, run_at = _call(types.int64), _call(types.none)  # of a kernel that returns a whole number, and of one that returns nothing

@@ -27,6 +27,7 @@ from numba.extending import overload
 
 from minimd.compiled.code_cache import FailedCompilations, KernelCache
 from minimd.compiled.features import NEWEST, restrict_features
+from minimd.compiled.part_library import PartCompiler
 
 restrict_features(os.environ.get("MINIMD_VECTORS", NEWEST))
 
@@ -85,12 +86,16 @@ def open_to_others(folder: Path) -> Path | None:
 
 def kernel(function, **flags):
     """Compile a function that Python calls with arrays and numbers: lazily, once per machine."""
+    return _cached(numba.njit(error_model="numpy", no_cfunc_wrapper=True, **flags)(function))
+
+
+def _cached(compiled):
+    """The same dispatcher, with a cache in the folder."""
     folder, previous = cache_folder(), numba.config.CACHE_DIR
-    compiled = numba.njit(error_model="numpy", **flags)(function)
     if folder is not None:
         numba.config.CACHE_DIR = str(folder)
         try:
-            compiled._cache = KernelCache(function)
+            compiled._cache = KernelCache(compiled.py_func)
         finally:
             numba.config.CACHE_DIR = previous
     return compiled
@@ -101,8 +106,8 @@ def shared_kernel(function):
     return kernel(function, nogil=True)
 
 
-class PartOfKernel(CPUDispatcher):
-    """A function that the compiler puts into the kernels that call it; in Python it runs as Python.
+class CalledKernel(CPUDispatcher):
+    """A function that only compiled code calls; in Python it runs as Python.
 
     Numba's wrappers for calls from Python and from C are left out: they took a quarter of the time of compilation.
     """
@@ -112,14 +117,19 @@ class PartOfKernel(CPUDispatcher):
         return self.py_func(*arguments)
 
 
-def _part_of_kernel(function: Callable, **flags: bool) -> PartOfKernel:
-    options = {"nopython": True, "error_model": "numpy", "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, **flags}
-    return PartOfKernel(function, targetoptions=options)
+class PartOfKernel(CalledKernel):
+    """A function that the compiler puts into the kernels that call it."""
+
+    def __init__(self, py_func: Callable, locals: Any = None, targetoptions: Any = None) -> None:
+        super().__init__(py_func, locals, targetoptions, pipeline_class=PartCompiler)
+
+
+NOT_FROM_OUTSIDE = {"nopython": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def inlined(function):
     """Compile a part of a kernel that may create arrays; the compiler puts it into the kernel."""
-    return _part_of_kernel(function)
+    return PartOfKernel(function, targetoptions={**NOT_FROM_OUTSIDE, "forceinline": True})
 
 
 def scalar(function):
@@ -127,7 +137,12 @@ def scalar(function):
 
     It must not create arrays. It then needs no reference counts for the arrays it is given, which would cost more than a small function.
     """
-    return _part_of_kernel(function, _nrt=False)
+    return PartOfKernel(function, targetoptions={**NOT_FROM_OUTSIDE, "forceinline": True, "_nrt": False})
+
+
+def called_kernel(function):
+    """Compile a kernel that other kernels call by its address, see call_by_address: each is compiled once, whoever calls it. It makes no arrays."""
+    return _cached(CalledKernel(function, targetoptions={**NOT_FROM_OUTSIDE, "_nrt": False}))
 
 
 def by_type(choose: Callable) -> Callable:
@@ -137,7 +152,7 @@ def by_type(choose: Callable) -> Callable:
     def compiled_only(*arguments):
         raise NotImplementedError(f"{choose.__name__} runs in kernels only")
 
-    overload(compiled_only, jit_options={"no_cfunc_wrapper": True})(choose)  # type: ignore[typeddict-unknown-key]
+    overload(compiled_only, jit_options={"no_cfunc_wrapper": True, "pipeline_class": PartCompiler})(choose)  # type: ignore[typeddict-unknown-key]
     return compiled_only
 
 
@@ -192,7 +207,7 @@ class DirectCalls:
 @functools.cache
 def without_cache(dispatcher):
     """The same kernel, shared or not, compiled anew in each process: for a user's laws that the cache cannot recognize."""
-    return numba.njit(error_model="numpy", nogil=True)(dispatcher.py_func)
+    return type(dispatcher)(dispatcher.py_func, targetoptions=dict(dispatcher.targetoptions))
 
 
 class CompileClock(event.Listener, threading.local):

@@ -88,7 +88,7 @@ def contacts(system: System, potentials: Sequence[Any], inverse_masses: NDArray[
 def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> Iterator[Pair]:
     """Pairs of some atoms with their nearest neighbors within the cutoff, each once."""
     table, index, seen = potential.table(system.species_names), system.species_index, set()
-    by_bonds = pairs_by_bonds_apart(system.bonds, len(system)) if len(system.bonds) else ()
+    by_bonds = pairs_by_bonds_apart(system.bonds) if len(system.bonds) else ()
     scales = {frozenset(pair): factor for pairs, factor in zip(by_bonds, potential.bonded_scale, strict=False) for pair in pairs.tolist()}
     for atom in atoms:
         others = np.delete(np.arange(len(system)), atom)

@@ -8,6 +8,7 @@ import numpy as np
 
 from minimd.diagnosis.contacts import Contact, contacts
 from minimd.diagnosis.timestep import StepAdvice, advice_at
+from minimd.engine.cell_rescaling import EVAPORATED
 from minimd.engine.engine import Engine
 from minimd.engine.snapshots import Snapshot
 from minimd.integrators.splitting.linear_stability import stability_limit
@@ -31,7 +32,8 @@ ADVICE_SECONDS = 10.0  # at most, for the search of the stiffest mode
 class Failure(NamedTuple):
     """How a run failed.  fault : in words.  step : in which.  constraint : atoms of one that could not be kept, or None.
 
-    at : (N, 3), positions at that moment, or None.  start : the earlier state that is known.  is_first : whether it is the first of the run.
+    at : (N, 3), positions at that moment, or None.  start : the earlier state that is known.  is_first : whether no step led to it.
+    first_volume : when the simulation was made [length³], or None.  is_of_barostat : whether the barostat has refused to go on.
     """
 
     fault: str
@@ -40,10 +42,15 @@ class Failure(NamedTuple):
     at: Array | None
     start: Snapshot
     is_first: bool
+    first_volume: float | None = None
+    is_of_barostat: bool = False
 
 
 class Verdict(NamedTuple):
-    """kind : "law", "overlap", "constraint", "bond", "hot", "step" or "pair".  pair : to blame, or None.  cause, advice : one sentence each."""
+    """kind : "law", "overlap", "barostat", "constraint", "bond", "hot", "step" or "pair".  pair : to blame, or None.
+
+    cause, advice : one sentence each.
+    """
 
     kind: str
     pair: Contact | None
@@ -172,6 +179,22 @@ def overlap_at_start(evidence: Evidence) -> Verdict | None:
     return Verdict("overlap", worst, cause, "minimize moves atoms apart; or start from another state with less energy")
 
 
+def barostat(evidence: Evidence) -> Verdict | None:
+    """A barostat that cannot go on, or that has made a gas of what was dense."""
+    bath, volume, before = evidence.engine.barostat, evidence.system.volume, evidence.failure.first_volume
+    if bath is None or not volume or not before or not (evidence.failure.is_of_barostat or volume > EVAPORATED * before):
+        return None
+    units = evidence.system.units
+    at = f"at pressure {bath.pressure:.3g} {units.pressure}"
+    if volume > EVAPORATED * before:
+        cause = f"the cell has grown from {before:.4g} to {volume:.4g} {units.volume} {at}, where no dense state exists"
+        return Verdict("barostat", None, cause, "take a higher pressure, or a lower temperature")
+    cause = f"the barostat strains a cell of {volume:.4g} {units.volume}, {before:.4g} when the simulation was made, too fast {at}"
+    return Verdict(
+        "barostat", None, cause, "equilibrate at constant volume first, take a longer relaxation_time, or look at the unit of the pressure"
+    )
+
+
 def broken_constraint(evidence: Evidence) -> Verdict | None:
     """A constraint that the solver could not keep."""
     if evidence.failure.constraint is None:
@@ -252,6 +275,7 @@ def _long_for_a_mode(evidence: Evidence) -> Verdict | None:
 RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (
     law_without_number,
     overlap_at_start,
+    barostat,
     broken_constraint,
     unstable_bond,
     bottomless_law,

@@ -167,7 +167,7 @@ class Report(Displayed):
     temperatures : means of the first and of the last fifth of the run.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
     lines : results that need no run: see diagnosis.static_checks.
-    too_long_a_step : a clause, if the time step of the run is too long; empty if it is not.
+    too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown, as for a file.
     is_at_rest : whether nothing moves except by rounding; changes of momentum then cannot be judged, for lack of a scale.
     """
 
@@ -287,9 +287,9 @@ class Report(Displayed):
             return f"the {name} {within}; the run is too short to tell whether it drifts: fluctuations last nearly as long"
         if self.energy_is_conserved:
             return f"the {name} does not drift, BUT {self.too_long_a_step}" if self.too_long_a_step else f"the {name} is conserved"
-        why = self.too_long_a_step or "reduce the time step or smooth the cutoff"
-        if self.is_settling and not self.too_long_a_step:
-            why = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
+        settling = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
+        causes = [self.too_long_a_step] * bool(self.too_long_a_step) + [settling] * self.is_settling
+        why = "; ".join(causes) or "reduce the time step or smooth the cutoff"
         return f"THE {name.upper()} DRIFTS: {why}"
 
     @property

@@ -24,7 +24,7 @@ from minimd.structure.observables import Array, longest
 BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
 SMALL, LONGEST_BLOCK = 50_000, 500  # atoms times steps of a block of few atoms, and its steps, at most: its checks cost as much as 30 steps
 RUN_BEGAN, FAILED_AS_BLOCK = "the run began", "a block of steps failed, although its steps succeeded one by one"
-LEAST_SNAPSHOTS, MOST_SNAPSHOTS, ROOM = 2, 16, 10**6  # numbers of snapshots kept, and of atoms in all of them
+MOST_SNAPSHOTS, ROOM = 16, 10**6  # numbers of snapshots kept, at least one, and of atoms in all of them
 SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
 SAME_ENERGY = 1e-3  # of K + |U|: a potential that gives another energy for the same atoms has been changed
 LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the failure, if there were that many
@@ -40,6 +40,7 @@ class RunGuard:
         self.engine = engine
         self.seconds, self.n_steps = 0.0, 0
         self.failed_from: Snapshot | None = None
+        self._first_volume = engine.system.volume
         self._checked_timestep = 0.0  # none yet
         self._judged_by: tuple[Mapping[str, Any] | None, float] = None, RUNAWAY  # of every run: see judge_by
         self._first: Mapping[str, Any] | None = None  # observables at the first look of a run
@@ -128,10 +129,12 @@ class RunGuard:
         ValueError if the scene no longer fits the list it needs.
         """
         engine = self.engine
-        is_due = not self._snapshots or engine.step - self._snapshots[-1].step >= SNAPSHOTS_APART
-        kept = max(LEAST_SNAPSHOTS, min(MOST_SNAPSHOTS, ROOM // len(engine.positions))) - 1
-        self._snapshots, self._before = self._snapshots[-kept:] if is_due else self._snapshots, None  # makes room for the new one
-        self._before = before = engine.snapshot()
+        kept = max(1, min(MOST_SNAPSHOTS, ROOM // len(engine.positions)))
+        is_due = kept == 1 or not self._snapshots or engine.step - self._snapshots[-1].step >= SNAPSHOTS_APART
+        self._before = None
+        if is_due:
+            del self._snapshots[: max(0, len(self._snapshots) + 1 - kept)]  # makes room for the new one
+        self._before = before = engine.snapshot()._replace(open_end=None)  # whose velocities would be as many numbers more
         if is_due:
             self._snapshots.append(before)
         is_whole, engine.is_whole = engine.is_whole, False  # until the steps are counted
@@ -263,7 +266,8 @@ class RunGuard:
         except Exception as broken:  # whatever a term of the user's own raises
             why = f"There is no crash report: {type(broken).__name__}: {broken}\n"
         else:
-            failure = Failure(fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step)
+            of_barostat = self._first_volume, engine.barostat is not None and isinstance(reason, RangeError)
+            failure = Failure(fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step, *of_barostat)
             report = examine(engine, failure)
             why = "" if isinstance(reason, RangeError) else f"Likely cause: {report.cause}; {report.advice}\n"
         pair = closest_pair(engine.system)

@@ -10,6 +10,7 @@ from minimd.diagnosis.report import Cost, Line, Report, block_means, conservatio
 from minimd.diagnosis.reversibility import Reversibility
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.diagnosis.static_checks import static_checks
+from minimd.engine.cell_rescaling import EVAPORATED
 from minimd.engine.engine import Engine
 from minimd.engine.record import Record
 
@@ -44,6 +45,11 @@ def pressure_lines(engine: Engine, record: Record) -> Iterator[Line]:
     """
     barostat, units = engine.barostat, engine.system.units
     if barostat is None or len(record) < 2 * BLOCKS or not np.isfinite(record.pressure).all():
+        return
+    first, last = float(record.volume[0]), float(record.volume[-1])
+    if last > EVAPORATED * first:
+        grown = f"from {first:.4g} to {last:.4g} {units.volume}"
+        yield Line("volume", grown, "EVAPORATED: a gas at this pressure and temperature; raise the pressure if it should be dense", False)
         return
     yield Line("volume", f"{record.volume.mean():.6g} {units.volume} on average", f"standard deviation {record.volume.std():.2g}", True)
     if barostat.coupling not in ("isotropic", "triclinic"):

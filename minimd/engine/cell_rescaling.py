@@ -20,6 +20,7 @@ from minimd.structure.strain import strained
 from minimd.structure.system import System
 
 LARGEST_STRAIN = 0.2  # of the cell at once: a bath that strains it more does not act slowly
+EVAPORATED = 8.0  # times the volume at the start, all lengths doubled: a liquid grows by a factor of some 3 up to its critical point
 
 
 class Molecules:
@@ -32,7 +33,7 @@ class Molecules:
         self.bodies = bodies_of(constraints.kept[-1].pairs, constraints.inverse_masses)
         self._system = system
         self.masses = self._sums(system.masses)
-        self._translations, self._of = np.zeros_like(system.positions), None
+        self._translations, self._of, self._cell = np.zeros_like(system.positions), None, system.cell
 
     def _sums(self, values: Array) -> Array:
         return np.asarray(np.bincount(self.bodies.label, values), dtype=np.float64)
@@ -43,10 +44,14 @@ class Molecules:
         return np.column_stack([self._sums(weighted[:, c]) for c in range(3)]) / self.masses[:, None]
 
     def whole(self, bonds: Any) -> Array:
-        """Lattice translations, (N, 3) [length], that join the atoms of each body as its rigid bonds do. They follow the cell when it is strained."""
+        """Lattice translations of the present cell, (N, 3) [length], that join the atoms of each body as its rigid bonds do."""
+        cell = self._system.cell
         if bonds is not self._of:
-            self._translations, self._of = self._joined(bonds), bonds
-            self._system.cell.follow(self._system.cell, self._translations)
+            self._translations, self._of, self._cell = self._joined(bonds), bonds, cell
+            cell.follow(cell, self._translations)
+        elif cell is not self._cell:
+            self._cell.follow(cell, self._translations)
+            self._cell = cell
         return self._translations
 
     def _joined(self, bonds: Any) -> Array:
@@ -82,6 +87,7 @@ class CellRescaling:
         check(system, interactions, constraints)
         self.temperature(method)
         self._molecules = None if constraints.bonds is None else Molecules(system, constraints)
+        self._first_volume = float(system.volume or 0.0)
 
     def temperature(self, method: Splitting) -> float:
         """T of the bath.  Raises ValueError if neither barostat nor thermostat has one, the two differ, or time runs backwards."""
@@ -112,7 +118,7 @@ class CellRescaling:
 
         noise_number : selects the noise.  forces_follow : called after cell and positions have changed, to make forces, energy and virial current.
 
-        Raises RangeError if the strain is too large.  ValueError if there is no virial.
+        Raises RangeError if the strain is too large, or if nothing holds the cell together any more.  ValueError if there is no virial.
         """
         duration, thermal = self.barostat.every * method.timestep, self._system.units.k_B * self.temperature(method)
         before = self._thermodynamic_state(thermal, bath)
@@ -123,10 +129,18 @@ class CellRescaling:
             raise RangeError(
                 f"the barostat would strain the cell by {largest:.1e} at once ({why}): take a longer relaxation_time, or equilibrate first"
             )
+        if self.barostat.pressure <= 0.0 and before.volume > EVAPORATED * self._first_volume:
+            raise RangeError(self._growth(before))
         back = self._move(exponential(strain), bath)
         forces_follow()
         after = self._thermodynamic_state(thermal, bath, back)
         bath.energy += after.energy - before.energy - self.barostat.change_of_conserved(before, after, strain, duration)
+
+    def _growth(self, state: ThermodynamicState) -> str:
+        volume, pressure = self._system.units.volume, self._system.units.pressure
+        grown = f"the cell has grown from {self._first_volume:.4g} to {state.volume:.4g} {volume}"
+        why = f"at pressure {self.barostat.pressure:.3g} {pressure} there is no gas at rest, and what was dense has evaporated"
+        return f"{grown}: {why}; take a pressure above zero, at which the atoms stay together, or a lower temperature"
 
     def _thermodynamic_state(self, thermal: float, bath: Bath, back: Array | None = None) -> ThermodynamicState:
         """The present state.  back : (3, 3) rotation applied to its tensors.
@@ -186,6 +200,7 @@ class CellRescaling:
         whole, velocities = whole + shifts[0][label], velocities + shifts[1][label]
         if rotation is not None:
             whole, velocities = np.einsum("ij,jk->ik", whole, rotation), np.einsum("ij,jk->ik", velocities, rotation)
+        translations = translations.copy()
         self._system.cell.follow(cell, translations)
         return whole - translations, velocities
 

@@ -4,23 +4,30 @@ from collections import namedtuple
 
 import numpy as np
 
+from minimd.compiled.by_address import ByAddress
+from minimd.compiled.call_by_address import run_at
 from minimd.compiled.fixed_point import MOST, is_fixed
 from minimd.compiled.kernels import by_type, scalar, shared_kernel
 from minimd.compiled.simd import bits_from_mask, lane, load, store, total
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, stop, take, was_stopped
-from minimd.forces.cluster_loop import add_cluster_forces, lanes_beyond
+from minimd.forces.cluster_loop import lanes_beyond
 from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, mixed, momentum_in_steps, velocity_of
 from minimd.neighbors.cluster_list import clear, collected, gather, is_mixed, place
 from minimd.neighbors.clusters import DIMENSIONS, gathered, loaded
+from minimd.neighbors.domains import LATE
 from minimd.structure.observables import kinetic_energy_of
 
 
-class Rest(namedtuple("Rest", "steps")):
-    """No motion: the forces are evaluated once.  steps : Steps of fixed-point arithmetic, or ()."""
+class Loop(namedtuple("Loop", "add prepare work")):
+    """What differs from law to law, which is compiled apart: so that the kernels of this file are the same for all laws.
+
+    add, prepare : addresses of add_forces_of_laws and, if the loop needs it after a list build, of prepare_loop, else 0.
+    work : address of their Work.
+    """
 
 
-class Contacts(namedtuple("Contacts", "kept spread duration noise masses before after energy")):
+class Contacts(ByAddress, namedtuple("Contacts", "kept spread duration noise masses before after energy")):
     """Contacts with a bath, each followed by a drift, after each kick and drift: see Contact in integrators.splitting.state.
 
     noise : (n, N, 3), of kick and drift k in row k; n is 0 if there is no bath.  masses : (N,).
@@ -29,16 +36,22 @@ class Contacts(namedtuple("Contacts", "kept spread duration noise masses before 
     """
 
 
-class Motion(namedtuple("Motion", "steps durations units course contacts velocities inverse_masses own_positions own_velocities own_inverse_masses")):
+class Atoms(ByAddress, namedtuple("Atoms", "velocities inverse_masses mass_step own_positions own_velocities own_inverse_masses")):
+    """What moves beside the positions.  velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].
+
+    mass_step : how far apart those of neighboring slots are in own_inverse_masses: 0 if all are the same, so that a vector of them is enough.
+    own_positions, own_velocities, own_inverse_masses : flat, a block for each cluster: the atoms in the order of the clusters. They are read
+        at the start of a Motion and written back at its end. So no two threads write to the same cache line, and vectors of atoms move at a
+        time. In fixed-point arithmetic own_velocities holds momenta, in steps.
+    """
+
+
+class Motion(ByAddress, namedtuple("Motion", "steps durations course contacts atoms")):
     """Kicks and drifts, each kick after an evaluation of the forces; only an evaluation if none is to be made.
 
     steps : Steps of fixed-point arithmetic, or ().
-    durations : (P, 2) of P kicks and drifts, in turn from the first [time].  units : (P, 2), times of which they are whole multiples.
-    course : (2,) int, how many were made before, and how many there are to be in all.  contacts : Contacts.
-    velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].
-    own_positions, own_velocities, own_inverse_masses : flat, a block for each cluster: the atoms in the order of the clusters. They are read
-        at the start and written back at the end. So no two threads write to the same cache line, and vectors of atoms move at a time.
-        In fixed-point arithmetic own_velocities holds momenta, in steps.
+    durations : (P, 2, 2) of P kicks and drifts, in turn from the first, and the times of which they are whole multiples [time].
+    course : (2,) int, how many were made before, and how many there are to be in all.  contacts : Contacts.  atoms : Atoms.
     """
 
 
@@ -46,15 +59,14 @@ MADE, TO_MAKE = 0, 1  # places in a course
 
 
 @shared_kernel
-def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motion):
+def evaluate_clusters(worker, task, positions, arrays, loop, forces, motion):
     """forces (N, 3) += those of all laws; or, with a Motion that is not at its end, atoms move. Each domain is a chunk.
 
     Returns how many kicks and drifts were made: fewer than are left if the list is outdated then, or positions are not finite.
 
-    positions : (N, 3) [length].  arrays : ClusterArrays.  laws : tuple of pairs, a law type and its parameters, SameForAll or ByLane.
-    sums : Sums or ForceSums.  motion : Motion or Rest.
+    positions : (N, 3) [length].  arrays : ClusterArrays.  loop : Loop.  motion : Motion.
     """
-    n, n_moves, n_made = arrays.domain_start.size - 1, moves(motion), 0
+    n, n_moves, n_made, n_late = arrays.domain_start.size - 1, moves(motion), 0, arrays.domains.numbers[LATE]
     phase = begin(worker, task)
     chunk = take(worker, phase, n)
     while chunk >= 0:
@@ -62,10 +74,12 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
         chunk = finish_and_take(worker, phase, n)
     phase = barrier(worker, phase)
     while True:
-        chunk = take(worker, phase, n)
+        chunk, is_valid = take(worker, phase, n), True
         while chunk >= 0:
             clear(chunk, arrays)
-            _add_all(chunk, arrays, laws, sums, motion.steps, which_kick(motion, n_made))
+            run_at(loop.add, (chunk, arrays, loop.work, motion.steps, which_kick(motion, n_made)))
+            if chunk >= n_late and not _finish(chunk, arrays, (0.0, 0.0, 0.0), forces, motion, n_made):  # on one thread: while it is in the cache
+                is_valid = False
             chunk = finish_and_take(worker, phase, n)
         phase = barrier(worker, phase)
         if is_mixed(arrays):
@@ -75,18 +89,16 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
                 chunk = finish_and_take(worker, phase, n)
             phase = barrier(worker, phase)
         excess, is_in_range = _excess(arrays, forces), are_in_range(arrays, motion.steps)
-        chunk = take(worker, phase, n)
+        chunk = take(worker, phase, n_late)
         while chunk >= 0:
-            if n_moves == 0:
-                _scatter(chunk, arrays, excess, forces)
-            elif not (is_in_range and _move(chunk, arrays, excess, motion, n_made)):
+            if not (is_in_range and _finish(chunk, arrays, excess, forces, motion, n_made) and is_valid):
                 stop(worker, phase)
-            chunk = finish_and_take(worker, phase, n)
+            chunk = finish_and_take(worker, phase, n_late)
         moved, phase = phase, barrier(worker, phase)
         if has_bath(motion):
             chunk = take(worker, phase, 1)
             while chunk >= 0:
-                count_energy(motion)
+                count_energy(motion.contacts)
                 chunk = finish_and_take(worker, phase, 1)
             phase = barrier(worker, phase)
         n_made += 1
@@ -101,40 +113,41 @@ def evaluate_clusters(worker, task, positions, arrays, laws, sums, forces, motio
     return n_made
 
 
-@by_type
+@scalar
+def _finish(domain, arrays, excess, forces, motion, n_made):
+    """What is done with the forces on the atoms of a domain, once they are whole: they are handed over, or the atoms move. See _move."""
+    if moves(motion) == 0:
+        _scatter(domain, arrays, excess, forces)
+        return True
+    return _move(domain, arrays, excess, motion, n_made)
+
+
+@scalar
 def moves(motion):
-    """The number of kicks and drifts that are left of a Motion; 0 of Rest."""
-    return (lambda motion: 0) if motion.instance_class is Rest else lambda motion: motion.course[TO_MAKE] - motion.course[MADE]
+    """The number of kicks and drifts that are left of a Motion."""
+    return motion.course[TO_MAKE] - motion.course[MADE]
 
 
-@by_type
+@scalar
 def has_bath(motion):
-    """Whether atoms of a Motion are in contact with a bath; not of Rest."""
-    return (lambda motion: False) if motion.instance_class is Rest else lambda motion: motion.contacts.noise.shape[0] > 0
+    """Whether atoms of a Motion are in contact with a bath."""
+    return motion.contacts.noise.shape[0] > 0
 
 
-@by_type
-def count_energy(motion):
+@scalar
+def count_energy(contacts):
     """energy += Σ after − Σ before, in the order of the user, as kinetic_energy has it."""
-    if motion.instance_class is Rest:
-        return lambda motion: None
-
-    def count_energy_of(motion):
-        contacts, before, after = motion.contacts, 0.0, 0.0
-        for i in range(contacts.before.size):
-            before += contacts.before[i]
-            after += contacts.after[i]
-        contacts.energy[0] += after - before
-
-    return count_energy_of
+    before, after = 0.0, 0.0
+    for i in range(contacts.before.size):
+        before += contacts.before[i]
+        after += contacts.after[i]
+    contacts.energy[0] += after - before
 
 
-@by_type
+@scalar
 def which_kick(motion, n_made):
-    """The number of the next kick in the cycle; 0 of Rest."""
-    if motion.instance_class is Rest:
-        return lambda motion, n_made: 0
-    return lambda motion, n_made: (motion.course[MADE] + n_made) % motion.durations.shape[0]
+    """The number of the next kick in the cycle."""
+    return (motion.course[MADE] + n_made) % motion.durations.shape[0]
 
 
 @by_type
@@ -152,40 +165,20 @@ def are_in_range(arrays, steps):
     return of_all_domains
 
 
-@by_type
-def _add_all(domain, arrays, laws, sums, steps, which):
-    """add_cluster_forces for each law, unrolled by the compiler."""
-    if len(laws) == 1:
-        return lambda domain, arrays, laws, sums, steps, which: add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums, steps, which)
-
-    def add(domain, arrays, laws, sums, steps, which):
-        add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums, steps, which)
-        _add_all(domain, arrays, laws[1:], sums, steps, which)
-
-    return add
-
-
-@by_type
+@scalar
 def _begin(domain, arrays, positions, motion):
-    """Positions of the atoms of a domain to all their ghosts; of a Motion also its own arrays."""
-    if motion.instance_class is Rest:
-        return lambda domain, arrays, positions, motion: _place_all(domain, arrays, positions)
-
-    def begin_motion(domain, arrays, positions, motion):
-        if moves(motion) == 0:
-            _place_all(domain, arrays, positions)
-            return
-        clusters, n_lanes = arrays.clusters, count(arrays.clusters.lanes)
-        for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
+    """Positions of the atoms of a domain to all their ghosts, and to own_positions if there is a Motion."""
+    clusters, n_lanes, is_in_motion = arrays.clusters, count(arrays.clusters.lanes), moves(motion) > 0
+    for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
+        place(k, arrays, gathered(k, clusters, positions))
+        if is_in_motion:
             start = k * DIMENSIONS * n_lanes
-            gather(k, clusters, positions, motion.own_positions, start)
-            gather(k, clusters, motion.velocities, motion.own_velocities, start)
-            place(k, arrays, loaded(motion.own_positions, start, clusters.lanes))
-            for slot in range(k * n_lanes, (k + 1) * n_lanes):
-                motion.own_inverse_masses[slot] = motion.inverse_masses[clusters.atom[slot]]
+            gather(k, clusters, positions, motion.atoms.own_positions, start)
+            gather(k, clusters, motion.atoms.velocities, motion.atoms.own_velocities, start)
+            if motion.atoms.mass_step > 0:
+                for slot in range(k * n_lanes, (k + 1) * n_lanes):
+                    motion.atoms.own_inverse_masses[slot] = motion.atoms.inverse_masses[clusters.atom[slot]]
             _to_momenta(k, start, n_lanes, motion, motion.steps)
-
-    return begin_motion
 
 
 @by_type
@@ -196,16 +189,10 @@ def _to_momenta(k, start, n_lanes, motion, steps):
 
     def to_momenta(k, start, n_lanes, motion, steps):
         for at in range(start, start + DIMENSIONS * n_lanes):
-            inverse_mass = motion.own_inverse_masses[k * n_lanes + (at - start) % n_lanes]
-            motion.own_velocities[at] = momentum_in_steps(motion.own_velocities[at], inverse_mass, steps)
+            inverse_mass = motion.atoms.own_inverse_masses[(k * n_lanes + (at - start) % n_lanes) * motion.atoms.mass_step]
+            motion.atoms.own_velocities[at] = momentum_in_steps(motion.atoms.own_velocities[at], inverse_mass, steps)
 
     return to_momenta
-
-
-@scalar
-def _place_all(domain, arrays, positions):
-    for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-        place(k, arrays, gathered(k, arrays.clusters, positions))
 
 
 @scalar
@@ -244,50 +231,44 @@ def _scatter(domain, arrays, excess, forces):
                 forces[i, 2] += lane(z, k_lane)
 
 
-@by_type
+@scalar
 def _move(domain, arrays, excess, motion, n_made):
     """The atoms of a domain move, and their ghosts with them. Returns whether the list is still valid for them."""
-    if motion.instance_class is Rest:
-        return lambda domain, arrays, excess, motion, n_made: True
-
-    def move(domain, arrays, excess, motion, n_made):
-        clusters, lanes, n_lanes, is_valid = arrays.clusters, arrays.clusters.lanes, count(arrays.clusters.lanes), True
-        flows, limit2 = of_cycle(motion, which_kick(motion, n_made)), arrays.rows.limits2[arrays.rows.layers[0] - 1]
-        for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-            start = k * DIMENSIONS * n_lanes
-            inverse_mass = load(motion.own_inverse_masses, k * n_lanes, lanes)
-            for c, force in enumerate(collected(k, arrays)):
-                at = start + c * n_lanes
-                velocity, position = load(motion.own_velocities, at, lanes), load(motion.own_positions, at, lanes)
-                velocity, position = _moved(velocity, position, force - excess[c], inverse_mass, flows, motion.steps)
-                store(motion.own_velocities, at, velocity)
-                store(motion.own_positions, at, position)
-            if has_bath(motion):
-                for k_lane in range(clusters.filled[k]):
-                    _touch(clusters.atom[k * n_lanes + k_lane], start + k_lane, n_lanes, motion, motion.course[MADE] + n_made)
-            moved2 = size2 = 0.0 * inverse_mass
-            for c in range(DIMENSIONS):
-                at = start + c * n_lanes
-                velocity, position = load(motion.own_velocities, at, lanes), load(motion.own_positions, at, lanes)
-                moved = position - load(clusters.positions, at, lanes)
-                moved2 = moved2 + moved * moved
-                size2 = size2 + velocity * velocity
-            filled = (1 << clusters.filled[k]) - 1
-            is_valid &= ~bits_from_mask(moved2 <= limit2) & filled == 0
-            if lanes_beyond(size2, _most_momentum2(motion.steps)) & filled:
-                arrays.memory.net[domain, 1], is_valid = 1.0, False
-            place(k, arrays, loaded(motion.own_positions, start, lanes))
-        return is_valid
-
-    return move
+    clusters, lanes, n_lanes, is_valid = arrays.clusters, arrays.clusters.lanes, count(arrays.clusters.lanes), True
+    flows, limit2 = of_cycle(motion, which_kick(motion, n_made)), arrays.rows.limits2[arrays.rows.layers[0] - 1]
+    for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
+        start = k * DIMENSIONS * n_lanes
+        inverse_mass = load(motion.atoms.own_inverse_masses, k * n_lanes * motion.atoms.mass_step, lanes)
+        for c, force in enumerate(collected(k, arrays)):
+            at = start + c * n_lanes
+            velocity, position = load(motion.atoms.own_velocities, at, lanes), load(motion.atoms.own_positions, at, lanes)
+            velocity, position = _moved(velocity, position, force - excess[c], inverse_mass, flows, motion.steps)
+            store(motion.atoms.own_velocities, at, velocity)
+            store(motion.atoms.own_positions, at, position)
+        if has_bath(motion):
+            for k_lane in range(clusters.filled[k]):
+                _touch(clusters.atom[k * n_lanes + k_lane], start + k_lane, n_lanes, motion, motion.course[MADE] + n_made)
+        moved2 = size2 = 0.0 * inverse_mass
+        for c in range(DIMENSIONS):
+            at = start + c * n_lanes
+            velocity, position = load(motion.atoms.own_velocities, at, lanes), load(motion.atoms.own_positions, at, lanes)
+            moved = position - load(clusters.positions, at, lanes)
+            moved2 = moved2 + moved * moved
+            size2 = size2 + velocity * velocity
+        filled = (1 << clusters.filled[k]) - 1
+        is_valid &= ~bits_from_mask(moved2 <= limit2) & filled == 0
+        if lanes_beyond(size2, _most_momentum2(motion.steps)) & filled:
+            arrays.memory.net[domain, 1], is_valid = 1.0, False
+        place(k, arrays, loaded(motion.atoms.own_positions, start, lanes))
+    return is_valid
 
 
 @scalar
 def _touch(i, place, n_lanes, motion, row):
     """Contact of atom i with the bath, and its second drift.  place : of its x in its own arrays.  row : of the noise."""
-    contacts, at, v = motion.contacts, motion.own_positions, motion.own_velocities
+    contacts, at, v = motion.contacts, motion.atoms.own_positions, motion.atoms.own_velocities
     mass, y, z = contacts.masses[i], place + n_lanes, place + 2 * n_lanes
-    scale = contacts.spread * np.sqrt(motion.inverse_masses[i])
+    scale = contacts.spread * np.sqrt(motion.atoms.inverse_masses[i])
     contacts.before[i] = kinetic_energy_of(mass, v[place], v[y], v[z])
     for c in range(DIMENSIONS):
         slot = place + c * n_lanes
@@ -299,8 +280,8 @@ def _touch(i, place, n_lanes, motion, row):
 @scalar
 def of_cycle(motion, k):
     """Durations of kick and drift k of the cycle [time], how many units they have, and the unit of the drift [time]."""
-    kick, drift, unit = motion.durations[k, 0], motion.durations[k, 1], motion.units[k, 1]
-    return kick, drift, np.rint(kick / motion.units[k, 0]), np.rint(drift / unit), unit
+    kick, drift, kick_unit, unit = motion.durations[k, 0, 0], motion.durations[k, 1, 0], motion.durations[k, 0, 1], motion.durations[k, 1, 1]
+    return kick, drift, np.rint(kick / kick_unit), np.rint(drift / unit), unit
 
 
 @by_type
@@ -327,23 +308,18 @@ def _most_momentum2(steps):
     return (lambda steps: MOST * MOST) if is_fixed(steps) else lambda steps: ()
 
 
-@by_type
+@scalar
 def _end(domain, arrays, positions, motion):
     """Positions and velocities from the order of the clusters to that of the user."""
-    if motion.instance_class is Rest:
-        return lambda domain, arrays, positions, motion: None
-
-    def end(domain, arrays, positions, motion):
-        clusters, n_lanes = arrays.clusters, count(arrays.clusters.lanes)
-        for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-            for k_lane in range(clusters.filled[k]):
-                i = clusters.atom[k * n_lanes + k_lane]
-                for c in range(3):
-                    place = (k * DIMENSIONS + c) * n_lanes + k_lane
-                    positions[i, c] = motion.own_positions[place]
-                    motion.velocities[i, c] = _velocity(motion.own_velocities[place], motion.own_inverse_masses[k * n_lanes + k_lane], motion.steps)
-
-    return end
+    clusters, atoms, n_lanes = arrays.clusters, motion.atoms, count(arrays.clusters.lanes)
+    for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
+        for k_lane in range(clusters.filled[k]):
+            slot = k * n_lanes + k_lane
+            i, inverse_mass = clusters.atom[slot], atoms.own_inverse_masses[slot * atoms.mass_step]
+            for c in range(3):
+                place = (k * DIMENSIONS + c) * n_lanes + k_lane
+                positions[i, c] = atoms.own_positions[place]
+                atoms.velocities[i, c] = _velocity(atoms.own_velocities[place], inverse_mass, motion.steps)
 
 
 @by_type

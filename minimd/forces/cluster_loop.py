@@ -11,12 +11,14 @@ import numpy as np
 from numba import types
 from numba.core.errors import NumbaError
 
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import BIAS, biased_product, is_fixed, on_grid
-from minimd.compiled.kernels import by_type, kernel, scalar, without_cache
+from minimd.compiled.kernels import by_type, called_kernel, kernel, scalar, without_cache
 from minimd.compiled.simd import bits_from_mask, broadcast, convert, fma, load, select, store, total
 from minimd.compiled.simd.lanes import DOUBLE, count, lanes_for
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import DIMENSIONS
+from minimd.neighbors.domains import GHOSTS
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.tabulated import reads_table
@@ -26,7 +28,7 @@ from minimd.potentials.user_laws import is_recognized, is_user_law
 LANE_SUMS = 7  # accumulators of a lane with PER_ATOM: energy, and six of the virial
 
 
-class ByLane(namedtuple("ByLane", "columns species slots table of_atoms")):
+class ByLane(ByAddress, namedtuple("ByLane", "columns species slots table of_atoms")):
     """Parameters by species, laid out for lanes.
 
     columns : tuple of (S · slots,) arrays; element a · slots + s is the parameter of the atom in slot s with species a.
@@ -51,20 +53,19 @@ def _loaded(columns, start, lanes):
     return lambda columns, start, lanes: (load(columns[0], start, lanes),) + _loaded(columns[1:], start, lanes)
 
 
-class Sums(namedtuple("Sums", "forces energies virials lane_sums detail")):
+class Sums(ByAddress, namedtuple("Sums", "forces energies virials lane_sums detail")):
     """The accumulators of the loop.
 
-    forces : flat, a block for each ghost, of the type of the pair arithmetic [energy/length]; in fixed-point arithmetic int64 impulses.
+    forces : flat, a block for each ghost in a window, see Domains.place, of the type of the pair arithmetic [energy/length]; in fixed-point
+        arithmetic int64 impulses.
     energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows with PER_ATOM, else (C,) and (C, 6) of their clusters.
-    lane_sums : flat, LANE_SUMS · n numbers for each ghost: energies and virials of the lanes; empty unless PER_ATOM.
+    lane_sums : flat, LANE_SUMS · n numbers for each ghost of each window: energies and virials of the lanes; empty unless PER_ATOM.
     detail : TOTALS or PER_ATOM, see term.
     """
 
 
 class ForceSums(Sums):
     """Accumulators of forces only: a type of its own, for which the compiler leaves out energies and virials."""
-
-    __slots__ = ()
 
 
 @by_type
@@ -84,6 +85,29 @@ def looks_ahead(vector):
     return lambda vector: answer
 
 
+class Work(ByAddress, namedtuple("Work", "laws sums")):
+    """What the loop does.  laws : tuple of pairs, a law type and its parameters, SameForAll or ByLane.  sums : Sums or ForceSums."""
+
+
+@called_kernel
+def add_forces_of_laws(domain, arrays, work, steps, which):
+    """add_cluster_forces for each law of a Work."""
+    _add_forces_of(domain, arrays, work.laws, work.sums, steps, which)
+
+
+@by_type
+def _add_forces_of(domain, arrays, laws, sums, steps, which):
+    """Unrolled by the compiler."""
+    if len(laws) == 0:
+        return lambda domain, arrays, laws, sums, steps, which: None
+
+    def add(domain, arrays, laws, sums, steps, which):
+        add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums, steps, which)
+        _add_forces_of(domain, arrays, laws[1:], sums, steps, which)
+
+    return add
+
+
 @scalar
 def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
     """Forces between the atoms of a domain and the clusters of their rows.
@@ -95,36 +119,37 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
     steps : () or, in fixed-point arithmetic, Steps.  which : of its kicks.
     Indices in the inner loop are unsigned: the compiler need not check for those that count from the end.
     """
-    rows, homes, coordinates = arrays.rows, arrays.ghosts.home, arrays.memory.coordinates
-    lanes, n_lanes = arrays.clusters.lanes, count(arrays.clusters.lanes)
-    nothing, like = broadcast(0.0, load(sums.forces, 0, lanes)), load(coordinates, 0, lanes)
+    rows, homes, memory, lanes, n_lanes = arrays.rows, arrays.ghosts.home, arrays.memory, arrays.clusters.lanes, count(arrays.clusters.lanes)
+    first, window, block = arrays.domains.first[domain], arrays.domains.window[domain], DIMENSIONS * n_lanes
+    coordinates, forces = memory.coordinates[first * block :], sums.forces[arrays.domains.place[domain] * block :]  # of this window
+    nothing, like = broadcast(0.0, load(forces, 0, lanes)), load(coordinates, 0, lanes)
     zero = convert(nothing, 0.0)
     own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, which, like)
     limit2, stops = limit_of(steps), rows.stops[rows.layers[0] - 1]
     for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
-        home, lane = homes[slot // n_lanes], slot % n_lanes
+        home, lane = homes[slot // n_lanes] - first, slot % n_lanes
         place = home * DIMENSIONS * n_lanes + lane
         at = (broadcast(coordinates[place], like), broadcast(coordinates[place + n_lanes], like), broadcast(coordinates[place + 2 * n_lanes], like))
         after = rows.entries[np.uintp(rows.start[slot])]
-        ahead = separations(arrays.memory, after, at, lanes)
+        ahead = separations(coordinates, memory, after, at, lanes)
         fx = fy = fz = nothing
         energy = xx = yy = zz = yz = xz = xy = size2 = zero
         for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
             if looks_ahead(nothing):
                 now, (dx, dy, dz, r2), after = after, ahead, rows.entries[entry + np.uintp(1)]
-                ahead = separations(arrays.memory, after, at, lanes)
+                ahead = separations(coordinates, memory, after, at, lanes)
             else:
                 now = rows.entries[entry]
-                dx, dy, dz, r2 = separations(arrays.memory, now, at, lanes)
+                dx, dy, dz, r2 = separations(coordinates, memory, now, at, lanes)
             ghost = np.uintp(now & GHOST_BITS)
-            numbers = parameters_of_lanes(parameters, home * n_lanes + lane, np.intp(ghost), lanes)
+            numbers = parameters_of_lanes(parameters, (first + home) * n_lanes + lane, first + np.intp(ghost), lanes)
             near = r2 < numbers[0]
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
             g = as_impulse(f, scale)
             size2 = summed_squares(g, size2, steps)
             fx, fy, fz = plus_product(g, dx, fx), plus_product(g, dy, fy), plus_product(g, dz, fz)
-            push(sums.forces, ghost, g, (dx, dy, dz))
+            push(forces, ghost, g, (dx, dy, dz))
             if with_energy(sums):
                 u, f = convert(select(near, u, 0.0), 0.0), convert(f, 0.0)
                 dx, dy, dz = convert(dx, 0.0), convert(dy, 0.0), convert(dz, 0.0)
@@ -134,14 +159,14 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
                 yz, xz, xy = plus_virial(gy, dz, yz, steps), plus_virial(gx, dz, xz, steps), plus_virial(gx, dy, xy, steps)
                 if sums.detail == PER_ATOM:
                     for c, w in enumerate((u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
-                        at_c = (np.intp(ghost) * LANE_SUMS + c) * n_lanes
+                        at_c = ((window + np.intp(ghost)) * LANE_SUMS + c) * n_lanes
                         store(sums.lane_sums, at_c, load(sums.lane_sums, at_c, lanes) + 0.5 * in_steps(w, steps))
         n_entries = stops[slot] - rows.start[slot]
-        sums.forces[place] -= without_bias(total(fx), n_entries, lanes)
-        sums.forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
-        sums.forces[place + 2 * n_lanes] -= without_bias(total(fz), n_entries, lanes)
+        forces[place] -= without_bias(total(fx), n_entries, lanes)
+        forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
+        forces[place + 2 * n_lanes] -= without_bias(total(fz), n_entries, lanes)
         if lanes_beyond(size2, limit2):
-            arrays.memory.net[domain, 0] = 1.0
+            memory.net[domain, 0] = 1.0
         if with_energy(sums):
             k = slot if sums.detail == PER_ATOM else slot // n_lanes
             sums.energies[k] += own_share * total(energy)
@@ -150,9 +175,12 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
 
 
 @scalar
-def separations(memory, entry, at, lanes):
-    """r_j − r_i = (dx, dy, dz) and r² from a position x, y, z to the lanes of an entry, ∞ for those that do not count [length]."""
-    n_lanes, coordinates, unit = np.uintp(count(lanes)), memory.coordinates, memory.unit
+def separations(coordinates, memory, entry, at, lanes):
+    """r_j − r_i = (dx, dy, dz) and r² from a position x, y, z to the lanes of an entry, ∞ for those that do not count [length].
+
+    coordinates : of the ghosts in the window.
+    """
+    n_lanes, unit = np.uintp(count(lanes)), memory.unit
     x = np.uintp(entry & GHOST_BITS) * np.uintp(DIMENSIONS) * n_lanes
     y, z = x + n_lanes, x + n_lanes + n_lanes
     dx, dy = separation(coordinates, x, at[0], unit, lanes), separation(coordinates, y, at[1], unit, lanes)
@@ -200,10 +228,10 @@ def without_bias(total, n, lanes):
 
 
 @kernel
-def prepare_loop(arrays, laws):
+def prepare_loop(arrays, work):
     """To be called after a list build, and after each change of the layers in use: what the loop needs beside the list."""
-    fill_lanes(arrays, laws)
-    start_sums(arrays, len(laws), arrays.memory.first_sum, arrays.memory.forces)
+    fill_lanes(arrays, work.laws)
+    start_sums(arrays, len(work.laws), arrays.memory.first_sum, arrays.memory.forces)
 
 
 @by_type
@@ -226,7 +254,7 @@ def _fill_lanes(source, arrays):
 
     def fill(source, arrays):
         atom, owner, n_lanes = arrays.clusters.atom, arrays.ghosts.owner, count(arrays.clusters.lanes)
-        for slot in range(arrays.ghost_start[arrays.ghost_start.size - 1] * n_lanes):
+        for slot in range(arrays.domains.numbers[GHOSTS] * n_lanes):
             b = source.of_atoms[atom[owner[slot // n_lanes] * n_lanes + slot % n_lanes]]
             source.species[slot] = b
             for a in range(source.table.shape[0]):
@@ -250,7 +278,7 @@ def _fill_columns(columns, table, a, b, p, place):
 
 @by_type
 def start_sums(arrays, n_laws, first_sum, forces):
-    """first_sum (M,) int64 = what sums of forces on each ghost begin with: minus the biases that the rows of n_laws will add."""
+    """first_sum (W,) int64 = what sums of forces begin with on each ghost of each window: minus the biases that the rows of n_laws will add."""
     if isinstance(forces.dtype, types.Float):
         return lambda arrays, n_laws, first_sum, forces: None
 
@@ -258,9 +286,11 @@ def start_sums(arrays, n_laws, first_sum, forces):
         rows, n_lanes = arrays.rows, count(arrays.clusters.lanes)
         stops = rows.stops[rows.layers[0] - 1]
         first_sum[:] = 0
-        for slot in range(arrays.domain_start[arrays.domain_start.size - 1] * n_lanes):
-            for entry in range(rows.start[slot], stops[slot]):
-                first_sum[rows.entries[entry] & GHOST_BITS] -= n_laws * BIAS
+        for domain in range(arrays.domains.first.size):
+            window = arrays.domains.window[domain]
+            for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
+                for entry in range(rows.start[slot], stops[slot]):
+                    first_sum[window + np.intp(rows.entries[entry] & GHOST_BITS)] -= n_laws * BIAS
 
     return start
 

@@ -1,10 +1,9 @@
 """Many steps with all list builds between them as one kernel, which returns to Python when they are made, or when it is needed there."""
 
-from minimd.compiled.call_by_address import call_at
+from minimd.compiled.call_by_address import call_at, run_at
 from minimd.compiled.fixed_point import is_fixed
 from minimd.compiled.kernels import by_type, shared_kernel
 from minimd.forces.cluster_kernel import MADE, TO_MAKE
-from minimd.forces.cluster_loop import fill_lanes, start_sums
 from minimd.neighbors.cluster_search import LAYERS
 from minimd.neighbors.clusters import any_moved_from_clusters
 from minimd.neighbors.verlet_list import count_not_finite
@@ -21,7 +20,7 @@ def march_clusters(worker, task, evaluate, evaluation, build, building):
 
     evaluate, build : addresses of evaluate_clusters and build_clusters.  evaluation, building : their arguments, but for worker and task.
     """
-    positions, arrays, laws, _, _, motion = evaluation
+    positions, arrays, loop, _, motion = evaluation
     course, rows, n_builds = motion.course, arrays.rows, 0
     while True:
         course[MADE] += call_at(evaluate, (worker, task) + evaluation)
@@ -35,8 +34,8 @@ def march_clusters(worker, task, evaluate, evaluation, build, building):
                 if count_not_finite(positions)[0] > 0 or call_at(build, (worker, task) + building) == 0:
                     return n_builds
                 rows.layers[0], task, n_builds = 1, task + 1, n_builds + 1
-        fill_lanes(arrays, laws)
-        start_sums(arrays, len(laws), arrays.memory.first_sum, arrays.memory.forces)
+        if loop.prepare != 0:
+            run_at(loop.prepare, (arrays, loop.work))
 
 
 @by_type

@@ -1,7 +1,7 @@
 """Pair laws on the cluster list: eight pairs at a time, on a pool of threads."""
 
 from collections.abc import Iterable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,8 @@ from minimd.compiled.fixed_point import MOST, GridSums
 from minimd.compiled.kernels import DirectCalls, without_cache
 from minimd.compiled.simd.lanes import DOUBLE, MIXED
 from minimd.compiled.threads import thread_pool
-from minimd.forces.cluster_kernel import MADE, TO_MAKE, Contacts, Motion, Rest, evaluate_clusters
-from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, prepare_loop
+from minimd.forces.cluster_kernel import MADE, TO_MAKE, Atoms, Contacts, Loop, Motion, evaluate_clusters
+from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, Work, add_forces_of_laws, prepare_loop
 from minimd.forces.cluster_march import TASKS_PER_MOVE, march_clusters
 from minimd.forces.options import FIXED_POINT, Options, described
 from minimd.forces.pair_laws import PairLaws, skin_for, widest_skin
@@ -21,7 +21,6 @@ from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_build import build_clusters
 from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.cluster_search import LAYERS
-from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm
 from minimd.potentials.user_laws import is_recognized
@@ -32,8 +31,8 @@ from minimd.structure.system import System
 NOTHING, NONE = np.zeros((0, 3)), np.zeros(0)
 NO_COURSE = np.zeros(2, dtype=np.int64)
 NO_CONTACTS = Contacts(1.0, 0.0, 0.0, np.zeros((0, 0, 3)), NONE, NONE, NONE, NONE)
-AT_REST = Motion((), np.zeros((1, 2)), np.ones((1, 2)), NO_COURSE, NO_CONTACTS, NOTHING, NONE, NONE, NONE, NONE)  # one compiled kernel for both
-MOST_MOVED = 4_000_000  # atoms in a call, half a second
+AT_REST = Motion((), np.ones((1, 2, 2)), NO_COURSE, NO_CONTACTS, Atoms(NOTHING, NONE, 1, NONE, NONE, NONE))
+MOST_MOVED = 8_000_000  # atoms in a call, about a second
 MOST_NOISE = 1_000_000  # atoms whose noise is kept at a time
 
 
@@ -52,12 +51,13 @@ class ClusterTerm(OwnTerm):
         self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, options.precision, self._pool)
         self._pair_laws, self.widest_skin = laws, widest_skin(system, laws)
         are_recognized = all(is_recognized(one.law) for one in laws.members)
-        self._evaluate = evaluate_clusters if are_recognized else without_cache(evaluate_clusters)
+        kernels = (add_forces_of_laws, prepare_loop)
+        self._add_forces, self._prepare_loop = kernels if are_recognized else map(without_cache, kernels)
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
-        self._march = march_clusters if are_recognized else without_cache(march_clusters)
-        self._arranged_for, self._prepared_for = cast(Any, None), (0, 0)  # which arrays of the list; which build, and how many layers
+        self._arranged_for, self._prepared_for = 0, (0, 0)  # which arrays of the list; which build, and how many layers
         self._memory = Buffers()
-        self._own: tuple[NDArray, ...] = ()
+        self._atoms: Atoms | None = None
+        self._work_of_totals: Work | None = None
 
     def follow(self, system: System) -> bool:
         """See Term; a cell without room for the list needs another one."""
@@ -70,17 +70,23 @@ class ClusterTerm(OwnTerm):
     def add_to(self, system: System, detail: int, sums: Any) -> None:
         """See Term."""
         self._update(system)
-        own = self._force_sums if detail == FORCES else self._sums(detail)
-        steps = self._steps(sums.steps) if isinstance(sums, GridSums) else ()
-        arguments = (system.positions, self.list.arrays, self._laws, own, sums[0], AT_REST._replace(steps=steps) if detail == FORCES else Rest(steps))
-        self._pool.run(self._evaluate, *arguments, calls=self._calls[detail])
+        work = self._work if detail == FORCES else self._totals() if detail == TOTALS else self._work_with(PER_ATOM)
+        motion = AT_REST._replace(steps=self._steps(sums.steps)) if isinstance(sums, GridSums) else AT_REST
+        self._pool.run(evaluate_clusters, *self._evaluation(system, work, sums[0], motion), calls=self._calls[FORCES])
         if detail == TOTALS:
-            sums[1][0] += own.energies.sum()
-            sums[2][0] += own.virials.sum(axis=0)
+            sums[1][0] += work.sums.energies.sum()
+            sums[2][0] += work.sums.virials.sum(axis=0)
         elif detail == PER_ATOM:
-            self._add_each(own, sums[1], sums[2])
+            self._add_each(work.sums, sums[1], sums[2])
         if isinstance(sums, GridSums) and not self._is_in_range():
             sums.faults[0] = 1
+
+    def _evaluation(self, system: System, work: Work, forces: NDArray, motion: Motion) -> tuple[Any, ...]:
+        """Arguments of evaluate_clusters."""
+        arrays, calls = self.list.arrays, self._calls[work.sums.detail]
+        add = calls.address(self._add_forces, 0, arrays, work, motion.steps, 0)
+        prepare = calls.address(self._prepare_loop, arrays, work) if self._needs_preparation else 0
+        return system.positions, arrays, Loop(add, prepare, work.address), forces, motion
 
     def _steps(self, steps: Any) -> Any:
         """With the limit of forces divided by distances: all distances are below the cutoff. () without a grid."""
@@ -101,11 +107,10 @@ class ClusterTerm(OwnTerm):
 
     def prepare(self, system: System, forces: NDArray, steps: Any = (), is_alone: bool = True) -> None:
         """See Term."""
-        motion = AT_REST._replace(steps=self._steps(steps))
-        arguments = (system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion)
-        self._pool.compile(self._evaluate, *arguments, calls=self._calls[FORCES])
+        evaluation = self._evaluation(system, self._work, forces, AT_REST._replace(steps=self._steps(steps)))
+        self._pool.compile(evaluate_clusters, *evaluation, calls=self._calls[FORCES])
         if is_alone and self.list.can_be_renewed:
-            self._pool.compile(self._march, *self._with_builds(arguments), calls=self._calls[FORCES])
+            self._pool.compile(march_clusters, *self._with_builds(evaluation), calls=self._calls[FORCES])
 
     def march(self, system: System, state: State, cycle: Cycle, n: int) -> int:
         """See Term. Threads stay in one kernel; only so many atoms move in a call that Ctrl-C is answered soon."""
@@ -116,19 +121,17 @@ class ClusterTerm(OwnTerm):
         state.forces_are_current, course = False, np.array([0, n_cycles * len(durations)])
         contacts = NO_CONTACTS if contact is None else in_contact(contact, state, n_cycles)
         calls = self._calls[FORCES]
-        lasting, units = np.ascontiguousarray(durations[:, :, 0]), np.ascontiguousarray(durations[:, :, 1])
-        forces, steps = (state.impulses, self._steps(steps_of(state.grid, units[:, 0]))) if isinstance(state, GridState) else (state.forces, ())
+        on_grid = (state.impulses, self._steps(steps_of(state.grid, durations[:, 0, 1]))) if isinstance(state, GridState) else None
+        forces, steps = on_grid or (state.forces, ())
         while course[MADE] < course[TO_MAKE]:
             self._update(system)
-            self._own = self._own or self._own_arrays()
-            motion = Motion(steps, lasting, units, course, contacts, state.velocities, state.inverse_masses, *self._own)
-            evaluation = system.positions, self.list.arrays, self._laws, self._force_sums, forces, motion
+            evaluation = self._evaluation(system, self._work, forces, Motion(steps, durations, course, contacts, self._atoms_of(state)))
             if self.list.can_be_renewed:
                 n_tasks = TASKS_PER_MOVE * int(course[TO_MAKE] - course[MADE])
-                self.list.renewed(self._pool.run(self._march, *self._with_builds(evaluation), calls=calls, n_tasks=n_tasks))
+                self.list.renewed(self._pool.run(march_clusters, *self._with_builds(evaluation), calls=calls, n_tasks=n_tasks))
                 self._prepared_for = self.list.n_builds, int(self.list.rows.layers[0])
             else:
-                course[MADE] += self._pool.run(self._evaluate, *evaluation, calls=calls)
+                course[MADE] += self._pool.run(evaluate_clusters, *evaluation, calls=calls)
             if isinstance(state, GridState):
                 self._check(state)
         if contact is not None:
@@ -138,39 +141,52 @@ class ClusterTerm(OwnTerm):
     def _with_builds(self, evaluation: tuple[Any, ...]) -> tuple[Any, ...]:
         """Arguments of march_clusters."""
         calls, building = self._calls[FORCES], (evaluation[0], self.list.building)
-        evaluate = self._pool.address(self._evaluate, *evaluation, calls=calls)
+        evaluate = self._pool.address(evaluate_clusters, *evaluation, calls=calls)
         return evaluate, evaluation, self._pool.address(build_clusters, *building, calls=calls), building
 
     def _update(self, system: System) -> None:
         """A valid list, and what is prepared for it."""
         self.list.update(system.positions, system.cell)
-        if self._arranged_for is not self.list.arrays:
+        if self._arranged_for != self.list.n_arranged:
             self._arrange(system)
         in_use = self.list.n_builds, int(self.list.rows.layers[0])
         if self._prepared_for != in_use:
             self._prepared_for = in_use
             if self._needs_preparation:
-                self._calls[FORCES](prepare_loop, self.list.arrays, self._laws)
+                self._calls[FORCES](self._prepare_loop, self.list.arrays, self._work)
 
     def _arrange(self, system: System) -> None:
         """Arrays that go with those of the list."""
         of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(self._pair_laws.members)]
-        self._laws = tuple((one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True))
+        self._laws: tuple[Any, ...] = tuple((one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True))
         self._needs_preparation = self._precision == FIXED_POINT or any(isinstance(one, ByLane) for one in of_lanes)
-        self._force_sums = ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
-        self._own = ()  # made where atoms march
-        self._arranged_for, self._prepared_for = self.list.arrays, (0, 0)
+        self._work = Work(self._laws, ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES))
+        self._work_of_totals = None
+        self._atoms = None  # made where atoms march
+        self._arranged_for, self._prepared_for = self.list.n_arranged, (0, 0)
 
-    def _own_arrays(self) -> tuple[NDArray, ...]:
-        """Memory for the atoms in the order of the clusters, see Motion."""
-        n = len(self.list.clusters.atom)
-        return tuple(self._memory.array(f"own {k}", np.float64, size) for k, size in enumerate((DIMENSIONS * n, DIMENSIONS * n, n)))
+    def _atoms_of(self, state: State) -> Atoms:
+        """Atoms, with memory for them in the order of the clusters."""
+        if self._atoms is None or self._atoms.velocities is not state.velocities or self._atoms.inverse_masses is not state.inverse_masses:
+            are_same = bool((state.inverse_masses == state.inverse_masses[0]).all())
+            masses = self._memory.array("own inverse masses", np.float64, self.list.lanes.size if are_same else len(self.list.clusters.atom))
+            masses[:] = state.inverse_masses[0]
+            positions, velocities = self.list.idle
+            self._atoms = Atoms(state.velocities, state.inverse_masses, 0 if are_same else 1, positions, velocities, masses)
+        return self._atoms
 
-    def _sums(self, detail: int) -> Sums:
-        """Accumulators with zeros: one for each cluster if only totals are wanted, else one for each slot, and for each lane of a ghost."""
+    def _totals(self) -> Work:
+        """Work with the accumulators of totals, which are zero; they are kept, because small scenes are observed often."""
+        if self._work_of_totals is None or len(self._work_of_totals.sums.energies) != self.list.n_clusters:
+            self._work_of_totals = self._work_with(TOTALS)
+        self._work_of_totals.sums.energies[:], self._work_of_totals.sums.virials[:] = 0.0, 0.0
+        return self._work_of_totals
+
+    def _work_with(self, detail: int) -> Work:
+        """Work with accumulators that are zero: one for each cluster if only totals are wanted, else for each slot and each lane of a ghost."""
         n = self.list.n_clusters * (1 if detail == TOTALS else self.list.lanes.size)
-        lane_sums = np.zeros(self.list.n_ghosts * self.list.lanes.size * LANE_SUMS if detail == PER_ATOM else 0)
-        return Sums(self.list.memory.forces, np.zeros(n), np.zeros((n, 6)), lane_sums, detail)
+        lane_sums = np.zeros(int(self.list.domains.window[-1]) * self.list.lanes.size * LANE_SUMS if detail == PER_ATOM else 0)
+        return Work(self._laws, Sums(self.list.memory.forces, np.zeros(n), np.zeros((n, 6)), lane_sums, detail))
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
         """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""
@@ -178,7 +194,8 @@ class ClusterTerm(OwnTerm):
         atom, real = clusters.atom[: n * n_lanes], (np.arange(n_lanes) < clusters.filled[:n, None]).ravel()
         energies[atom[real]] += sums.energies[real]
         virials[atom[real]] += sums.virials[real]
-        owner, of_lanes = self.list.ghosts.owner[: self.list.n_ghosts], sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes)
+        of_lanes, (first, window) = sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes), (self.list.domains.first, self.list.domains.window)
+        owner = np.concatenate([self.list.ghosts.owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)])
         atoms = atom.reshape(-1, n_lanes)[owner]
         np.add.at(energies, atoms, of_lanes[:, 0])
         np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))

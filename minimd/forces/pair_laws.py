@@ -29,7 +29,7 @@ class PairLaws:
     """
 
     def __init__(self, system: System, members: Sequence[PairLaw]) -> None:
-        by_bonds, scale = pairs_by_bonds_apart(system.bonds, len(system)), members[0].bonded_scale
+        by_bonds, scale = pairs_by_bonds_apart(system.bonds), members[0].bonded_scale
         self.special = [(pairs, factor) for pairs, factor in zip(by_bonds, scale, strict=True) if factor != 1.0 and len(pairs)]
         self.excluded = np.concatenate([np.zeros((0, 2), dtype=np.int64), *(pairs for pairs, _ in self.special)])
         self.members, self.cutoff = members, max(one.cutoff for one in members)

@@ -39,9 +39,17 @@ class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
 
     order, bins : (N,) int, atoms in the order of their bins, and the bin of each atom.
     bin_start : (B + 1,) int, first atom of each bin.  place : (B + 1,) int, scratch.
-    cells : (N, 3) numbers of lattice vectors that bring each atom into the cell.
+    cells : (N, 3) numbers of lattice vectors that bring each atom into the cell; (0, 3) where nobody asks for them.
     height : (N,) fractional coordinate along the third lattice vector, in the cell.
     """
+
+
+@scalar
+def into_cell(positions, i, inverse, pbc, d):
+    """Fractional coordinate of atom i along lattice vector d, in the cell, and the number of lattice vectors that brought it there."""
+    s = positions[i, 0] * inverse[0, d] + positions[i, 1] * inverse[1, d] + positions[i, 2] * inverse[2, d]
+    cells = -np.floor(s) if pbc[d] else 0.0
+    return s + cells, cells
 
 
 @scalar
@@ -53,9 +61,9 @@ def counting_sort(positions, inverse, pbc, grid, binned):
     for i in range(positions.shape[0]):
         index, s = 0, 0.0
         for d in range(3):
-            s = positions[i, 0] * inverse[0, d] + positions[i, 1] * inverse[1, d] + positions[i, 2] * inverse[2, d]
-            binned.cells[i, d] = -np.floor(s) if pbc[d] else 0.0
-            s += binned.cells[i, d]
+            s, cells = into_cell(positions, i, inverse, pbc, d)
+            if binned.cells.shape[0] > 0:
+                binned.cells[i, d] = cells
             along = int((s - origin[d]) / extent[d] * counts[d])
             index = index * counts[d] + max(0, min(counts[d] - 1, along))
         binned.bins[i], binned.height[i] = index, s

@@ -1,7 +1,8 @@
 """Memory that is used again at each build: new pages from the operating system would cost more time than writing to them."""
 
+from collections.abc import Sequence
 from itertools import accumulate
-from math import prod
+from math import prod, sqrt
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,14 @@ SPARE = 1.05  # room for this much more than was asked for: from build to build 
 CACHE_LINE = 64  # bytes; vectors that straddle two cost twice
 PAGE = 4096  # bytes
 HALF_A_PAGE = PAGE // 2
+DEVIATIONS = 16.0  # of a number that is a sum of independent ones
+
+Fields = Sequence[tuple[type, tuple[int, ...]]]  # types and shapes of arrays
+
+
+def with_room(n: float) -> int:
+    """n and some room to spare: many atoms together change less than few."""
+    return int(min(SPARE * n, n + DEVIATIONS * sqrt(n))) + 1
 
 
 class Buffers:
@@ -37,9 +46,21 @@ class Buffers:
             kept = self._all[name] = raw[first : first + size].reshape(rows, *more)
         return kept[:n]
 
-    def carve(self, name: str, *fields: tuple[type, tuple[int, ...]], in_page: int = 0) -> list[NDArray[Any]]:
-        """Arrays of these types and shapes, one after the other in one piece of memory; those carved next of the same name take their place."""
-        sizes = [prod(shape) * np.dtype(dtype).itemsize for dtype, shape in fields]
-        starts = [0, *accumulate(-(-size // CACHE_LINE) * CACHE_LINE for size in sizes)]
-        piece = self.array(name, np.uint8, starts[-1], in_page=in_page)
-        return [piece[a : a + size].view(dtype).reshape(shape) for a, size, (dtype, shape) in zip(starts, sizes, fields, strict=False)]
+    def overlaid(self, name: str, *uses: Fields, spare: float = SPARE) -> list[list[NDArray[Any]]]:
+        """For each of several uses of one piece of memory the arrays, one after the other: only one of the uses can be made at a time.
+
+        Uses that begin with the same fields share these.
+        """
+        piece = self.array(name, np.uint8, max(_starts(fields)[-1] for fields in uses), spare=spare)
+        return [_cut(piece, fields) for fields in uses]
+
+
+def _starts(fields: Fields) -> list[int]:
+    """Where each array begins if they stand one after the other, and the end [bytes]."""
+    sizes = (prod(shape) * np.dtype(dtype).itemsize for dtype, shape in fields)
+    return [0, *accumulate(-(-size // CACHE_LINE) * CACHE_LINE for size in sizes)]
+
+
+def _cut(piece: NDArray[np.uint8], fields: Fields) -> list[NDArray[Any]]:
+    ends = [start + prod(shape) * np.dtype(dtype).itemsize for start, (dtype, shape) in zip(_starts(fields), fields, strict=False)]
+    return [piece[a:b].view(dtype).reshape(shape) for a, b, (dtype, shape) in zip(_starts(fields), ends, fields, strict=False)]

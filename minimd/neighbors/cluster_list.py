@@ -6,15 +6,30 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, by_type, kernel, scalar
 from minimd.compiled.simd import broadcast, convert, lane, load, store, with_lane
 from minimd.compiled.simd.lanes import DOUBLE, MIXED, count, lanes_for
 from minimd.compiled.threads import ThreadPool
-from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers
+from minimd.neighbors.binning import Binned
+from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers, with_room
 from minimd.neighbors.cluster_build import Building, build_clusters
 from minimd.neighbors.cluster_search import AHEAD, GHOST_BITS, LAYERS, Rows, exclude_pairs
-from minimd.neighbors.clusters import DIMENSIONS, any_moved_from_clusters, gathered, loaded, make_bins, make_clusters, make_columns
-from minimd.neighbors.domains import SIDES, Layout, make_domains, make_ghosts
+from minimd.neighbors.clusters import (
+    DIMENSIONS,
+    Clusters,
+    Columns,
+    any_moved_from_clusters,
+    bins_for_sort,
+    clusters_for_build,
+    gathered,
+    loaded,
+    make_clusters,
+    make_columns,
+    most_clusters,
+    offsets_of,
+)
+from minimd.neighbors.domains import BLOCKS, IMAGES, SIDES, Domains, GhostClusters, Layout, ghosts_for_search, make_domains, make_ghosts
 from minimd.neighbors.verlet_list import VerletList, partners
 from minimd.structure.cell import Cell
 from minimd.structure.strain import strained
@@ -24,20 +39,20 @@ GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of t
 COARSEST = 1e-6  # of the cutoff: on a coarser grid, coordinates are rounded more than float32 rounds their differences
 
 
-class Memory(namedtuple("Memory", "coordinates shift origin unit forces first_sum far net")):
+class Memory(ByAddress, namedtuple("Memory", "coordinates shift origin unit forces first_sum far net")):
     """What the loop reads and writes; coordinates are in the precision of the pair arithmetic, see separation in cluster_loop.
 
-    coordinates, forces : flat, a block for each ghost.
-    shift : (M, 3) of each ghost, as the coordinates.  origin : (3,) [length] and unit [length]: coordinate = (x − origin) / unit.
-    first_sum : (M,) int64, what sums of the forces on a ghost begin with in fixed-point arithmetic, filled by the loop; else empty.
+    coordinates, forces : flat, a block for each ghost, and for each ghost in a window.
+    shift : (IMAGES, 3) of each image, as the coordinates.  origin : (3,) [length] and unit [length]: coordinate = (x − origin) / unit.
+    first_sum : (W,) int64, what sums of forces begin with in fixed-point arithmetic, filled by the loop; else empty.
     far : flat, n numbers for each set of lanes: 0 for lanes in it, ∞ for others, which are then infinitely far [length²].
     net : (K, 3); in mixed precision the sum of the forces on the atoms of each domain [energy/length]; in fixed-point arithmetic not zero where
         a force (first column) or a momentum (second) of the domain has left its range.
     """
 
 
-class ClusterArrays(namedtuple("ClusterArrays", "clusters domain_start ghost_start ghosts rows memory")):
-    """What the loop over clusters gets from the list.  domain_start, ghost_start : (K + 1,) int, first cluster and first ghost of each domain."""
+class ClusterArrays(ByAddress, namedtuple("ClusterArrays", "clusters domain_start domains ghosts rows memory")):
+    """What the loop over clusters gets from the list.  domain_start : (K + 1,) int, first cluster of each domain."""
 
 
 class ClusterList(VerletList):
@@ -52,8 +67,20 @@ class ClusterList(VerletList):
     precision : see Options.  pool : the threads that build it.
     lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.  n_domains : number of chunks of a task.
     arrays : what the loop needs of them. They have room for more, and are the same arrays until it is used up.
-    building : what build_clusters needs.
+    n_arranged : how often they were replaced.  building : what build_clusters needs.
+    idle : two arrays, flat, a block for each cluster, that are free between two builds.
     """
+
+    clusters: Clusters
+    domains: Domains
+    ghosts: GhostClusters
+    rows: Rows
+    memory: Memory
+    arrays: ClusterArrays
+    building: Building
+    _columns: Columns
+    _bins: Binned
+    _exact: NDArray[np.float64]
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool) -> None:
         super().__init__(cutoff, skin)
@@ -64,8 +91,9 @@ class ClusterList(VerletList):
         self._original: NDArray[np.float64] | None = None  # positions of the clusters at the last build, if the cell was strained since
         self._calls = DirectCalls()
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
-        self._room_for_ghosts, self._entry_start, self._entries = 0, np.zeros(1, dtype=np.int64), np.empty(AHEAD, dtype=np.uint32)
-        self._memory = Buffers()
+        self._room: tuple[int, ...] = (0, 0, 0)
+        self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(AHEAD, dtype=np.uint32)
+        self._memory, self.n_arranged, self._shifts = Buffers(), 0, np.zeros((IMAGES, DIMENSIONS))
         sets = far(self.lanes.size)
         self._far = self._memory.array("far", np.float32 if self._is_mixed else np.float64, len(sets))
         self._far[:] = sets
@@ -114,20 +142,26 @@ class ClusterList(VerletList):
             self._cell = None
 
     def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
-        positions, shifts = self._blocks(self.clusters.positions), self.ghosts.shift[: self.n_ghosts]
-        self._original = positions.copy() if self._original is None else self._original
+        positions = self._blocks(self.clusters.positions)
+        if self._original is None:
+            whole = self.clusters.positions.copy()
+            self._original, self.clusters = self._blocks(whole), self.clusters._replace(origins=whole)
+            self.arrays = self.arrays._replace(clusters=self.clusters)
         strained(self._original, strain, positions)
-        before.follow(cell, self._blocks(self.clusters.offsets))
-        before.follow(cell, shifts)
+        self.clusters.wrapping.lattice[:] = cell.lattice
+        before.follow(cell, self._shifts)
         if self._is_mixed:
-            self.memory.shift[: self.n_ghosts] = np.rint(shifts / self.memory.unit)
+            self.memory.shift[:] = np.rint(self._shifts / self.memory.unit)
         self._set_limits()
 
     def _set_limits(self) -> None:
         self.rows.limits2[:] = [self._limit2(width) for width in self._widths]
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        self._original = None
+        if self._original is not None:
+            self._original, self.clusters = None, self.clusters._replace(origins=self.clusters.positions)
+            self.arrays = self.arrays._replace(clusters=self.clusters)
+            self.clusters.wrapping.lattice[:] = self._columns.lattice
         if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
             self._columns, self._columns_of = make_columns(cell, positions, self.cutoff + self.skin, self.lanes), cell
             self._make_clusters()
@@ -143,23 +177,23 @@ class ClusterList(VerletList):
 
     def _make_clusters(self) -> None:
         """Memory for other columns."""
-        self.clusters = make_clusters(self._n_atoms, self._columns, self.lanes, self._memory)
         self.domains = make_domains(self._columns, self._n_atoms)
-        self.n_domains = len(self.domains.run) - 1
+        self.n_domains = len(self.domains.first)
         self._needed = np.zeros(self.n_domains, dtype=np.int64)
         self._arrange()
 
     def _make_room(self) -> None:
         """More memory, after a build that has found how much it needs."""
-        n_ghosts, is_enough = self.n_ghosts, self.n_ghosts <= self._room_for_ghosts
-        if n_ghosts > GHOST_BITS:
-            raise ValueError(f"cluster lists hold up to {GHOST_BITS} ghost clusters, this scene needs {n_ghosts}: simulate fewer atoms")
-        if not is_enough:
-            self._room_for_ghosts = int(SPARE * n_ghosts) + 1
+        window = self.domains.window
+        needed = self.n_ghosts, int(window[-1]), int(self.domains.numbers[BLOCKS])
+        widest, is_enough = int(np.diff(window).max()), all(n <= room for n, room in zip(needed, self._room, strict=True))
+        if widest > GHOST_BITS:
+            raise ValueError(f"cluster lists hold up to {GHOST_BITS} ghost clusters of a domain, this scene needs {widest}: simulate fewer atoms")
+        self._room = tuple(room if n <= room else with_room(n) for n, room in zip(needed, self._room, strict=True))
         if len(self._entry_start) != self.n_domains + 1:
             self._make_entries(np.diff(self.domains.cluster) * self.lanes.size * ENTRIES_GUESSED)
         elif is_enough:
-            self._make_entries(np.maximum(np.diff(self._entry_start), (SPARE * self._needed).astype(np.int64)))
+            self._make_entries(np.maximum(np.diff(self._entry_start), [with_room(int(n)) for n in self._needed]))
         self._arrange()
 
     def _make_entries(self, room: NDArray[np.int64]) -> None:
@@ -171,28 +205,45 @@ class ClusterList(VerletList):
 
     def _arrange(self) -> None:
         """All arrays, with the room that there is now."""
-        bins = make_bins(self._n_atoms, self._columns, self._memory)
-        self.ghosts = make_ghosts(len(self.clusters.filled), self._room_for_ghosts, self._memory)
-        exact = self._memory.array("coordinates", np.float64, self._room_for_ghosts * self.lanes.size * DIMENSIONS, spare=1.0)
-        layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, exact)
-        start = self._memory.array("row start", np.int32, len(self.clusters.atom))
-        stops = self._memory.array("row stops", np.int32, LAYERS * len(start)).reshape(LAYERS, -1)
+        self._share_memory()
+        start = self._memory.array("row start", np.int32, len(self.clusters.atom), spare=self._spare)
+        stops = self._memory.array("row stops", np.int32, LAYERS * len(start), spare=self._spare).reshape(LAYERS, -1)
         self.rows = Rows(start, stops, self._entries, (self.cutoff + self._widths) ** 2, np.zeros(LAYERS), np.zeros(1, dtype=np.int64))
         self._set_limits()
-        self.building = Building(bins, layout, self.rows, self._entry_start, self._needed)
-        number = np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64
-        (forces,) = self._memory.carve("scratch", (number, (len(exact),)), in_page=HALF_A_PAGE)  # sorting is over where forces are summed
-        first_sum = self._memory.array("first sum", np.int64, self._room_for_ghosts if self._is_fixed else 0)
-        net, coordinates, shift = np.zeros((self.n_domains if self._is_mixed or self._is_fixed else 0, 3)), exact, self.ghosts.shift
+        number, n_block = np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64, self.lanes.size * DIMENSIONS
+        forces = self._memory.array("forces", number, self._room[2] * n_block, in_page=HALF_A_PAGE, spare=1.0)
+        first_sum = self._memory.array("first sum", np.int64, self._room[1] if self._is_fixed else 0)
+        net, coordinates, shift = np.zeros((self.n_domains if self._is_mixed or self._is_fixed else 0, 3)), self._exact, self._shifts
         if self._is_mixed:
-            coordinates = self._memory.array("grid", np.int32, len(exact), spare=1.0)
-            shift = self._memory.array("grid shift", np.int32, self._room_for_ghosts, 3)
+            coordinates, shift = self._memory.array("grid", np.int32, len(self._exact), spare=1.0), np.zeros((IMAGES, 3), dtype=np.int32)
+        layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, self._exact, self._shifts)
+        goes_along = self._pool.n_threads == 1 and not (self._is_mixed or self._is_fixed)
+        self.building = Building(self._bins, layout, self.rows, self._room[2], int(goes_along), self._entry_start, self._needed)
         self.memory = Memory(coordinates, shift, np.zeros(3), 1.0, forces, first_sum, self._far, net)
-        self.arrays = ClusterArrays(self.clusters, self.domains.cluster, self.domains.first, self.ghosts, self.rows, self.memory)
+        self.arrays = ClusterArrays(self.clusters, self.domains.cluster, self.domains, self.ghosts, self.rows, self.memory)
+        self.n_arranged += 1
+
+    @property
+    def _spare(self) -> float:
+        """Room to spare where there is enough for all atoms, however they stand: for other columns, as cells have them that are open on a side."""
+        return 1.0 if self._columns.pbc.all() else SPARE
+
+    def _share_memory(self) -> None:
+        """Arrays of clusters and ghosts. What is needed only to sort atoms, or only to find rows, and idle share one piece of memory."""
+        memory, spare, (n_ghosts, n_in_windows, _) = self._memory, self._spare, self._room
+        n_clusters, n_coordinates = most_clusters(self._n_atoms, self._columns, self.lanes), n_ghosts * self.lanes.size * DIMENSIONS
+        own, exact = (np.float64, (n_clusters * self.lanes.size * DIMENSIONS,)), (np.float64, (n_coordinates if self._is_mixed else 0,))
+        always, search = clusters_for_build(n_clusters), (*ghosts_for_search(n_ghosts, n_in_windows), exact)
+        uses = (*always, *bins_for_sort(self._n_atoms, self._columns)), (*always, *search), (own, own)
+        (bottom, top, boxes, *bins), (_, _, _, *for_search, in_mixed), self.idle = memory.overlaid("scratch", *uses, spare=spare)
+        self._bins, self._exact = Binned(*bins), in_mixed if self._is_mixed else memory.array("coordinates", np.float64, n_coordinates, spare=1.0)
+        self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes), memory, spare)
+        self.ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, for_search, memory)
 
     def _lay_grid(self) -> None:
         """The grid of mixed precision."""
-        unit = self._calls(lay_grid, self.n_ghosts, self.ghosts, self.cutoff + self.skin, self.skin, self.memory.origin, self.memory.shift)
+        origin, in_units = self.memory.origin, self.memory.shift
+        unit = self._calls(lay_grid, self.n_ghosts, self.ghosts.boxes, self._shifts, self.cutoff + self.skin, self.skin, origin, in_units)
         if unit > COARSEST * self.cutoff:
             width, limit = unit * GRID, COARSEST * self.cutoff
             raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take precision='double'")
@@ -207,18 +258,18 @@ def far(n_lanes: int) -> NDArray[np.float64]:
 
 
 @kernel
-def lay_grid(n, ghosts, reach, skin, origin, shift):
-    """The grid of mixed precision: its origin (3,) and the shift of each of n ghosts (M, 3) in units are written, the unit is returned."""
-    unit, stride = 0.0, ghosts.boxes.size // SIDES
+def lay_grid(n, boxes, shifts, reach, skin, origin, in_units):
+    """The grid of mixed precision: its origin (3,) and shifts (IMAGES, 3) in units are written, the unit is returned.  boxes : of n ghosts."""
+    unit, stride = 0.0, boxes.size // SIDES
     for c in range(3):
         low, high = np.inf, -np.inf
         for m in range(n):
-            low, high = min(low, ghosts.boxes[c * stride + m]), max(high, ghosts.boxes[(c + 3) * stride + m])
+            low, high = min(low, boxes[c * stride + m]), max(high, boxes[(c + 3) * stride + m])
         origin[c] = 0.5 * (low + high) * reach
         unit = max(unit, ((high - low) * reach + 2.0 * skin) / GRID)
-    for m in range(n):
+    for image in range(IMAGES):
         for c in range(3):
-            shift[m, c] = np.int32(np.rint(ghosts.shift[m, c] / unit))
+            in_units[image, c] = np.int32(np.rint(shifts[image, c] / unit))
     return unit
 
 
@@ -234,15 +285,16 @@ def place(k, arrays, at):
     """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts. Indices are unsigned: none counts from the end."""
     ghosts, memory, lanes, n_lanes = arrays.ghosts, arrays.memory, arrays.clusters.lanes, np.uintp(count(arrays.clusters.lanes))
     like, block = load(memory.coordinates, 0, lanes), np.uintp(DIMENSIONS) * n_lanes
-    x, y, z = loaded(arrays.clusters.offsets, np.uintp(k) * block, lanes)
+    x, y, z = offsets_of(np.uintp(k) * block, arrays.clusters)
     x = coordinate(at[0] + x, memory.origin[0], memory.unit, like)
     y = coordinate(at[1] + y, memory.origin[1], memory.unit, like)
     z = coordinate(at[2] + z, memory.origin[2], memory.unit, like)
     for p in range(np.uintp(ghosts.start[k]), np.uintp(ghosts.start[k + 1])):
         m = np.uintp(ghosts.of[p])
-        store(memory.coordinates, m * block, x + memory.shift[m, 0])
-        store(memory.coordinates, m * block + n_lanes, y + memory.shift[m, 1])
-        store(memory.coordinates, m * block + n_lanes + n_lanes, z + memory.shift[m, 2])
+        image = np.uintp(ghosts.image[m])
+        store(memory.coordinates, m * block, x + memory.shift[image, 0])
+        store(memory.coordinates, m * block + n_lanes, y + memory.shift[image, 1])
+        store(memory.coordinates, m * block + n_lanes + n_lanes, z + memory.shift[image, 2])
 
 
 @by_type
@@ -262,31 +314,32 @@ def coordinate(x, origin, unit, like):
 
 @scalar
 def clear(domain, arrays):
-    """Forces on all ghosts of a domain = 0, or first_sum. Who adds to them does so, and has them in its cache then."""
-    lanes, n_lanes, forces = arrays.clusters.lanes, count(arrays.clusters.lanes), arrays.memory.forces
-    for ghost in range(arrays.ghost_start[domain], arrays.ghost_start[domain + 1]):
-        nothing = broadcast(_first_sum(ghost, arrays.memory.first_sum, forces), load(forces, 0, lanes))
+    """Forces on all ghosts in the window of a domain = 0, or first_sum. Who adds to them does so, and has them in its cache then."""
+    lanes, n_lanes, forces, domains = arrays.clusters.lanes, count(arrays.clusters.lanes), arrays.memory.forces, arrays.domains
+    first = domains.place[domain]
+    for block in range(first, first + domains.window[domain + 1] - domains.window[domain]):
+        nothing = broadcast(_first_sum(block, arrays.memory.first_sum, forces), load(forces, 0, lanes))
         for c in range(DIMENSIONS):
-            store(forces, (ghost * DIMENSIONS + c) * n_lanes, nothing)
+            store(forces, (block * DIMENSIONS + c) * n_lanes, nothing)
 
 
 @by_type
-def _first_sum(ghost, first_sum, forces):
-    """What the sum of the forces on a ghost begins with."""
+def _first_sum(block, first_sum, forces):
+    """What the sum of the forces in a block begins with."""
     if isinstance(forces.dtype, types.Float):
-        return lambda ghost, first_sum, forces: 0.0
-    return lambda ghost, first_sum, forces: first_sum[ghost]
+        return lambda block, first_sum, forces: 0.0
+    return lambda block, first_sum, forces: first_sum[block]
 
 
 @scalar
 def collected(k, arrays):
-    """The forces on the atoms of cluster k, sums of those on all its ghosts: vectors x, y, z in double precision, or of int64."""
+    """The forces on the atoms of cluster k, sums of those on its ghosts in all windows: vectors x, y, z in double precision, or of int64."""
     ghosts, forces, lanes = arrays.ghosts, arrays.memory.forces, arrays.clusters.lanes
-    block, first = np.uintp(DIMENSIONS * count(lanes)), np.uintp(ghosts.start[k])
-    x, y, z = loaded(forces, np.uintp(ghosts.of[first]) * block, lanes)
+    block, first = np.uintp(DIMENSIONS * count(lanes)), np.uintp(ghosts.part_start[k])
+    x, y, z = loaded(forces, np.uintp(ghosts.parts[first]) * block, lanes)
     x, y, z = in_full(x), in_full(y), in_full(z)
-    for p in range(first + np.uintp(1), np.uintp(ghosts.start[k + 1])):
-        more_x, more_y, more_z = loaded(forces, np.uintp(ghosts.of[p]) * block, lanes)
+    for p in range(first + np.uintp(1), np.uintp(ghosts.part_start[k + 1])):
+        more_x, more_y, more_z = loaded(forces, np.uintp(ghosts.parts[p]) * block, lanes)
         x, y, z = x + in_full(more_x), y + in_full(more_y), z + in_full(more_z)
     return x, y, z
 

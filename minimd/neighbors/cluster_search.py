@@ -9,19 +9,20 @@ its own column, and at the columns ahead:
     . . . f f
     . . . f f
 
-All of these are runs of ghosts in the domain of the atom: neither the search nor the loop over rows knows of periodicity.
+All of these are runs of ghosts in the window of the atom's domain: neither the search nor the loop over rows knows of periodicity.
 """
 
 from collections import namedtuple
 
 import numpy as np
 
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import inlined, scalar, shared_kernel
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, trailing_zeros
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, take
 from minimd.neighbors.clusters import DIMENSIONS, loaded
-from minimd.neighbors.domains import BOXES, HOME, IMAGES, SIDES
+from minimd.neighbors.domains import BOXES, HOME, SIDES, first_run
 from minimd.structure.cell import minimum_image
 
 LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
@@ -36,11 +37,11 @@ SET_BITS = np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()  # 
 ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the rounding of float32
 
 
-class Rows(namedtuple("Rows", "start stops entries reaches2 limits2 layers")):
+class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 layers")):
     """Clusters near each atom, in layers: entries[start[s] : stops[l, s]] are those that have an atom within reach l of the atom in slot s.
 
     start : (slots,) int.  stops : (LAYERS, slots) int.
-    entries : (E,) uint32, the number of a ghost, and above its 24 bits one for each lane that counts.
+    entries : (E,) uint32, the number of a ghost in the window of the domain, and above its 24 bits one for each lane that counts.
     reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].
     limits2 : (LAYERS,) squared distances that an atom may move before another layer is needed, or a new list [length²].
     layers : (1,) int, how many layers are in use.
@@ -49,7 +50,7 @@ class Rows(namedtuple("Rows", "start stops entries reaches2 limits2 layers")):
 
 
 class Work(namedtuple("Work", "ahead candidates entries near")):
-    """Memory for the search of one cluster.
+    """Memory for the search of one cluster. Ghosts are numbered as in GhostClusters, but for those in entries.
 
     ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, and the entries they become.
     near : flat int64, for each WORD candidates, each layer and each lane of the cluster a number: bit b is set if candidate b stands in that
@@ -63,8 +64,8 @@ def make_work(layout):
     domains, columns, n_lanes = layout.domains, layout.columns, count(layout.clusters.lanes)
     n_runs = (columns.reach[0] + 1) * (2 * columns.reach[1] + 1)
     n = 0
-    for k in range(domains.run.size - 1):
-        n = max(n, domains.ghost[domains.run[k + 1]] - domains.ghost[domains.run[k]])
+    for k in range(domains.first.size):
+        n = max(n, domains.window[k + 1] - domains.window[k])
     ahead, candidates = np.empty((n_runs, 2), dtype=np.int64), np.empty(n + BOXES, dtype=np.int32)
     return Work(ahead, candidates, np.empty(n + WORD + 1, dtype=np.uint32), np.empty((n // WORD + 1) * LAYERS * n_lanes, dtype=np.int64))
 
@@ -76,8 +77,7 @@ def find_rows(domain, layout, rows, room, work):
     room : first and last of the domain's entries.
     """
     columns, domains, column_start = layout.columns, layout.domains, layout.clusters.column_start
-    width, depth = columns.counts[1] + 2 * columns.reach[1], columns.reach[1]
-    ahead, (first, last) = work.ahead, room
+    depth, ahead, (first, last) = columns.reach[1], work.ahead, room
     n_entries = first
     for x in range(domains.column[domain], domains.column[domain + 1]):
         for y in range(columns.counts[1]):
@@ -85,13 +85,13 @@ def find_rows(domain, layout, rows, room, work):
             n_ahead = 0
             for run_x in range(columns.reach[0] + 1):
                 for run_y in range(-depth if run_x > 0 else 0, depth + 1):
-                    run = domains.run[domain] + (x - domains.column[domain] + run_x) * width + y + run_y + depth
+                    run = first_run(x + run_x, columns) + y + run_y + depth
                     ahead[n_ahead, 0], ahead[n_ahead, 1] = domains.ghost[run], domains.ghost[run + 1]
                     n_ahead += ahead[n_ahead, 0] < ahead[n_ahead, 1]
             for k in range(column_start[column], column_start[column + 1]):
                 ahead[0, 0] = layout.ghosts.home[k] + 1
                 n = _candidates(k, n_ahead, layout, work)
-                n_entries = _prune(k, n, layout, rows, n_entries, last, work)
+                n_entries = _prune(k, n, domain, layout, rows, (n_entries, last), work)
     if n_entries < last:
         rows.entries[n_entries] = 0  # see Rows
     return n_entries + 1 - first
@@ -138,17 +138,21 @@ def _gap(boxes, j, stride, low, high):
 
 
 @scalar
-def _prune(k, n, layout, rows, n_entries, last, work):
-    """Write the rows of the atoms of cluster k: k itself, then those of the n candidates that are within reach. Returns the end of the entries."""
-    n_lanes, filled = count(layout.clusters.lanes), layout.clusters.filled[k]
+def _prune(k, n, domain, layout, rows, room, work):
+    """Write the rows of the atoms of cluster k: k itself, then those of the n candidates that are within reach. Returns the end of the entries.
+
+    room : first and last of the entries that are left.
+    """
+    n_lanes, filled, (n_entries, last) = count(layout.clusters.lanes), layout.clusters.filled[k], room
     most = n_lanes * (n + 1) + AT_A_TIME
     if n_entries + most >= last:  # no room: an upper bound tells how much is missing
         return n_entries + most + 1
-    _find_near(k, n, layout, rows.reaches2, work)
+    _find_near(k, n, domain, layout, rows.reaches2, work)
     home, end = layout.ghosts.home[k], np.uintp(n_entries)  # unsigned: no check for indices that count from the end
+    own = home - layout.domains.first[domain]
     for lane in range(n_lanes):
         rows.start[k * n_lanes + lane] = end
-        rows.entries[end] = home | (layout.ghosts.lanes[home] >> (lane + 1) << (lane + 1)) << LANES_FROM
+        rows.entries[end] = own | (layout.ghosts.lanes[home] >> (lane + 1) << (lane + 1)) << LANES_FROM
         end += np.uintp(lane < filled - 1)
         for layer in range(LAYERS):
             for first in range(0, n if lane < filled else 0, WORD):
@@ -171,10 +175,10 @@ def _append(work, first, near, entries, end):
 
 
 @scalar
-def _find_near(k, n, layout, reaches2, work):
+def _find_near(k, n, domain, layout, reaches2, work):
     """Which of the n candidates stand in which layers of the rows of the atoms of cluster k: work.near; their entries: work.entries."""
     ghosts, coordinates, lanes, n_lanes = layout.ghosts, layout.coordinates, layout.clusters.lanes, count(layout.clusters.lanes)
-    block = np.uintp(DIMENSIONS * n_lanes)
+    block, first_seen, window = np.uintp(DIMENSIONS * n_lanes), np.uintp(layout.domains.first[domain]), np.uintp(layout.domains.window[domain])
     x, y, z = loaded(coordinates, np.uintp(ghosts.home[k]) * block, lanes)
     none = broadcast(0, load(work.near, 0, lanes))
     for first in range(0, n, WORD):
@@ -190,8 +194,8 @@ def _find_near(k, n, layout, reaches2, work):
             within = nearest < reaches2[1]
             a, b = a | select(nearest < reaches2[0], bit, none), b | select(within, bit, none)
             bit = bit + bit
-            ghosts.is_used[ghost] |= bits_from_mask(within) != 0
-            work.entries[p] = ghost | np.uintp(ghosts.lanes[ghost]) << np.uintp(LANES_FROM)
+            ghosts.is_used[window + ghost - first_seen] |= bits_from_mask(within) != 0
+            work.entries[p] = ghost - first_seen | np.uintp(ghosts.lanes[ghost]) << np.uintp(LANES_FROM)
         for layer, near in enumerate((a, b - a)):  # each layer holds those before it
             store(work.near, (first // WORD * LAYERS + layer) * n_lanes, near)
 
@@ -248,21 +252,22 @@ def _exclude(domain, slot, other, layout, image, rows):
     ghost = _ghost_of(domain, cluster, HOME + int(9.0 * a + 3.0 * b + c), layout)
     if ghost == home and other < slot:  # rows look ahead
         return
-    entry = _find_entry(rows, slot, ghost)
+    entry = _find_entry(rows, slot, ghost - layout.domains.first[domain])
     if entry >= 0:
         rows.entries[np.uintp(entry)] &= ~np.uint32(np.uint32(1) << (np.uint32(LANES_FROM) + lane))
 
 
 @scalar
 def _ghost_of(domain, cluster, image, layout):
-    """The ghost of a cluster in a domain; −1 if there is none."""
+    """The ghost of a cluster in the window of a domain; −1 if there is none."""
     ghosts, domains = layout.ghosts, layout.domains
-    first, last, home = domains.ghost[domains.run[domain]], domains.ghost[domains.run[domain + 1]], ghosts.home[cluster]
+    first, home = domains.first[domain], ghosts.home[cluster]
+    last = first + domains.window[domain + 1] - domains.window[domain]
     if image == HOME and first <= home < last:
         return home
     for p in range(np.uintp(ghosts.start[cluster]), np.uintp(ghosts.start[cluster + 1])):
         ghost = ghosts.of[p]
-        if first <= ghost < last and ghosts.key[ghost] == cluster * IMAGES + image:
+        if first <= ghost < last and ghosts.image[ghost] == image:
             return ghost
     return -1
 

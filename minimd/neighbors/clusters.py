@@ -12,21 +12,24 @@ The last cluster of a column may have fewer atoms than lanes. The other lanes ar
 """
 
 from collections import namedtuple
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import bits_from_mask, load, with_lane
 from minimd.compiled.simd.lanes import Lanes, count
-from minimd.neighbors.binning import FLATTEST, WIDER, Binned, counting_sort
-from minimd.neighbors.buffers import HALF_A_PAGE, Buffers
+from minimd.neighbors.binning import FLATTEST, WIDER, counting_sort, into_cell
+from minimd.neighbors.buffers import Buffers, Fields
 from minimd.structure.cell import Cell
 
 DIMENSIONS = 3  # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
 
 
-class Columns(namedtuple("Columns", "counts distance reach along origin extent pbc lattice inverse")):
+class Columns(ByAddress, namedtuple("Columns", "counts distance reach along origin extent pbc lattice inverse")):
     """A cell divided into columns along its third lattice vector.
 
     counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
@@ -36,16 +39,37 @@ class Columns(namedtuple("Columns", "counts distance reach along origin extent p
     """
 
 
-class Clusters(namedtuple("Clusters", "lanes atom filled positions offsets column_start bottom top boxes")):
+class Clusters(ByAddress, namedtuple("Clusters", "lanes atom filled positions origins wrapping column_start bottom top boxes")):
     """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n. Arrays of C elements have room for more.
 
     lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
-    positions, offsets : flat, a block of 3 n numbers for each cluster: of its atoms when it was made, and lattice vectors that bring them into
-        the cell [length].
+    positions : flat, a block of 3 n numbers for each cluster: of its atoms when it was made, strained since as the cell was [length].
+    origins : the same without the strain, and the same array if there was none.  wrapping : Wrapping.
     column_start : (columns + 1,) int, first cluster of each column; the last number is C.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
+    bottom, top and boxes are needed for a build only; afterwards their memory has other uses.
     """
+
+
+class Wrapping(namedtuple("Wrapping", "inverse periodic lattice")):
+    """How atoms are brought into the cell: by as many lattice vectors as for their origins. These are computed, not kept: memory is slower.
+
+    inverse : (3, 3) of the cell in which clusters were made [1/length], and periodic : (3,) 1.0 where it was, else 0.0.
+    lattice : (3, 3) of the cell as it is now [length].
+    """
+
+
+@scalar
+def offsets_of(start, clusters):
+    """Lattice vectors that bring the atoms of a cluster into the cell: vectors x, y, z [length].  start : of its block."""
+    (inverse, periodic, lattice), (x, y, z) = clusters.wrapping, loaded(clusters.origins, start, clusters.lanes)
+    a = -np.floor(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0]) * periodic[0]
+    b = -np.floor(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1]) * periodic[1]
+    c = -np.floor(x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2]) * periodic[2]
+    x = a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
+    y = a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
+    return x, y, a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
 
 
 def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float, lanes: Lanes) -> Columns:
@@ -67,23 +91,30 @@ def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float, lanes
     return Columns(counts, reach, needed.astype(np.int64), along_z, origin, extent, cell.pbc, cell.lattice, cell.inverse)
 
 
-def make_clusters(n_atoms: int, columns: Columns, lanes: Lanes, memory: Buffers) -> Clusters:
-    """Arrays with room for the clusters of so many atoms, however they stand: each column may have one cluster that is not full."""
-    n_columns = int(columns.counts[0] * columns.counts[1])
-    n_clusters = (n_atoms + n_columns * (lanes.size - 1)) // lanes.size
-    n_slots, array = n_clusters * lanes.size, memory.array
-    column_start = array("column_start", np.int64, n_columns + 1)
-    atom, filled, boxes = array("atom", np.int32, n_slots), array("filled", np.int64, n_clusters), array("boxes", np.float64, n_clusters, 6)
-    bottom, top = (array(name, np.float64, n_clusters) for name in ("bottom", "top"))
-    at, offsets = (array(name, np.float64, n_slots * DIMENSIONS) for name in ("positions", "offsets"))
-    return Clusters(lanes, atom, filled, at, offsets, column_start, bottom, top, boxes)
+def most_clusters(n_atoms: int, columns: Columns, lanes: Lanes) -> int:
+    """Clusters of so many atoms, however they stand: each column may have one that is not full."""
+    return (n_atoms + int(columns.counts[0] * columns.counts[1]) * (lanes.size - 1)) // lanes.size
 
 
-def make_bins(n_atoms: int, columns: Columns, memory: Buffers) -> Binned:
-    """Arrays to sort so many atoms with."""
+def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers, spare: float) -> Clusters:
+    """Arrays with room for so many.  for_build : those of clusters_for_build.  spare : see Buffers.array."""
+    n_slots, array = n_clusters * lanes.size, partial(memory.array, spare=spare)
+    column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)
+    atom, filled = array("atom", np.int32, n_slots), array("filled", np.int32, n_clusters)
+    at = array("positions", np.float64, n_slots * DIMENSIONS)
+    wrapping = Wrapping(columns.inverse, columns.pbc.astype(np.float64), columns.lattice.copy())
+    return Clusters(lanes, atom, filled, at, at, wrapping, column_start, *for_build)
+
+
+def clusters_for_build(n_clusters: int) -> Fields:
+    """Those arrays of Clusters that are needed for a build only: bottom, top, boxes."""
+    return (np.float64, (n_clusters,)), (np.float64, (n_clusters,)), (np.float64, (n_clusters, 6))
+
+
+def bins_for_sort(n_atoms: int, columns: Columns) -> Fields:
+    """The arrays of Binned to sort so many atoms with. Its cells are left out: they are computed again."""
     each, of_bins = (np.int32, (n_atoms,)), (np.int32, (int(columns.counts.prod()) + 1,))
-    more = (np.float64, (n_atoms, 3)), (np.float64, (n_atoms,))
-    return Binned(*memory.carve("scratch", each, each, of_bins, of_bins, *more, in_page=HALF_A_PAGE))
+    return each, each, of_bins, of_bins, (np.float64, (0, 3)), (np.float64, (n_atoms,))
 
 
 @scalar
@@ -108,7 +139,7 @@ def fill_clusters(chunk, n, positions, columns, binned, clusters):
 @scalar
 def _fill_column(column, positions, columns, binned, clusters):
     """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters."""
-    counts, lattice, order, height, cells = columns.counts, columns.lattice, binned.order, binned.height, binned.cells
+    counts, lattice, order, height = columns.counts, columns.lattice, binned.order, binned.height
     n_lanes = count(clusters.lanes)
     first, last = binned.bin_start[column * counts[2]], binned.bin_start[(column + 1) * counts[2]]
     for p in range(first, last):
@@ -123,14 +154,20 @@ def _fill_column(column, positions, columns, binned, clusters):
         clusters.filled[cluster] = n
         clusters.bottom[cluster], clusters.top[cluster] = height[order[p]], height[order[p + n - 1]]
         for c in range(3):
-            low, high = np.inf, -np.inf
-            for k in range(n_lanes):
-                i, place = order[p + min(k, n - 1)], (cluster * DIMENSIONS + c) * n_lanes + k
-                clusters.atom[cluster * n_lanes + k], clusters.positions[place] = i, positions[i, c]
-                clusters.offsets[place] = cells[i, 0] * lattice[0, c] + cells[i, 1] * lattice[1, c] + cells[i, 2] * lattice[2, c]
-                x = clusters.positions[place] + clusters.offsets[place]
-                low, high = min(low, x), max(high, x)
-            clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = low, high
+            clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = np.inf, -np.inf
+        for k in range(n_lanes):
+            i = order[p + min(k, n - 1)]
+            clusters.atom[cluster * n_lanes + k] = i
+            _, a = into_cell(positions, i, columns.inverse, columns.pbc, 0)
+            _, b = into_cell(positions, i, columns.inverse, columns.pbc, 1)
+            _, d = into_cell(positions, i, columns.inverse, columns.pbc, 2)
+            for c in range(3):
+                clusters.positions[(cluster * DIMENSIONS + c) * n_lanes + k] = positions[i, c]
+                x = positions[i, c] + (a * lattice[0, c] + b * lattice[1, c] + d * lattice[2, c])
+                clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = (
+                    min(clusters.boxes[cluster, c], x),
+                    max(clusters.boxes[cluster, c + 3], x),
+                )
         cluster += 1
 
 

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.engine.cell_rescaling import Molecules
 from minimd.engine.engine import Engine
 from minimd.observers.accumulator import ObservedRun
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
@@ -77,7 +78,8 @@ class MeanSquareDisplacement(_OfAtoms):
     """⟨|r(t₀ + t) − r(t₀)|²⟩ and the coefficient of self-diffusion, by a multiple-tau correlator: 16 · 2ᵏ⁻¹ · every steps in k levels.
 
     Every lag is exact: levels are thinned, never averaged. Where the cell changes, as with a barostat, displacements are those beside the
-    motion of the cell: from one look to the next each atom is first carried along with the cell, and only the rest counts.
+    motion of the cell: from one look to the next each atom, or the center of its rigid molecule, is first carried along with the cell, and only
+    the rest counts.
     S. von Bülow, J. T. Bullerjahn, G. Hummer, J. Chem. Phys. 153, 021101 (2020), on why.
 
     Parameters
@@ -93,18 +95,39 @@ class MeanSquareDisplacement(_OfAtoms):
         super()._laid_out(scene)
         self._carried: Array | None = None  # what the cell has added to the positions
         self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
+        self._molecules: Molecules | None = None
 
     def _vectors(self, engine: Engine) -> Array:
         positions, cell = engine.positions, engine.system.cell
         if self._before is not None and not cell.same_as(self._before[0]):
             was, old = self._before
-            carried = old @ np.linalg.solve(_spanning(was), _spanning(cell)) - old
+            carried = self._moved_by_cell(engine, was, old)
             self._carried = carried if self._carried is None else self._carried + carried
         if self._before is None:
             self._before = cell, np.empty_like(positions)
         self._before[1][:] = positions
         self._before = cell, self._before[1]
         return positions if self._carried is None else positions - self._carried
+
+    def _moved_by_cell(self, engine: Engine, was: Cell, old: Array) -> Array:
+        """What the cell has added to positions since the last look, when they were old and it was another, (N, 3).
+
+        Each atom goes along with the cell; of a molecule with lengths held fixed its center does so, and the molecule turns as the cell does.
+        """
+        cell, bonds = engine.system.cell, engine.constraint_set.bonds
+        strain = np.linalg.solve(_spanning(was), _spanning(cell))
+        if bonds is None:
+            return old @ strain - old
+        if self._molecules is None:
+            self._molecules = Molecules(engine.system, engine.constraint_set)
+        images = self._molecules.whole(bonds)  # that join atoms of a molecule; they change with the cell
+        images_before = images.copy()
+        cell.follow(was, images_before)
+        whole = old + images_before
+        centers = self._molecules.centers(whole)[self._molecules.bodies.label]
+        left, _, right = np.linalg.svd(strain)
+        moved: Array = centers @ (strain - np.eye(3)) + (whole - centers) @ (left @ right - np.eye(3))
+        return moved - (images - images_before)
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         arrays = super()._arrays()

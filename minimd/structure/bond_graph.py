@@ -1,5 +1,7 @@
 """Groups of atoms by index: bonded pairs, and which atoms are one, two or three bonds apart."""
 
+from collections import defaultdict
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -9,13 +11,13 @@ MAX_BONDS_APART = 3
 GROUPS = {"bonds": 2, "angles": 3, "dihedrals": 4, "impropers": 4}  # of a System, and how many atoms each has
 
 
-def pairs_by_bonds_apart(bonds: NDArray[np.int64], n_atoms: int) -> list[NDArray[np.int64]]:
+def pairs_by_bonds_apart(bonds: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Pairs i < j whose shortest path along the bonds has one, two and three bonds.
 
     bonds : (B, 2) int.  Returns three (P, 2) int arrays, each sorted by (i, j). Rings and cages are no exception: the
     shortest path decides.
     """
-    neighbors: list[set[int]] = [set() for _ in range(n_atoms)]
+    neighbors: defaultdict[int, set[int]] = defaultdict(set)  # of bonded atoms alone: most scenes have none
     for i, j in bonds.tolist():
         neighbors[i].add(j)
         neighbors[j].add(i)

@@ -36,7 +36,7 @@ def _function(name: str):
     return one
 
 
-_square_root, _magnitude = _function("sqrt"), _function("fabs")
+_square_root, _magnitude, _floor = _function("sqrt"), _function("fabs"), _function("floor")
 
 
 @intrinsic
@@ -149,5 +149,6 @@ def _bind_one(function, operation=None) -> None:
         return each
 
 
-for _one, _operation in {math.sqrt: _square_root, np.sqrt: _square_root, abs: _magnitude, **dict.fromkeys(LANE_BY_LANE)}.items():
+_FUNCTIONS = {math.sqrt: _square_root, np.sqrt: _square_root, abs: _magnitude, np.floor: _floor, **dict.fromkeys(LANE_BY_LANE)}
+for _one, _operation in _FUNCTIONS.items():
     _bind_one(_one, _operation)

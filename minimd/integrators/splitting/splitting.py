@@ -114,9 +114,9 @@ class Splitting(Method):
             around.phase = -behind if step > 0 or goes_on else 0.0
             for k, substep in enumerate(substeps):
                 if march is not None and repeated is not None and substeps is cycle and k == first_kick and not state.forces_are_current:
-                    made = march(state, repeated, n_steps - 1 - step)
-                    step += made
-                    around.count(made)
+                    while not around.stop_requested and (made := march(state, repeated, n_steps - 1 - step)) > 0:
+                        step += made
+                        around.count(made)
                 duration, unit = substep.coefficient * self.timestep, units[substep] * self.timestep
                 if isinstance(substep, Kick):
                     if not state.has_forces_over(unit):

@@ -197,10 +197,10 @@ def test_what_is_said_of_it():
     simulation.run(100, every=10)
     probed = simulation.probe_reversibility(30)
     assert probed.is_exact
-    assert str(probed).endswith("returned to the first bit")
+    assert str(probed).endswith("returned to the last bit")
     told = str(simulation.report())
     assert "momentum       exactly constant" in told
-    assert "returned to the first bit" in told
+    assert "returned to the last bit" in told
     assert "fixed-point arithmetic" in str(simulation)
 
 

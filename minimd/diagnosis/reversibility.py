@@ -49,7 +49,7 @@ class Reversibility(Displayed):
 
     def __str__(self) -> str:
         if self.is_exact:
-            return f"{self.n_steps} steps and back, atoms went up to {self.way:.3g} {self.unit}: returned to the first bit"
+            return f"{self.n_steps} steps and back, atoms went up to {self.way:.3g} {self.unit}: returned to the last bit"
         words = {True: "reversible to rounding", None: "too chaotic to tell, take fewer steps", False: "NOT REVERSIBLE"}[self.is_reversible]
         back = f"{self.n_steps} steps and back: {self.distance:.1e} {self.unit} from the start"
         return f"{back} (rounding grows to {self.rounding:.1e}): {words}"

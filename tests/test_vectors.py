@@ -115,7 +115,7 @@ def code():
     for kind, precision in dict.fromkeys(row[2:4] for row in PROCESSORS.values()):
         term = ClusterTerm(system, laws_of(system), Options(precision=precision, threads=1))
         term._update(system)
-        ((law, parameters),), sums, arrays = term._laws, term._force_sums, term.list.arrays
+        ((law, parameters),), sums, arrays = *term._work, term.list.arrays
         arrays = arrays._replace(clusters=arrays.clusters._replace(lanes=kind()))
         loop.compile(tuple(map(numba.typeof, (arrays, law, parameters, sums))))
         made[kind, precision] = loop.inspect_llvm(loop.signatures[-1])

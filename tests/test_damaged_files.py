@@ -69,7 +69,7 @@ def sound(tmp_path_factory):
 
 def test_damaged_files_end_in_a_sentence_or_a_right_result(sound):
     """Every third way once, with one command."""
-    counts = check_seeds(sound, range(0, len(WAYS), 3), commands_of_one)
+    counts = check_seeds(sound, range(1, len(WAYS), 3), commands_of_one)
     assert counts[SENTENCE] > len(WAYS) // 9
     assert counts[RIGHT] > 0
 

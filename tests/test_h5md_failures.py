@@ -67,10 +67,10 @@ def test_an_error_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypatch)
     sim.run(5)
     series_of = h5md.layout.series_of
 
-    def interrupted(h5, column, frame):
+    def interrupted(h5, column, frame, n_frames):
         if column.path.endswith("velocity/value"):
             raise KeyboardInterrupt
-        return series_of(h5, column, frame)
+        return series_of(h5, column, frame, n_frames)
 
     monkeypatch.setattr(h5md.layout, "series_of", interrupted)
     with pytest.raises(KeyboardInterrupt):
@@ -147,10 +147,10 @@ def test_failing_write_leaves_the_frames_before_it(tmp_path, monkeypatch):
     path, sim = tmp_path / "a.h5md", simulation()
     series_of = h5md.layout.series_of
 
-    def failing(h5, column, like):
+    def failing(h5, column, like, n_frames):
         if sim.step == 10 and column.path.endswith("position/value"):
             raise OSError(errno.EIO, "Input/output error")
-        return series_of(h5, column, like)
+        return series_of(h5, column, like, n_frames)
 
     monkeypatch.setattr(h5md.layout, "series_of", failing)
     bring_to_disk_every(0.0, monkeypatch)

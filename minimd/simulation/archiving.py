@@ -54,7 +54,8 @@ def archive(file: str | Path, out: str | Path, every: int, potentials: Potential
             raise ValueError(
                 f"step {steps[kept[1]]} of {str(file)!r} is not the same, to the last bit, when it is made again: give the potentials of the run"
             )
-    with open_trajectories(out, engine, store_forces=False, overwrite=overwrite, every=every) as (writer,):
+    n_steps = int(steps[kept[-1]] - steps[kept[0]])
+    with open_trajectories(out, engine, store_forces=False, overwrite=overwrite, every=every, n_steps=n_steps) as (writer,):
         for k in kept:
             go_to(simulation, file, contents, k)
             frame = observe(engine)

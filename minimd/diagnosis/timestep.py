@@ -120,7 +120,7 @@ def advise_timestep(
 
     In a run at a finite temperature, atoms come closer to each other than in a crystal or at a minimum, and the forces are stiffer there.
     For Lennard-Jones atoms the recommended step therefore is at most h/ω′ of atoms that collide in a liquid, at the temperature of the
-    velocities of the state, or k_B T ≈ ε if that is lower. For other laws ask again with a state from the run.
+    velocities of the state, or k_B T = 0.84 ε if they are colder. For other laws ask again with a state from the run.
 
     Forces that jump at the cutoff ("truncated", "shifted") have no Hessian there; the jumps are left out
     unless the distance of a pair agrees with the cutoff to six digits.

@@ -194,3 +194,28 @@ def test_a_run_warns_of_a_step_too_long_for_a_bond():
         md.Simulation(system, bond, md.integrators.PEFRL(0.26)).run(1)  # stable up to 2.989/ω
         md.Simulation(system, bond, md.VelocityVerlet(0.18), md.DistanceConstraints([[1, 0]])).run(1)
         md.Simulation(system, bond, md.VelocityVerlet(0.18), md.FixedAtoms([0])).run(1)  # 2/ω = 0.4
+
+
+def test_a_crystal_that_will_melt_is_given_the_step_of_collisions():
+    """At T* 1.44 the step of the modes alone, 0.0285 τ, blows up; the hint of a run names the same step as the advice."""
+    positions, edges = md.lattice.crystal("fcc", [4, 4, 4], 1.68)
+    system, law = md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5, truncation="force-shifted")
+    cold = md.advise_timestep(system, law)
+    assert cold.harmonic == pytest.approx(0.0285, rel=0.01)
+    assert cold.recommended == cold.collision == pytest.approx(0.00588, rel=0.01)
+    assert "decided by     collisions of Lennard-Jones atoms" in str(cold)
+    sim = md.Simulation(system, law, md.VelocityVerlet(cold.harmonic))
+    sim.set_temperature(1.44, seed=1)
+    hot = md.advise_timestep(sim.system, law)
+    assert hot.recommended == pytest.approx(0.00507, rel=0.01)  # ω 5.8 times that of a pair
+    with pytest.warns(UserWarning, match=f"up to {md.units.LJ.shown(hot.recommended)}; see advise_timestep"):
+        sim.run(1)
+
+
+def test_a_hydrogen_inside_its_oxygen_does_not_collide():
+    system = md.System([[0.0, 0, 0], [1.0, 0, 0], [4.0, 0, 0], [5.0, 0, 0]], masses=[16.0, 1.0, 16.0, 1.0], species=["O", "H", "O", "H"])
+    law = md.LennardJones({"O": (1.0, 3.0), "H": (0.3, 0.4)})
+    held = md.DistanceConstraints([[0, 1], [2, 3]])
+    alone = md.advise_timestep(system, md.LennardJones({"O": (1.0, 3.0), "H": (0.0, 0.4)}), held)
+    assert md.advise_timestep(system, law, held).collision == pytest.approx(alone.collision, rel=1e-12)
+    assert md.advise_timestep(system, law).collision < 0.1 * alone.collision

@@ -66,7 +66,10 @@ def test_lengths_in_different_units_are_pointed_out():
 def test_a_long_time_step_is_pointed_out(timestep, is_long):
     told = hints_of(liquid(3), LAW, timestep)
     assert len(told) == is_long
-    assert all("conserves the energy well up to 0.005879 τ" in one for one in told)
+    hot = md.System(liquid(3).positions, velocities=liquid(3).velocities, cell=liquid(3).cell)
+    expected = f"conserves the energy well up to {md.units.LJ.shown(md.advise_timestep(hot, LAW).collision)}; see advise_timestep"
+    assert all(expected in one for one in told)
+    assert md.advise_timestep(md.System(hot.positions, cell=hot.cell), LAW).collision == pytest.approx(0.005879, rel=1e-3)  # at rest
     assert hints_of(md.System(liquid(3).positions, cell=liquid(3).cell, masses=4.0), LAW, timestep) == []
 
 
@@ -132,3 +135,32 @@ def test_the_first_step_compiles_all_that_the_next_ones_need():
     before = compile_clock.seconds
     sim.run(50, every=10)
     assert compile_clock.seconds == before > start
+
+
+@pytest.mark.parametrize(
+    ("epsilon", "sigma", "words"),
+    [
+        (120.0, 3.4, "in K it would be 0.0103 eV, epsilon=120 * md.units.ASE.k_B"),
+        (0.997, 3.4, "in kJ/mol it would be 0.0103 eV, epsilon=0.997 / md.units.KJ_PER_MOL_PER_EV"),
+        (0.0103, 3.4, None),
+        (1.07, 2.56, None),  # tungsten
+    ],
+)
+def test_an_epsilon_in_another_unit_is_named_before_the_time_step(epsilon, sigma, words):
+    positions, edges = crystal("fcc", (4, 4, 4), 5.4 * sigma / 3.4)
+    system = md.System(positions, cell=edges, masses=39.95, units=md.units.ASE)
+    told = hints_of(system, md.LennardJones(epsilon, sigma, 2.2 * sigma), 0.5 * md.units.fs)
+    assert len(told) == (words is not None)
+    assert all(one.startswith(f"epsilon = {epsilon:g} eV is far deeper") and words in one and "timestep" not in one for one in told)
+
+
+def test_a_failure_names_the_epsilon_first():
+    positions, edges = crystal("fcc", (4, 4, 4), 5.4)
+    sim = md.Simulation(
+        md.System(positions, cell=edges, masses=39.95, units=md.units.ASE), md.LennardJones(120.0, 3.4, 8.5), md.VelocityVerlet(5 * md.units.fs)
+    )
+    sim.set_temperature(90.0, seed=1)
+    with pytest.warns(UserWarning, match="^epsilon = 120 eV"), pytest.raises(md.NonFiniteError) as caught:
+        sim.run(500, every=20)
+    assert "ikely cause: epsilon = 120 eV is far deeper" in str(caught.value)
+    assert "halve" not in str(caught.value)

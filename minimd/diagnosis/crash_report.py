@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from minimd.diagnosis.collisions import strange_depth
 from minimd.diagnosis.contacts import Contact, contacts
 from minimd.diagnosis.timestep import StepAdvice, advice_at
 from minimd.engine.cell_rescaling import EVAPORATED
@@ -103,7 +104,10 @@ def examine(engine: Engine, failure: Failure) -> CrashReport:
     bad = np.flatnonzero(~(np.isfinite(engine.forces).all(axis=1) & np.isfinite(engine.interactions.energies)))[:2]
     closest = closest_pair(engine.system)
     evidence = Evidence(engine, failure, [pushed, fastest, *(closest[:2] if closest else ()), *(failure.constraint or ()), *bad.tolist()])
-    judged: tuple[Any, ...] = next(verdict for rule in RULES if (verdict := rule(evidence)) is not None)
+    verdict = next(verdict for rule in RULES if (verdict := rule(evidence)) is not None)
+    if depth := strange_depth(engine.system, engine.interactions.potentials):
+        verdict = verdict._replace(cause=f"{depth} (with it, {verdict.cause})", advice="correct epsilon before anything else")
+    judged: tuple[Any, ...] = verdict
     timestep, units = engine.method.timestep, engine.system.units.name
     seen: tuple[Any, ...] = (closest, pushed, force, fastest, speed * abs(timestep), timestep, units)
     return CrashReport(failure.fault, failure.step, engine.step, failure.start.step, *judged, *seen)

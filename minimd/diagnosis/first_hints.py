@@ -1,27 +1,26 @@
 """Hints before the first step, about input that can be run but is hardly what was meant."""
 
 from collections.abc import Iterator
-from math import sqrt
 
 import numpy as np
 
+from minimd.diagnosis.collisions import collision_frequency, strange_depth
 from minimd.diagnosis.hessian import unstable_bond
 from minimd.diagnosis.timestep import OSCILLATION
 from minimd.engine.engine import Engine
 from minimd.integrators.splitting.linear_stability import accurate_step
 from minimd.neighbors.queries import closest_pair
-from minimd.potentials.laws import LennardJonesLaw
-from minimd.potentials.lennard_jones import curvature_at_minimum
 from minimd.potentials.pair import PairPotential
 
-CROWDED = 5.0  # ω of the stiffest mode of a liquid, divided by that of a pair at rest; advise_timestep: 4.8 at T* 0.7, ρ* 0.85; 5.8 at 1.44, 0.8442
 QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 
 
 def hints(engine: Engine) -> Iterator[str]:
-    """Sentences about time step and lengths; none if there is nothing to say. The forces must be current."""
-    if hint := too_long_a_step(engine):
+    """Sentences about energies, time step and lengths; none if there is nothing to say. The forces must be current."""
+    if depth := strange_depth(engine.system, engine.interactions.potentials):
+        yield depth
+    elif hint := too_long_a_step(engine):
         yield f"{hint}; see advise_timestep, and check the unit of the time step"
     yield from _no_pair_in_reach(engine)
     yield from _quick_barostat(engine)
@@ -44,24 +43,16 @@ def _quick_barostat(engine: Engine) -> Iterator[str]:
 
 
 def _long_timestep(engine: Engine) -> str | None:
-    """A hint if collisions of Lennard-Jones atoms are faster than the method can follow.
-
-    ω = √(u″/μ) of a pair at rest, times CROWDED.
-    """
-    system, method = engine.system, engine.method
-    lightest = np.array([system.masses[system.species_index == k].min() for k in range(len(system.species_names))])
-    fastest = 0.0
-    for potential in engine.interactions.potentials:
-        if isinstance(potential, PairPotential) and isinstance(potential.plain_law, LennardJonesLaw):
-            table = potential.table(system.species_names)
-            inverse = 1.0 / (lightest if len(table) > 1 else lightest.min(keepdims=True))
-            squares = curvature_at_minimum(table[..., -2], table[..., -1]) * (inverse[:, None] + inverse[None, :])
-            fastest = max(fastest, CROWDED * sqrt(squares.max()))
+    """A hint if collisions of Lennard-Jones atoms are faster than the method can follow: for atoms of a liquid; the step told is for their heat."""
+    system, method, potentials = engine.system, engine.method, engine.interactions.potentials
+    held = engine.constraint_set.bonds.pairs if engine.constraint_set.bonds else system.bonds[:0]
+    fastest = collision_frequency(system, potentials, held, at_rest=True)
     if not fastest * abs(method.timestep) > TOO_LONG * OSCILLATION**0.5:
         return None  # spares usual steps the search for what the method can do
-    recommended = accurate_step(method.sequence(), OSCILLATION) / fastest
-    if abs(method.timestep) <= TOO_LONG * recommended:
+    step = accurate_step(method.sequence(), OSCILLATION)
+    if abs(method.timestep) <= TOO_LONG * step / fastest:
         return None
+    recommended = step / collision_frequency(system, potentials, held)
     shown = system.units.shown
     return (
         f"timestep {shown(abs(method.timestep))} is long for Lennard-Jones atoms as light as these: in a liquid {method.name} "

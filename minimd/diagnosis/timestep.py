@@ -1,4 +1,4 @@
-"""Advice on the time step: the stiffest mode of a state, and how long a time step it allows."""
+"""Advice on the time step: the stiffest mode of a state and collisions of its atoms, and how long a time step they allow."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.constraints.constraint_set import ConstraintSet
+from minimd.diagnosis.collisions import COLDEST, collision_frequency, velocity_temperature
 from minimd.diagnosis.hessian import Curvature, bonded_pairs, stiffest_bond
 from minimd.engine.engine import Engine
 from minimd.forces.forces import Forces, Potential
@@ -35,13 +36,15 @@ SHOWN_SHARE = 0.05  # of its kinetic energy, at least
 
 @dataclass(frozen=True)
 class StepAdvice(Displayed):
-    """Advice on the time step from the stiffest mode of a state; print it.
+    """Advice on the time step from the stiffest mode of a state, and from collisions of Lennard-Jones atoms; print it.
 
     Attributes
     ----------
     frequency : ω of the stiffest mode [1/time], angular; 0 if nothing oscillates.  period : 2π/ω [time].
     limit : the longest stable step of the method [time].
-    recommended : the step at which the energy of this mode oscillates by ±1/80 of its mean, at most half the limit [time].
+    harmonic : the step at which the energy of this mode oscillates by ±1/80 of its mean, at most half the limit [time].
+    collision : the same for Lennard-Jones atoms that collide in a liquid [time]; infinite without such atoms.
+    recommended : the smaller of the two [time].  temperature : of the velocities, for which it holds; 0 at rest [temperature].
     method : name of the method.  timestep : of the method, if it has one [time].
     atoms, shares : the atoms that move most in the mode, and the fraction of its kinetic energy that each of them has.
     n_moving : over how many atoms the mode is spread, 1/Σ share².
@@ -52,7 +55,10 @@ class StepAdvice(Displayed):
     frequency: float
     period: float
     limit: float
+    harmonic: float
+    collision: float
     recommended: float
+    temperature: float
     method: str
     timestep: float | None
     atoms: tuple[int, ...]
@@ -63,21 +69,39 @@ class StepAdvice(Displayed):
     units: UnitSystem
 
     def __str__(self) -> str:
-        if self.frequency == 0.0:
+        if self.frequency == 0.0 and self.recommended == inf:
             return "stiffest mode  none: nothing oscillates in this state, so it sets no limit to the time step"
         shares = ", ".join(f"{atom} ({100.0 * share:.0f} %)" for atom, share in zip(self.atoms, self.shares, strict=True))
         motion = f"{f'mostly of atoms {shares}, ' if shares else ''}spread over some {self.n_moving:.3g} atoms"
         if self.bond is not None:
             motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
         lines = [
+            "stiffest mode  none: nothing oscillates in this state",
+            f"recommended    {self.units.shown(self.recommended)}: set by collisions of Lennard-Jones atoms",
+        ]
+        if self.frequency:
+            lines = self._about_mode(motion)
+        if self.timestep is not None:
+            of_limit = f": {abs(self.timestep) / self.limit:.3g} of the limit" if self.frequency else ""
+            lines.append(f"given          {self.units.shown(self.timestep)}{of_limit}")
+        return "\n".join(lines)
+
+    def _about_mode(self, motion: str) -> list[str]:
+        """Lines about the mode, and about what decides."""
+        by_collisions = self.collision < self.harmonic
+        shown = self.units.shown
+        heat = f"{self.temperature:.3g} {self.units.temperature}" if self.temperature else "rest"
+        holds = f"at k_B T up to {COLDEST:.2g} ε, or at that of the velocities if they are hotter (given: {heat})"
+        why = f"collisions of Lennard-Jones atoms in a liquid {holds}" if by_collisions else "the stiffest mode"
+        alone = f"               the stiffest mode alone would allow {shown(self.harmonic)}, for vibrations around this state only"
+        return [
             f"stiffest mode  ω = {self.frequency / self.units.to_picosecond:.4g} / {self.units.shown_time}, period {self.units.shown(self.period)}",
             f"               {motion}",
             f"limit          {self.units.shown(self.limit)} for {self.method}: longer steps blow up, and at a temperature shorter ones may",
-            f"recommended    {self.units.shown(self.recommended)}: {self.period / self.recommended:.3g} steps a period",
+            f"recommended    {shown(self.recommended)}: {self.period / self.recommended:.3g} steps a period",
+            f"decided by     {why}",
+            *([alone] if by_collisions else []),
         ]
-        if self.timestep is not None:
-            lines.append(f"given          {self.units.shown(self.timestep)}: {abs(self.timestep) / self.limit:.3g} of the limit")
-        return "\n".join(lines)
 
 
 def advise_timestep(
@@ -94,9 +118,12 @@ def advise_timestep(
     The Hessian is never built: Lanczos iterations need only its products with vectors, central differences of the forces. With
     constraints the modes are those of the allowed directions, and the curvature of the constraints counts too.
 
-    The advice is for the state that is given. In a run at a finite temperature, atoms come closer to each other than in a crystal
-    or at a minimum, and the forces are stiffer there: ask again with a state from the run. Forces that jump at the cutoff ("truncated",
-    "shifted") have no Hessian there; the jumps are left out unless the distance of a pair agrees with the cutoff to six digits.
+    In a run at a finite temperature, atoms come closer to each other than in a crystal or at a minimum, and the forces are stiffer there.
+    For Lennard-Jones atoms the recommended step therefore is at most h/ω′ of atoms that collide in a liquid, at the temperature of the
+    velocities of the state, or k_B T = 0.84 ε if they are colder. For other laws ask again with a state from the run.
+
+    Forces that jump at the cutoff ("truncated", "shifted") have no Hessian there; the jumps are left out
+    unless the distance of a pair agrees with the cutoff to six digits.
 
     Parameters
     ----------
@@ -127,6 +154,7 @@ def advice_at(engine: Engine, seconds: float) -> StepAdvice | None:
     forces.compute()
     if (perf_counter() - started) * min(2 * system.positions.size, EVALUATIONS) > seconds:
         return None
+    system.velocities[:] = 0.0  # those of a failed run are no temperature
     return _advice(forces, ConstraintSet(system, engine.constraints), engine.method)
 
 
@@ -137,11 +165,20 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
     frequency = float(np.sqrt(max(square, 0.0)))
     row, shares = method.sequence(), np.einsum("ij,ij->i", mode, mode)
     atoms = [int(i) for i in np.argsort(-shares, kind="stable")[:SHOWN_ATOMS] if shares[i] >= SHOWN_SHARE]
+    step = accurate_step(row, OSCILLATION)
+    harmonic = step / frequency if frequency else inf
+    held = constraint_set.bonds.pairs if constraint_set.bonds else system.bonds[:0]
+    collides = len(system) > 1 and (frequency > 0.0 or system.velocities.any())
+    colliding = collision_frequency(system, forces.potentials, held) if collides else 0.0
+    collision = step / colliding if colliding else inf
     return StepAdvice(
         frequency=frequency,
         period=2.0 * pi / frequency if frequency else inf,
         limit=stability_limit(row) / frequency if frequency else inf,
-        recommended=accurate_step(row, OSCILLATION) / frequency if frequency else inf,
+        harmonic=harmonic,
+        collision=collision,
+        recommended=min(harmonic, collision),
+        temperature=velocity_temperature(system),
         method=method.name,
         timestep=method.timestep if isinstance(method, Splitting) else None,
         atoms=tuple(atoms),

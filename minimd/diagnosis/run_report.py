@@ -8,7 +8,6 @@ from minimd.diagnosis.report import Cost, Report, conservation_report
 from minimd.diagnosis.reversibility import Reversibility
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.diagnosis.static_checks import static_checks
-from minimd.engine.engine import Engine
 from minimd.engine.record import Record
 
 

@@ -4,8 +4,6 @@ NIST's Monte Carlo results for 500 Lennard-Jones atoms, https://mmlapps.nist.gov
 pressure 0.24056. A parabola through this point and those at 0.82 and 0.90 has the slope dp/dρ = 10.2 there: κ = 1/(ρ dp/dρ) = 0.126.
 """
 
-import numpy as np
-
 import minimd as md
 
 n_cells, temperature, pressure = 5, 0.90, 0.24056
@@ -19,10 +17,10 @@ liquid = md.Simulation(md.System(positions, cell=edges), law, bath, barostat=bar
 liquid.set_temperature(2 * temperature, seed=seed)  # half of it goes into the melting crystal
 liquid.run(n_equilibration, every=n_equilibration)
 
-record = liquid.run(n_steps, every=every)
-n_atoms, volume = record.n_atoms, record.volume[1:]
-blocks = volume[: len(volume) // 10 * 10].reshape(10, -1)
-density, compressibility = n_atoms / blocks.mean(axis=1), ((blocks - volume.mean()) ** 2).mean(axis=1) / (temperature * volume.mean())
-for name, values, known in [("ρ*", density, 0.776), ("κ*", compressibility, 0.126)]:
-    print(f"{name} = {values.mean():.4f} ± {values.std(ddof=1) / np.sqrt(10):.4f}   (NIST: {known})")
+fluctuations = md.observers.Fluctuations(every=every)
+record = liquid.run(n_steps, every=every, observers=[fluctuations])
+density, found = md.structure.statistics.mean_and_error(record.n_atoms / record.volume), fluctuations.result()
+for name, (value, error), known in [("ρ*", density, 0.776), ("κ*", (found.compressibility, found.compressibility_error), 0.126)]:
+    print(f"{name} = {value:.4f} ± {error:.4f}   (NIST: {known})")
+print(found)
 print(liquid.report())

@@ -8,9 +8,13 @@ import step_scenes
 from scipy.optimize import minimize_scalar
 
 import minimd as md
+from minimd.analysis.check import check_file
+from minimd.diagnosis.pressure import pressure_lines
 from minimd.engine.cell_rescaling import rescaling_of
+from minimd.engine.record import Record
 from minimd.integrators.splitting.barostats import ThermodynamicState
 from minimd.structure.cell import Cell
+from minimd.structure.statistics import mean_and_error, with_error
 
 COUPLINGS = ["isotropic", "z", "xy", "triclinic"]
 
@@ -145,6 +149,28 @@ def test_heat_capacity_and_expansion_at_the_pressure_of_the_barostat():
     enthalpy, volume, found = record.total_energy + record.volume, record.volume, looking.result()
     assert found.heat_capacity_p == pytest.approx(enthalpy.var() / 0.8**2)
     assert found.expansion == pytest.approx(np.cov(enthalpy, volume, ddof=0)[0, 1] / (0.8**2 * volume.mean()))
+
+
+@pytest.mark.parametrize(
+    "method", [md.LangevinBAOAB(0.003, 0.8, 1.0, 2), md.StochasticVelocityRescaling(0.003, 0.8, 0.1, 2)], ids=lambda one: one.name
+)
+def test_a_file_tells_volume_and_pressure_as_the_report_does_with_the_error_of_a_mean(method, tmp_path):
+    simulation = at_pressure("pair list", method)
+    record = simulation.run(200, every=5, trajectory=tmp_path / "a.h5md", progress=False)
+    told, found = (
+        [str(line) for line in one.lines if line.name in ("volume", "pressure")]
+        for one in (simulation.report(), check_file(tmp_path / "a.h5md").report)
+    )
+    center = 0.0 if method.name == "langevin-baoab" else 2.0 * record.kinetic_energy / (simulation.n_dof * record.volume)
+    assert found == told
+    assert f" {with_error(*mean_and_error(record.pressure + center))} " in told[1]
+    assert told[1].endswith(("wanted: reached", "NOT REACHED; equilibrate longer"))
+
+
+def test_a_file_tells_that_a_liquid_has_evaporated():
+    series = {"volume": np.geomspace(1.0, 9.0, 20), "pressure": np.ones(20)}
+    (line,) = pressure_lines(Record.of(md.units.LJ, 8, {"step": np.arange(20), "time": np.arange(20.0)} | series), barostat(), False)
+    assert "EVAPORATED" in str(line)
 
 
 def test_fluctuations_belong_to_one_bath():

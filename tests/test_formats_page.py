@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from test_structures import POSITIONS, write_data, write_pdb, write_psf
 
@@ -41,6 +42,20 @@ def test_scripts_of_the_page_run(folder, capsys):
         assert capsys.readouterr().out.strip()
     assert len(SCRIPTS) == 7
     assert len(POSITIONS) == len(names["atoms"])
+
+
+def test_end_to_end_distances_of_the_page_are_those_of_whole_molecules(folder, capsys):
+    """Also if the boundary cuts a molecule in the file that was given, whose frames are cut, too."""
+    script, found = next(one for one in SCRIPTS if "ends = " in one), []
+    for shift in (0.0, 0.6):
+        system = system_from_file("melt.pdb")
+        system.positions[:] = system.cell.wrapped(system.positions + shift * system.cell.vectors.diagonal()) if shift else system.positions
+        sim = md.Simulation(system, md.LennardJones(0.01, 0.9, 2.5), md.VelocityVerlet(0.1))
+        sim.run(5, every=5, trajectory="run.h5md", overwrite=True)
+        exec(compile(script, "formats.md", "exec"), names := {})
+        found.append(names["ends"])
+        names["u"].trajectory.close()
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-5)
 
 
 def test_scene_of_the_page_is_one(folder):

@@ -13,7 +13,7 @@ from minimd.engine.observation import Look
 from minimd.observers.accumulator import Accumulator, ObservedRun, Result
 from minimd.observers.blocked_sums import BlockedSums
 from minimd.structure.display import Rows
-from minimd.structure.statistics import with_error
+from minimd.structure.statistics import FEW, LEVEL, independent, with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 N_SERIES = 3  # K, U, V
 KINETIC, POTENTIAL, VOLUME = range(N_SERIES)
+KINETIC_ALONE, ENERGY_AND_VOLUME = ((1.0, 0.0, 0.0),), ((1.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # series that fluctuate, as weights of K, U, V
+ENOUGH = 100.0  # correlation times: the error bar of a shorter run is itself too uncertain
+MOST = 0.5  # relative error of a variance, beyond which its upper limit says nothing
 
 
 class Fluctuations(Accumulator):
@@ -32,6 +35,11 @@ class Fluctuations(Accumulator):
 
     f degrees of freedom share the kinetic energy K; T and P are those of the bath, T is the mean temperature where there is none. The
     compressibility needs a volume that fluctuates.
+
+    A variance s² from a run of n_c correlation times has a skewed distribution: most short runs find too little, and scatter little as well. The
+    standard error is therefore the larger one of two: that of the jackknife, times the correlation that is left between blocks; and the change
+    of the coefficient if all fluctuations become s²/(1 − √(2/n_c)), where √(2/n_c) is the relative standard error of the variance of a series
+    with correlations e^(−t/τ). n_c is that of the slowest series, its τ from the variances of the series and of its mean.
 
     J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967), on constant energy; M. P. Allen, D. J. Tildesley, Computer Simulation
     of Liquids, 2nd ed. (2017), section 2.5.
@@ -65,18 +73,47 @@ class Fluctuations(Accumulator):
     def result(self) -> FluctuationResult:
         """The coefficients so far, with standard errors.  Raises ValueError before the first look."""
         scene = self.answered()
-        values, errors = self.sums.estimate(lambda sums: _coefficients(sums, np.array(self.reference), scene))
+        reference = np.array(self.reference)
+        values, errors = self.sums.estimate(lambda sums: _coefficients(sums, reference, scene))
+        times, left = correlation_times(self.sums, KINETIC_ALONE if scene.bath_temperature is None else ENERGY_AND_VOLUME)
+        with np.errstate(all="ignore"):
+            wider = _coefficients(self.sums.total, reference, scene, 1.0 / (1.0 - min(MOST, (2.0 / times) ** 0.5)))
+            errors = np.where(wider == values, errors, np.maximum(left * errors, np.abs(wider - values)))
         volume_is_constant = self.sums.total[1 + VOLUME] == 0.0 and self.sums.total[-1] == 0.0
         ensemble = "constant energy" if scene.bath_temperature is None else "constant temperature"
         if not volume_is_constant:
             ensemble = "constant pressure"
-        return FluctuationResult(scene, ensemble, values, errors, self.n_looks)
+        return FluctuationResult(scene, ensemble, values, errors, self.n_looks, times)
 
 
-def _coefficients(sums: Array, reference: Array, scene: ObservedRun) -> Array:
-    """T, C_V, C_P, κ_T, α_P; NaN for those that the ensemble does not tell."""
+def correlation_times(sums: BlockedSums, series: tuple[tuple[float, ...], ...]) -> tuple[float, float]:
+    """How many correlation times n_c of its slowest series a run is long, and the factor of jackknife errors for correlated blocks.
+
+        n_c = 2 s²/error²,   error² = σ²/(n − 1),   factor = √(K/n) (1 + 1.2/n)
+
+    s² : variance of the series.  σ², n : variance of K means over blocks, and how many of them are independent; the last term of the factor is
+    Student's t. series : each as its weights of K, U and V. NaN and 1 if there are too few blocks, or nothing fluctuates.
+    """
+    parts, found = sums.parts(), []
+    n_looks, covered = sums.total[0], parts[:, 0].sum()
+    for weights in np.array(series):
+        square = float(weights @ sums.total[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) @ weights)
+        variance = square / n_looks - (weights @ sums.total[1 : 1 + N_SERIES] / n_looks) ** 2
+        if len(parts) < FEW or variance <= 0.0:
+            continue
+        means = parts[:, 1 : 1 + N_SERIES] @ weights / parts[:, 0]
+        rest = means - means.mean()
+        n = max(independent(rest, LEVEL), 2.0)
+        of_mean = rest @ rest / len(rest) / (n - 1.0) * covered / n_looks
+        found.append((2.0 * min(variance / of_mean, n_looks) if of_mean > 0.0 else 2.0 * n_looks, (len(rest) / n) ** 0.5 * (1.0 + 1.2 / n)))
+    return (min(found)[0], max(factor for _, factor in found)) if found else (np.nan, 1.0)
+
+
+def _coefficients(sums: Array, reference: Array, scene: ObservedRun, widened: float = 1.0) -> Array:
+    """T, C_V, C_P, κ_T, α_P; NaN for those that the ensemble does not tell.  widened : factor of all variances."""
     means = sums[1 : 1 + N_SERIES] / sums[0]
     covariance = sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)
+    covariance = widened * covariance
     means, k_B, f = means + reference, scene.unit_system.k_B, scene.n_dof  # noqa: N806 - the symbol of the constant
     mean_temperature = 2.0 * means[KINETIC] / (f * k_B)
     T = mean_temperature if scene.bath_temperature is None else scene.bath_temperature  # noqa: N806
@@ -99,6 +136,7 @@ class FluctuationResult(Result):
 
     ensemble : in words.  values, errors : (5,) mean temperature, C_V and C_P of the whole system [energy/temperature], κ_T [length³/energy], α_P
     [1/temperature], and their standard errors; NaN for those that the ensemble does not tell.  n_looks : looks.
+    correlation_times : how many of the slowest fluctuation the run is long; NaN if unknown.
     """
 
     scene: ObservedRun
@@ -106,6 +144,7 @@ class FluctuationResult(Result):
     values: Array
     errors: Array
     n_looks: int
+    correlation_times: float = np.nan
     title: ClassVar[str] = "fluctuations"
     names: ClassVar[tuple[str, ...]] = ("temperature", "heat_capacity_v", "heat_capacity_p", "compressibility", "expansion")
 
@@ -136,6 +175,10 @@ class FluctuationResult(Result):
                 rows.append(("", f"{symbol} = {with_error(value / (n * units.k_B), getattr(self, name + '_error') / (n * units.k_B))} k_B per atom"))
         if np.isfinite(self.compressibility):
             rows.append(("", f"κ_T = {with_error(self.compressibility, self.compressibility_error)} {units.length}³/{units.energy}"))
+        if self.correlation_times < ENOUGH:
+            slowest = "volume or energy" if np.isfinite(self.compressibility) else "energy"
+            long = f"the run is only {max(1.0, self.correlation_times):.0f} correlation times of the {slowest} long"
+            rows.append(("", f"{long}: THE ERROR BARS ARE LOWER BOUNDS"))
         return rows
 
     def draw(self, panel: Axes) -> None:

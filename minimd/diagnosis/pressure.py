@@ -1,0 +1,43 @@
+"""Lines of a report about what a barostat did: from a record alone, so that a file has them, too."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.diagnosis.report import Line
+from minimd.engine.cell_rescaling import EVAPORATED
+from minimd.engine.record import Record
+from minimd.integrators.splitting.barostats import StochasticCellRescaling
+from minimd.structure.statistics import mean_and_error, with_error
+
+ENOUGH = 20  # frames, for a mean that is judged
+FAR = 4.0  # standard errors, themselves estimated from few means, within which a mean counts as that of the barostat
+
+
+def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, conserves_momentum: bool) -> Iterator[Line]:
+    """What a barostat did: the mean volume, and the mean pressure compared with its target. No line without a barostat."""
+    if barostat is None or len(record) < ENOUGH or not np.isfinite(record.pressure).all():
+        return
+    first, last, units = float(record.volume[0]), float(record.volume[-1]), record.units
+    if last > EVAPORATED * first:
+        grown = f"from {first:.4g} to {last:.4g} {units.volume}"
+        yield Line("volume", grown, "EVAPORATED: a gas at this pressure and temperature; raise the pressure if it should be dense", False)
+        return
+    yield Line("volume", f"{record.volume.mean():.6g} {units.volume} on average", f"standard deviation {record.volume.std():.2g}", True)
+    if barostat.coupling not in ("isotropic", "triclinic"):
+        return
+    mean, error = mean_and_error(_of_all_motion(record) if conserves_momentum else record.pressure)
+    is_there = abs(mean - barostat.pressure) <= FAR * error
+    words = f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted"
+    yield Line("pressure", words, "reached" if is_there else "NOT REACHED; equilibrate longer", is_there)
+
+
+def _of_all_motion(record: Record) -> NDArray[np.float64]:
+    """The pressure, with the k_B T/V of the center of mass, whose three degrees of freedom are missing in the recorded one."""
+    warmest = int(np.argmax(record.temperature))
+    thermal = record.units.k_B * record.temperature[warmest]
+    n_dof = 2.0 * record.kinetic_energy[warmest] / thermal if thermal > 0.0 else np.inf
+    return record.pressure + 3.0 / n_dof * 2.0 * record.kinetic_energy / (3.0 * record.volume)

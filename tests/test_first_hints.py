@@ -9,7 +9,7 @@ from references import liquid
 
 import minimd as md
 from minimd.compiled.kernels import compile_clock
-from minimd.diagnosis.first_hints import _long_timestep
+from minimd.diagnosis.first_hints import _long_timestep, too_long_a_step
 from minimd.engine.engine import Engine
 from minimd.potentials.term import Term
 from minimd.structure.lattice import crystal
@@ -149,7 +149,9 @@ def test_the_first_step_compiles_all_that_the_next_ones_need():
 def test_an_epsilon_in_another_unit_is_named_before_the_time_step(epsilon, sigma, words):
     positions, edges = crystal("fcc", (4, 4, 4), 5.4 * sigma / 3.4)
     system = md.System(positions, cell=edges, masses=39.95, units=md.units.ASE)
-    told = hints_of(system, md.LennardJones(epsilon, sigma, 2.2 * sigma), 0.5 * md.units.fs)
+    law = md.LennardJones(epsilon, sigma, 2.2 * sigma)
+    told = hints_of(system, law, 0.5 * md.units.fs)
+    assert (too_long_a_step(Engine(system, law, md.VelocityVerlet(5 * md.units.fs))) or "").startswith("epsilon" if words else "")  # in a report
     assert len(told) == (words is not None)
     assert all(one.startswith(f"epsilon = {epsilon:g} eV is far deeper") and words in one and "timestep" not in one for one in told)
 

@@ -27,8 +27,8 @@ def hints(engine: Engine) -> Iterator[str]:
 
 
 def too_long_a_step(engine: Engine) -> str | None:
-    """A clause if the time step is longer than a harmonic bond allows, or far longer than suits Lennard-Jones atoms, else None."""
-    return unstable_bond(engine) or _long_timestep(engine)
+    """A clause if the time step is longer than a harmonic bond allows, or far longer than suits Lennard-Jones atoms, else None; of ε if so."""
+    return strange_depth(engine.system, engine.interactions.potentials) or unstable_bond(engine) or _long_timestep(engine)
 
 
 def _quick_barostat(engine: Engine) -> Iterator[str]:

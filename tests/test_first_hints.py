@@ -166,3 +166,16 @@ def test_a_failure_names_the_epsilon_first():
         sim.run(500, every=20)
     assert "ikely cause: epsilon = 120 eV is far deeper" in str(caught.value)
     assert "halve" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("timestep", "pressure", "words"),
+    [(5e-15, None, r"check its unit, such as 5 \* md.units.fs"), (0.4, 1.0, r"1 eV/Å³ is 1.6e\+06 bar; if 1 bar is meant, give 1 \* md.units.BAR")],
+)
+def test_a_time_step_in_seconds_and_a_pressure_in_bar_are_pointed_out(timestep, pressure, words):
+    argon, (positions, edges) = md.LennardJones(0.0103, 3.4, 8.5), md.lattice.crystal("fcc", [4, 4, 4], 5.4)
+    system = md.System(positions, cell=edges, masses=39.9, units=md.units.ASE)
+    barostat = None if pressure is None else md.StochasticCellRescaling(pressure, 1.0, 40.0, seed=1, temperature=80.0, every=5)
+    simulation = md.Simulation(system, argon, md.VelocityVerlet(timestep), barostat=barostat)
+    with pytest.warns(UserWarning, match=words):
+        simulation.run(0)

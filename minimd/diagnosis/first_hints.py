@@ -11,8 +11,11 @@ from minimd.engine.engine import Engine
 from minimd.integrators.splitting.linear_stability import accurate_step
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.pair import PairPotential
+from minimd.structure.units import ASE, BAR
 
 QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth
+CRUSHING = 0.5  # eV/Å³: 80 GPa, far more than a Lennard-Jones solid is good for
+TOO_SHORT = 1e-6  # times 1/ω of a collision
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 
 
@@ -22,8 +25,11 @@ def hints(engine: Engine) -> Iterator[str]:
         yield depth
     elif hint := too_long_a_step(engine):
         yield f"{hint}; see advise_timestep, and check the unit of the time step"
+    elif hint := _short_timestep(engine):
+        yield hint
     yield from _no_pair_in_reach(engine)
     yield from _quick_barostat(engine)
+    yield from _high_pressure(engine)
 
 
 def too_long_a_step(engine: Engine) -> str | None:
@@ -40,6 +46,25 @@ def _quick_barostat(engine: Engine) -> Iterator[str]:
             f"relaxation_time {shown(barostat.relaxation_time)}: the volume fluctuates too much; take a relaxation_time of at least "
             f"{1.0 / QUICK:g} such intervals, or a smaller every"
         )
+
+
+def _high_pressure(engine: Engine) -> Iterator[str]:
+    """A hint if the pressure of a barostat, in eV/Å³, is a number in bar or so."""
+    barostat, units = engine.barostat, engine.system.units
+    if barostat is not None and units == ASE and abs(barostat.pressure) > CRUSHING:
+        meant = f"if {barostat.pressure:g} bar is meant, give {barostat.pressure:g} * md.units.BAR"
+        yield f"pressure {barostat.pressure:g} {units.pressure} is {barostat.pressure / BAR:.2g} bar; {meant}, and the compressibility per BAR"
+
+
+def _short_timestep(engine: Engine) -> str | None:
+    """A hint if Lennard-Jones atoms would hardly move in a year of steps."""
+    system, timestep = engine.system, abs(engine.method.timestep)
+    held = engine.constraint_set.bonds.pairs if engine.constraint_set.bonds else system.bonds[:0]
+    share = timestep * collision_frequency(system, engine.interactions.potentials, held, at_rest=True)
+    if not 0.0 < share < TOO_SHORT:
+        return None
+    meant = ", such as 5 * md.units.fs" if system.units == ASE else ""
+    return f"timestep {system.units.shown(timestep)} is {share:.0e} of the time in which Lennard-Jones atoms collide: check its unit{meant}"
 
 
 def _long_timestep(engine: Engine) -> str | None:

@@ -125,10 +125,9 @@ class CellRescaling:
         strain = self.barostat.strain(before, duration, noise_number)
         largest = float(np.abs(strain).max())
         if not largest <= LARGEST_STRAIN:
-            why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {self.barostat.pressure:.3g}"
-            raise RangeError(
-                f"the barostat would strain the cell by {largest:.1e} at once ({why}): take a longer relaxation_time, or equilibrate first"
-            )
+            why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {self.barostat.pressure:.3g} {self._system.units.pressure}"
+            cure = "equilibrate first, take a longer relaxation_time, or look at the unit of the pressure"
+            raise RangeError(f"the barostat would strain the cell by {largest:.1e} at once ({why}): {cure}")
         if self.barostat.pressure <= 0.0 and before.volume > EVAPORATED * self._first_volume:
             raise RangeError(self._growth(before))
         back = self._move(exponential(strain), bath)

@@ -21,11 +21,11 @@ from minimd.structure.lattice import crystal
 BATH, FREE = partial(md.LangevinBAOAB, 0.004, 1.2, 2.0, seed=2**100 + 7), partial(md.VelocityVerlet, 0.004)
 
 
-def gas(method, precision="double", seed=1):
+def gas(method, precision="double", seed=1, **options):
     """108 atoms of three species."""
     positions, edges = crystal("fcc", [3, 3, 3], 1.9)
     system = md.System(positions, cell=edges, species=["A", "B", "C", "A"] * (len(positions) // 4))
-    simulation = md.Simulation(system, SMOOTH["three species"], method, precision=precision, threads=1)
+    simulation = md.Simulation(system, SMOOTH["three species"], method, precision=precision, threads=1, **options)
     simulation.set_temperature(1.5, seed)
     return simulation
 
@@ -65,6 +65,23 @@ def test_lists_built_in_a_kernel_have_the_bits_of_those_that_python_builds(metho
     monkeypatch.setattr(ClusterList, "can_be_renewed", False)
     assert_same_bits(inside, ending(outside))
     assert inside[3][1] > 3
+
+
+def test_lists_of_a_strained_cell_that_a_kernel_builds_have_the_bits_of_those_that_python_builds(monkeypatch):
+    """Columns move with the cell, in their memory; lists are built for every cell but a few, some in the kernel."""
+    bath, before, after = md.StochasticCellRescaling(3.0, 0.1, 0.2, seed=2, every=7, coupling="triclinic"), [], []
+    build = ClusterList._build
+    monkeypatch.setattr(ClusterList, "_build", lambda self, positions, cell: before.append(cell) or build(self, positions, cell))
+    inside = gas(BATH(), barostat=bath)
+    ended = ending(inside)
+    monkeypatch.setattr(ClusterList, "can_be_renewed", False)
+    monkeypatch.setattr(ClusterList, "_build", lambda self, positions, cell: after.append(cell) or build(self, positions, cell))
+    outside = gas(BATH(), barostat=bath)
+    assert_same_bits(ended, ending(outside))
+    assert np.array_equal(inside.system.cell.vectors, outside.system.cell.vectors)
+    assert len(before) < len(after)
+    anew = md.evaluate(inside.system, inside.potentials)
+    assert inside.forces == pytest.approx(anew.forces, rel=1e-10, abs=1e-10)
 
 
 def test_a_bath_in_the_kernel_has_the_bits_of_one_outside(monkeypatch):

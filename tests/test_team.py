@@ -14,7 +14,7 @@ from cluster_scenes import atoms_per_domain
 from minimd.compiled.kernels import shared_kernel
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, Worker, barrier, begin, finish_and_take, stop, take, thread_pool, was_stopped
 from minimd.neighbors.cluster_list import ClusterList
-from minimd.neighbors.clusters import make_columns
+from minimd.neighbors.clusters import covered, make_columns
 from minimd.structure.cell import Cell
 
 N_PHASES = 4
@@ -202,7 +202,7 @@ def test_chunks_are_never_more_than_a_team_can_share_out(n):
     with atoms_per_domain(1):
         found = ClusterList(n, 1.8, 0.2, np.zeros((0, 2), dtype=np.int64), "double", thread_pool(2))
         found.update(positions, cell)
-    columns, chunks = make_columns(cell, positions, 2.0, found.lanes), found.domains
+    columns, chunks = make_columns(cell, len(positions), 2.0, found.lanes, *covered(cell, positions, 2.0)), found.domains
     assert len(chunks.column) - 1 == min(MOST_CHUNKS, columns.counts[0] // columns.reach[0])
     assert np.all(np.diff(chunks.column) >= columns.reach[0])
     assert (chunks.column[0], chunks.column[-1], chunks.cluster[-1]) == (0, columns.counts[0], found.n_clusters)

@@ -126,14 +126,14 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
     zero = convert(nothing, 0.0)
     own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, which, like)
     limit2, stops = limit_of(steps), rows.stops[rows.layers[0] - 1]
+    energy = xx = yy = zz = yz = xz = xy = zero
     for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
         home, lane = homes[slot // n_lanes] - first, slot % n_lanes
         place = home * DIMENSIONS * n_lanes + lane
         at = (broadcast(coordinates[place], like), broadcast(coordinates[place + n_lanes], like), broadcast(coordinates[place + 2 * n_lanes], like))
         after = rows.entries[np.uintp(rows.start[slot])]
         ahead = separations(coordinates, memory, after, at, lanes)
-        fx = fy = fz = nothing
-        energy = xx = yy = zz = yz = xz = xy = size2 = zero
+        fx, fy, fz, size2 = nothing, nothing, nothing, zero
         for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
             if looks_ahead(nothing):
                 now, (dx, dy, dz, r2), after = after, ahead, rows.entries[entry + np.uintp(1)]
@@ -167,11 +167,12 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
         forces[place + 2 * n_lanes] -= without_bias(total(fz), n_entries, lanes)
         if lanes_beyond(size2, limit2):
             memory.net[domain, 0] = 1.0
-        if with_energy(sums):
+        if with_energy(sums) and (sums.detail == PER_ATOM or lane == n_lanes - 1):
             k = slot if sums.detail == PER_ATOM else slot // n_lanes
             sums.energies[k] += own_share * total(energy)
             for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
                 sums.virials[k, c] += own_share * total(w)
+            energy = xx = yy = zz = yz = xz = xy = zero
 
 
 @scalar

@@ -5,8 +5,8 @@ from collections import namedtuple
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import scalar, shared_kernel
 from minimd.compiled.threads import MOST_CHUNKS, barrier, begin, finish_and_take, take
-from minimd.neighbors.cluster_search import find_rows, make_work
-from minimd.neighbors.clusters import fill_clusters, sort_into_columns
+from minimd.neighbors.cluster_search import LAYERS, find_rows, make_work
+from minimd.neighbors.clusters import DIMENSIONS, fill_clusters, sort_into_columns
 from minimd.neighbors.domains import BLOCKS, GHOSTS, cut_into_domains, fill_ghosts, fill_shifts, sort_ghosts
 
 
@@ -41,6 +41,7 @@ def build_clusters(worker, task, positions, building):
     while chunk >= 0:
         cut_into_domains(clusters, columns, domains, goes_along)
         fill_shifts(columns, building.layout.shifts)
+        _forget_strain(columns, clusters.wrapping, building.rows)
         chunk = finish_and_take(worker, phase, 1)
     phase = barrier(worker, phase)
     if not _has_room(domains, ghosts, n_blocks) or entry_start.size != domains.column.size:
@@ -62,6 +63,16 @@ def build_clusters(worker, task, positions, building):
         chunk = finish_and_take(worker, phase, 1)
     barrier(worker, phase)
     return 1 if _is_enough(entry_start, needed) else 0
+
+
+@scalar
+def _forget_strain(columns, wrapping, rows):
+    """The cell of the clusters is the one in which they are made."""
+    for a in range(DIMENSIONS):
+        for b in range(DIMENSIONS):
+            wrapping.inverse[a, b], wrapping.lattice[a, b] = columns.inverse[a, b], columns.lattice[a, b]
+    for layer in range(LAYERS):
+        rows.limits2[layer] = rows.limits2_at_build[layer]
 
 
 @scalar

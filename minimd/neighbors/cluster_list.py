@@ -22,11 +22,13 @@ from minimd.neighbors.clusters import (
     any_moved_from_clusters,
     bins_for_sort,
     clusters_for_build,
+    covered,
     gathered,
     loaded,
     make_clusters,
     make_columns,
     most_clusters,
+    moved_columns,
     offsets_of,
 )
 from minimd.neighbors.domains import BLOCKS, IMAGES, SIDES, Domains, GhostClusters, Layout, ghosts_for_search, make_domains, make_ghosts
@@ -88,7 +90,6 @@ class ClusterList(VerletList):
         self._widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS  # how much farther than the cutoff the layers reach
         self._n_atoms, self._pool, self._is_mixed, self._is_fixed = n_atoms, pool, precision == "mixed", precision == "fixed-point"
         self._columns_of: Cell | None = None
-        self._original: NDArray[np.float64] | None = None  # positions of the clusters at the last build, if the cell was strained since
         self._calls = DirectCalls()
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
         self._room: tuple[int, ...] = (0, 0, 0)
@@ -109,8 +110,7 @@ class ClusterList(VerletList):
     def _built_at(self) -> NDArray[np.float64]:
         clusters, n_lanes, n = self.clusters, self.lanes.size, self.n_clusters
         positions, real = np.empty((self._n_atoms, DIMENSIONS)), np.arange(n_lanes) < clusters.filled[:n, None]
-        blocks = self._blocks(clusters.positions) if self._original is None else self._original
-        positions[clusters.atom[: n * n_lanes][real.ravel()]] = blocks.transpose(0, 2, 1)[real]
+        positions[clusters.atom[: n * n_lanes][real.ravel()]] = self._blocks(clusters.origins).transpose(0, 2, 1)[real]
         return positions
 
     def _blocks(self, flat: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -129,47 +129,56 @@ class ClusterList(VerletList):
 
     @property
     def can_be_renewed(self) -> bool:
-        """Whether a kernel can do what update does: on one thread, in a cell in which columns stay and that was not strained since the last build,
-        and with nothing that a build does after build_clusters.
+        """Whether a kernel can do what update does: on one thread, with columns that stay where they are, and with nothing that a build does after
+        build_clusters.
         """
-        stays = self._columns_of is not None and bool(self._columns_of.pbc.all()) and self._original is None
+        stays = self._cell is not None and self._are_columns_of(self._cell)
         return stays and self._pool.n_threads == 1 and self._excluded is None and not self._is_mixed
 
     def renewed(self, n: int) -> None:
         """So many lists were built by a kernel. rows.layers is zero if it has left none that can be used."""
         self.n_builds += n
+        if n > 0:
+            self._built_in, self._stretch = self._cell, 1.0
         if self.rows.layers[0] == 0:
             self._cell = None
 
     def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
-        positions = self._blocks(self.clusters.positions)
-        if self._original is None:
-            whole = self.clusters.positions.copy()
-            self._original, self.clusters = self._blocks(whole), self.clusters._replace(origins=whole)
-            self.arrays = self.arrays._replace(clusters=self.clusters)
-        strained(self._original, strain, positions)
+        if self.clusters.origins is self.clusters.positions:
+            self._keep_origins()
+        strained(self._blocks(self.clusters.origins), strain, self._blocks(self.clusters.positions))
         self.clusters.wrapping.lattice[:] = cell.lattice
         before.follow(cell, self._shifts)
         if self._is_mixed:
             self.memory.shift[:] = np.rint(self._shifts / self.memory.unit)
-        self._set_limits()
-
-    def _set_limits(self) -> None:
         self.rows.limits2[:] = [self._limit2(width) for width in self._widths]
+        if moved_columns(self._columns, make_columns(cell, self._n_atoms, self.cutoff + self.skin, self.lanes)):
+            self._columns_of = cell
+
+    def _keep_origins(self) -> None:
+        """Memory of their own for the origins of clusters, of which the positions so far are a copy."""
+        origins = self._memory.array("origins", np.float64, len(self.clusters.positions))
+        origins[:] = self.clusters.positions
+        self.clusters = self.clusters._replace(origins=origins)
+        self.building = self.building._replace(layout=self.building.layout._replace(clusters=self.clusters))
+        self.arrays = self.arrays._replace(clusters=self.clusters)
+
+    def _are_columns_of(self, cell: Cell) -> bool:
+        """Whether columns are where they should be for a build; where a cell is open, they go along with the atoms."""
+        return self._columns_of is not None and bool(cell.pbc.all()) and cell.same_as(self._columns_of)
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        if self._original is not None:
-            self._original, self.clusters = None, self.clusters._replace(origins=self.clusters.positions)
-            self.arrays = self.arrays._replace(clusters=self.clusters)
-            self.clusters.wrapping.lattice[:] = self._columns.lattice
-        if self._columns_of is None or not (cell.pbc.all() and cell.same_as(self._columns_of)):
-            self._columns, self._columns_of = make_columns(cell, positions, self.cutoff + self.skin, self.lanes), cell
-            self._make_clusters()
+        if not self._are_columns_of(cell):
+            reach = self.cutoff + self.skin
+            columns = make_columns(cell, self._n_atoms, reach, self.lanes, *covered(cell, positions, reach))
+            if self._columns_of is None or not moved_columns(self._columns, columns):
+                self._columns = columns
+                self._make_clusters()
+            self._columns_of = cell
         while not self._pool.run(build_clusters, positions, self.building, calls=self._calls):
             self._make_room()
         if self._is_mixed:
             self._lay_grid()
-        self._set_limits()
         if self._excluded is not None:
             slot_of, image = self._memory.array("slot of", np.int64, len(positions)), (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
             self._pool.run(exclude_pairs, self.building.layout, image, self._excluded, slot_of, self.rows, calls=self._calls)
@@ -208,8 +217,8 @@ class ClusterList(VerletList):
         self._share_memory()
         start = self._memory.array("row start", np.int32, len(self.clusters.atom), spare=self._spare)
         stops = self._memory.array("row stops", np.int32, LAYERS * len(start), spare=self._spare).reshape(LAYERS, -1)
-        self.rows = Rows(start, stops, self._entries, (self.cutoff + self._widths) ** 2, np.zeros(LAYERS), np.zeros(1, dtype=np.int64))
-        self._set_limits()
+        reaches2, limits2 = (self.cutoff + self._widths) ** 2, (0.5 * self._widths) ** 2
+        self.rows = Rows(start, stops, self._entries, reaches2, np.zeros(LAYERS), limits2, np.zeros(1, dtype=np.int64))
         number, n_block = np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64, self.lanes.size * DIMENSIONS
         forces = self._memory.array("forces", number, self._room[2] * n_block, in_page=HALF_A_PAGE, spare=1.0)
         first_sum = self._memory.array("first sum", np.int64, self._room[1] if self._is_fixed else 0)

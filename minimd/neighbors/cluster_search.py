@@ -37,13 +37,14 @@ SET_BITS = np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()  # 
 ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the rounding of float32
 
 
-class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 layers")):
+class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 limits2_at_build layers")):
     """Clusters near each atom, in layers: entries[start[s] : stops[l, s]] are those that have an atom within reach l of the atom in slot s.
 
     start : (slots,) int.  stops : (LAYERS, slots) int.
     entries : (E,) uint32, the number of a ghost in the window of the domain, and above its 24 bits one for each lane that counts.
     reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].
     limits2 : (LAYERS,) squared distances that an atom may move before another layer is needed, or a new list [length²].
+    limits2_at_build : the same as long as the cell has not been strained since.
     layers : (1,) int, how many layers are in use.
     After the last entry there is memory for AHEAD more, because some read ahead. The loop reads one of them, which must name a ghost.
     """
@@ -100,7 +101,7 @@ def find_rows(domain, layout, rows, room, work):
 @scalar
 def _candidates(k, n_ahead, layout, work):
     """Ghosts ahead of cluster k whose boxes are within reach; returns how many. The first ghost of each run moves up with k."""
-    ghosts, along, limit2, ahead, candidates = layout.ghosts, layout.columns.along, np.float32(ROUNDED_UP), work.ahead, work.candidates
+    ghosts, along, limit2, ahead, candidates = layout.ghosts, layout.columns.along[0], np.float32(ROUNDED_UP), work.ahead, work.candidates
     boxes, bottom, top, i = ghosts.boxes, ghosts.bottom, ghosts.top, ghosts.home[k]
     low, high = bottom[i] - along, top[i] + along
     own, stride = _box(boxes, i), boxes.size // SIDES

@@ -26,16 +26,18 @@ from minimd.neighbors.binning import FLATTEST, WIDER, counting_sort, into_cell
 from minimd.neighbors.buffers import Buffers, Fields
 from minimd.structure.cell import Cell
 
+ZEROS, ONES = np.zeros(3), np.ones(3)
+N_FIXED = 4  # fields of Columns that stay as the cell is strained
 DIMENSIONS = 3  # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
 
 
-class Columns(ByAddress, namedtuple("Columns", "counts distance reach along origin extent pbc lattice inverse")):
-    """A cell divided into columns along its third lattice vector.
+class Columns(ByAddress, namedtuple("Columns", "counts distance reach pbc along origin extent lattice inverse")):
+    """A cell divided into columns along its third lattice vector. What changes as the cell is strained, from along on, is in arrays.
 
     counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
     distance : within which pairs are searched [length].  reach : (2,) int, the same in columns on each side.
-    along : the same as a fraction of the height along the third lattice vector.
-    origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions.  pbc, lattice, inverse : of the Cell.
+    pbc, lattice, inverse : of the Cell.  along : (1,) distance as a fraction of the height along the third lattice vector.
+    origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions.
     """
 
 
@@ -44,7 +46,7 @@ class Clusters(ByAddress, namedtuple("Clusters", "lanes atom filled positions or
 
     lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
     positions : flat, a block of 3 n numbers for each cluster: of its atoms when it was made, strained since as the cell was [length].
-    origins : the same without the strain, and the same array if there was none.  wrapping : Wrapping.
+    origins : the same without the strain, and the same array if there never was one.  wrapping : Wrapping.
     column_start : (columns + 1,) int, first cluster of each column; the last number is C.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
@@ -72,23 +74,39 @@ def offsets_of(start, clusters):
     return x, y, a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
 
 
-def make_columns(cell: Cell, positions: NDArray[np.float64], reach: float, lanes: Lanes) -> Columns:
-    """Columns so wide that the atoms of a cluster fill about a cube of them."""
+def covered(cell: Cell, positions: NDArray[np.float64], reach: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where atoms are, as Columns has it: origin and extent."""
     origin, extent = np.zeros(3), np.ones(3)
     for k in np.flatnonzero(~cell.pbc):
         along = np.einsum("ij,j->i", positions, cell.inverse[:, k])  # not @: see observables
         origin[k], extent[k] = along.min(), max(np.ptp(along), FLATTEST * reach / cell.heights[k])
-    widths = cell.heights * extent
-    n_lanes = lanes.size
-    cube = (n_lanes * widths.prod() / len(positions)) ** (1.0 / 3.0)
-    across = np.maximum(1.0, np.minimum(widths[:2] / cube, len(positions)))
-    across = np.maximum(1.0, np.rint(across * min(1.0, (len(positions) / (n_lanes * across.prod())) ** 0.5)))  # a flat scene has few
-    bins = max(1.0, len(positions) / across.prod())
+    return origin, extent
+
+
+def make_columns(
+    cell: Cell, n_atoms: int, reach: float, lanes: Lanes, origin: NDArray[np.float64] = ZEROS, extent: NDArray[np.float64] = ONES
+) -> Columns:
+    """Columns so wide that the atoms of a cluster fill about a cube of them.  origin, extent : see covered; the whole cell if left out."""
+    widths, n_lanes = cell.heights * extent, lanes.size
+    cube = (n_lanes * widths.prod() / n_atoms) ** (1.0 / 3.0)
+    across = np.maximum(1.0, np.minimum(widths[:2] / cube, n_atoms))
+    across = np.maximum(1.0, np.rint(across * min(1.0, (n_atoms / (n_lanes * across.prod())) ** 0.5)))  # a flat scene has few
+    bins = max(1.0, n_atoms / across.prod())
     needed = np.ceil(WIDER * reach * across / widths[:2])
     needed = np.minimum(needed, np.where(cell.pbc[:2], across, across - 1.0))
     counts = np.array([*across, bins]).astype(np.int64)
-    along_z = WIDER * reach / cell.heights[2]
-    return Columns(counts, reach, needed.astype(np.int64), along_z, origin, extent, cell.pbc, cell.lattice, cell.inverse)
+    along_z = np.array([WIDER * reach / cell.heights[2]])
+    return Columns(counts, reach, needed.astype(np.int64), cell.pbc, along_z, origin.copy(), extent.copy(), cell.lattice.copy(), cell.inverse.copy())
+
+
+def moved_columns(columns: Columns, to: Columns) -> bool:
+    """Whether there are as many columns in another cell, or at other places; then they are moved there, in the same arrays."""
+    stay, move = columns[:N_FIXED], columns[N_FIXED:]
+    if not all(np.array_equal(a, b) for a, b in zip(stay, to[:N_FIXED], strict=True)):
+        return False
+    for a, b in zip(move, to[N_FIXED:], strict=True):
+        a[:] = b
+    return True
 
 
 def most_clusters(n_atoms: int, columns: Columns, lanes: Lanes) -> int:
@@ -102,7 +120,7 @@ def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Se
     column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)
     atom, filled = array("atom", np.int32, n_slots), array("filled", np.int32, n_clusters)
     at = array("positions", np.float64, n_slots * DIMENSIONS)
-    wrapping = Wrapping(columns.inverse, columns.pbc.astype(np.float64), columns.lattice.copy())
+    wrapping = Wrapping(columns.inverse.copy(), columns.pbc.astype(np.float64), columns.lattice.copy())
     return Clusters(lanes, atom, filled, at, at, wrapping, column_start, *for_build)
 
 
@@ -162,7 +180,8 @@ def _fill_column(column, positions, columns, binned, clusters):
             _, b = into_cell(positions, i, columns.inverse, columns.pbc, 1)
             _, d = into_cell(positions, i, columns.inverse, columns.pbc, 2)
             for c in range(3):
-                clusters.positions[(cluster * DIMENSIONS + c) * n_lanes + k] = positions[i, c]
+                place = (cluster * DIMENSIONS + c) * n_lanes + k
+                clusters.positions[place] = clusters.origins[place] = positions[i, c]
                 x = positions[i, c] + (a * lattice[0, c] + b * lattice[1, c] + d * lattice[2, c])
                 clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = (
                     min(clusters.boxes[cluster, c], x),

@@ -173,9 +173,9 @@ def _seen(run_x, run_y, image_z, clusters, columns):
         return 0, 0, image
     column = (run_x - image_x * counts[0]) * counts[1] + run_y - image_y * counts[1]
     first, last = clusters.column_start[column], clusters.column_start[column + 1]
-    while image_z > 0 and last > first and clusters.bottom[last - 1] > columns.along:
+    while image_z > 0 and last > first and clusters.bottom[last - 1] > columns.along[0]:
         last -= 1
-    while image_z < 0 and last > first and clusters.top[first] < 1.0 - columns.along:
+    while image_z < 0 and last > first and clusters.top[first] < 1.0 - columns.along[0]:
         first += 1
     return first, last, image
 

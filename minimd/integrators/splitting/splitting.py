@@ -114,9 +114,11 @@ class Splitting(Method):
             around.phase = -behind if step > 0 or goes_on else 0.0
             for k, substep in enumerate(substeps):
                 if march is not None and repeated is not None and substeps is cycle and k == first_kick and not state.forces_are_current:
-                    while not around.stop_requested and (made := march(state, repeated, n_steps - 1 - step)) > 0:
+                    while not around.stop_requested and (made := march(state, repeated, n_steps - step - (k > 0))) > 0:
                         step += made
                         around.count(made)
+                    if step == n_steps:
+                        break
                 duration, unit = substep.coefficient * self.timestep, units[substep] * self.timestep
                 if isinstance(substep, Kick):
                     if not state.has_forces_over(unit):
@@ -132,11 +134,12 @@ class Splitting(Method):
                     around.drift(state, duration, unit)
                     around.phase += substep.coefficient
                     state.forces_are_current = False
-            if step < n_steps:
-                around.count(1)
-            step += 1
-            if around.stop_requested:
-                n_steps = min(n_steps, step)
+            else:
+                if step < n_steps:
+                    around.count(1)
+                step += 1
+                if around.stop_requested:
+                    n_steps = min(n_steps, step)
         around.project(state)
         return n_steps
 

@@ -283,7 +283,7 @@ def test_moments_recomputed_from_velocities_are_those_of_the_record(tmp_path, un
 def test_warning_about_a_turned_cell_shows_the_line_of_the_user(tmp_path):
     made = md.System(np.eye(3), cell=np.array([[0.0, 9.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, 9.0]]))
     sim = md.Simulation(made, md.LennardJones(1e-12, 1e-6, 1e-3), md.VelocityVerlet(0.5))
-    with pytest.warns(UserWarning, match="is turned, because MDAnalysis knows a cell by lengths") as caught:
+    with pytest.warns(UserWarning, match="is turned, because MDAnalysis holds a cell as lengths") as caught:
         sim.run(2, every=1, trajectory=tmp_path / "a.nc")
     assert caught[0].filename == __file__
     assert len(MDAnalysis.coordinates.TRJ.NCDFReader(str(tmp_path / "a.nc"))) == 3

@@ -101,7 +101,7 @@ def test_uneven_frames_are_told(tmp_path):
     path, sim = tmp_path / "a.h5md", simulation()
     sim.run(3)
     sim.run(17, every=5, trajectory=path)
-    with pytest.warns(UserWarning, match="lie 2 to 5 steps apart") as caught:
+    with pytest.warns(UserWarning, match="are 2 to 5 steps apart") as caught:
         made = universe(path)
     assert caught[0].filename == __file__
     assert made.trajectory.dt == pytest.approx(5 * 0.4 / PER_PICOSECOND)

@@ -332,7 +332,7 @@ def test_the_correction_of_yeh_and_hummer(run):
     expected = 2.837297 * result.temperature / (6.0 * np.pi * 2.0 * edge)
     assert result.infinite - result.diffusion == pytest.approx(expected, rel=1e-12)
     assert result.diffusion == looking.result(window=window).diffusion
-    assert "larger cell is larger" in str(looking.result(window=window))
+    assert "in a larger cell D is larger" in str(looking.result(window=window))
     assert "Yeh and Hummer" in str(result)
     with pytest.raises(ValueError, match="at least 3 lags"):
         looking.result(window=(0.1, 0.101))

@@ -30,7 +30,10 @@ def test_a_script_without_a_main_is_told_so(tmp_path):
 def test_functions_of_a_notebook_are_not_sent_to_spawned_workers():
     code = "import minimd as md\ndef build(member): ...\nmd.ensemble(build, 2, 5, workers=1)"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "it was defined in a session, which other processes cannot import. Define it with def at the top level of a file, and import it" in ended.stderr
+    assert (
+        "it was defined in a session, which other processes cannot import. Define it with def at the top level of a file, and import it"
+        in ended.stderr
+    )
 
 
 KILLED = """

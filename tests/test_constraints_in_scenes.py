@@ -151,7 +151,7 @@ def test_lengths_of_the_structure_file_are_measured_in_the_cell_of_the_scene(tmp
         ("fixed = [-1]", ["constraints.fixed[0] must be greater than or equal to 0", "= -1"]),
         ("fixed = [4]", ["fixed atoms must be among 0 to 3", "atom 4"]),
         ("fixed = 1", ["constraints.fixed must be a list", "= 1"]),
-        ("fixed = [0, 1]\npairs = [[0, 1]]", ["joins two atoms that are held fixed"]),
+        ("fixed = [0, 1]\npairs = [[0, 1]]", ["connects two atoms that are held fixed"]),
         ('pairs = [[0, 1]]\nsolver = "lincs"', ["constraints.solver must be 'auto', 'newton' or 'shake'", '"lincs"']),
         ("pairs = [[0, 1]]\ntolerance = 0.0", ["constraints.tolerance must be greater than 0", "= 0.0"]),
         ('solver = "shake"', ["constraints: tolerance and solver are for lengths, and no lengths are held; give pairs"]),

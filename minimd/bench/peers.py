@@ -180,7 +180,7 @@ def _peers(options: PeersOptions) -> tuple[str, ...]:
     missing = {PEERS[name].package: PEERS[name].installer for name in able if not PEERS[name].is_installed}
     for installer in dict.fromkeys(() if options.peers else missing.values()):
         packages = [package for package, its in missing.items() if its == installer]
-        tell(f"no comparison with {', '.join(packages)}, which are not installed; {installer} installs them")
+        tell(f"no comparison with {', '.join(packages)}: not installed; {installer} installs this")
     return tuple(name for name in options.peers or able if PEERS[name].package not in missing)
 
 

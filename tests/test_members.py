@@ -193,9 +193,8 @@ def test_nothing_goes_on_from_where_a_run_has_blown_up(done, tmp_path):
 
 
 def test_if_all_fail_the_first_failure_is_raised_with_its_traceback(tmp_path):
-    with pytest.raises(
-        RuntimeError, match=r"(?s)all 4 members have failed; the first failure was:.member 0 .*LookupError: no structure for 0"
-    ) as failure:
+    told = r"(?s)all 4 members have failed; the first failure was:.member 0 .*LookupError: no structure for 0"
+    with pytest.raises(RuntimeError, match=told) as failure:
         run(tmp_path, members.broken)
     assert "in broken" in failure.value.__notes__[0]
 
@@ -337,11 +336,7 @@ BAD = [
     ({"workers": None, "executor": "dask"}, TypeError, "executor must have a method submit"),
     ({"workers": 2, "build": lambda member: None}, TypeError, "build cannot be sent to worker processes: .*Define it with def at the top level"),
     ({"build": lambda member: 3}, RuntimeError, "build must return a Simulation; for member 0 .* it returned 3"),
-    (
-        {"run": lambda *_: 3},
-        RuntimeError,
-        "run must return a Record, a dict of numbers, of tuples \\(mean, error\\) or of series, or None; it returned 3",
-    ),
+    ({"run": lambda *_: 3}, RuntimeError, "run must return a Record, a dict of numbers, .* or of series, or None; it returned 3"),
 ]
 
 

@@ -1,8 +1,8 @@
-"""The command `minimd`, from its first line on: Ctrl-C ends it with one sentence and code 130, whatever is being loaded or compiled.
+"""The program `minimd`: from its first line on, Ctrl-C ends it with one sentence and code 130, even while modules are loaded or compiled.
 
-This file lies beside the package because Python loads a package, and with it NumPy and Numba, before any of its modules. A KeyboardInterrupt
-would not do: while a compiled module is loaded or a kernel compiled, it may turn into another error, a traceback or nothing. Only a run has
-something to save. It replaces the handler by its own, see minimd.structure.console.
+This file is beside the package, because Python loads a package, and with it NumPy and Numba, before any of its modules. A KeyboardInterrupt
+is not enough: while a compiled module is loaded or a kernel is compiled, it may become another error, a traceback or nothing. Only a run
+has something to save; it replaces the handler by its own, see minimd.structure.console.
 """
 
 import os
@@ -13,8 +13,8 @@ WRONG_OUTPUT, INTERRUPTED = 2, 130  # exit codes
 
 
 def end_at_once(_number: int, _frame: object) -> None:
-    """Handler of Ctrl-C: one sentence, and the end."""
-    signal(SIGINT, SIG_DFL)  # what was printed before may wait for somebody to read it; a second Ctrl-C does not
+    """Handler of Ctrl-C: print one sentence and end the process."""
+    signal(SIGINT, SIG_DFL)  # earlier output may wait for its reader; then a second Ctrl-C ends the process
     _end(INTERRUPTED, "minimd: error: interrupted\n")
 
 
@@ -36,13 +36,13 @@ def main() -> None:
 
 
 def _end(code: int, words: str = "") -> None:
-    """End without taking the interpreter down, while threads may still compute and HDF5 may be in the middle of a call."""
+    """End the process without shutting the interpreter down: threads may still compute, and HDF5 may be in the middle of a call."""
     for stream in (sys.__stdout__, sys.__stderr__):
         try:
             if stream is not None:
                 stream.flush()
-        except (OSError, RuntimeError, ValueError) as reason:  # nobody reads it, it is in the middle of a print, or closed
-            if code == 0:  # else a reason to end has been told
+        except (OSError, RuntimeError, ValueError) as reason:  # the reader is gone, a print is not finished, or the stream is closed
+            if code == 0:  # else the reason has already been printed
                 code, words = WRONG_OUTPUT, f"minimd: error: the output is not complete: {reason}\n"
     try:
         os.write(2, words.encode())

@@ -128,22 +128,22 @@ __all__ = [
 
 
 def __getattr__(name: str) -> ModuleType:
-    """The bridge to LAMMPS, when it is asked for."""
+    """The bridge to LAMMPS, imported when it is first used."""
     if name == "lammps":
         return import_module("minimd.lammps")
     raise AttributeError(f"module 'minimd' has no attribute {name!r}")
 
 
 def read_observers(path: str | Path) -> dict[str, observers.Accumulator]:
-    """The observers in an H5MD file by name, as they stood at its restart: read_observers("run.h5md")["viscosity"].result().
+    """The observers in an H5MD file by name, in their state at its restart: read_observers("run.h5md")["viscosity"].result().
 
-    Raises FileNotFoundError, OSError, ValueError for a file that is none of minimd, or is damaged.
+    Raises FileNotFoundError, OSError, ValueError for a file that does not exist, is damaged, or was not written by minimd.
     """
-    from minimd.files.h5md_reader import read_file  # h5py takes its time to load
+    from minimd.files.h5md_reader import read_file  # h5py is slow to load
 
     return read_file(path).observers
 
 
 def __dir__() -> list[str]:
-    """The public names: modules of minimd that are loaded are no part of them, but can be imported."""
+    """The public names only; other modules of minimd can be imported, too."""
     return [*__all__, "__all__", "__doc__", "__version__"]

@@ -1,4 +1,4 @@
-"""A failed run made again, step by step, from the file that it left."""
+"""Replaying a failed run step by step, from the crash file that it left."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.observables import longest
 from minimd.structure.units import LJ, SYSTEMS, UnitSystem
 
-PATIENCE = 20  # steps behind the failure, should it not come again: rounding is not the same on every processor
-LAST_ROWS, APART = 12, 10  # of the table: the last ones all, of the others every tenth
+PATIENCE = 20  # steps after the failure, if it does not occur again at its step: rounding differs between processors
+LAST_ROWS, APART = 12, 10  # rows of the table: all of the last ones, every tenth of the others
 HEAD = "    step       time  total energy   closest pair  distance largest force      on  fastest      speed"  # see ReplayedStep.row
 SERIES = {"energy": "total energy", "distance": "closest pair", "force": "largest force", "speed": "largest speed"}
 COLORS = ("#1f5fa8", "#1b7f5c", "#c8501e", "#5b3f99")
-WIDE = 50.0  # largest over smallest from which an axis is logarithmic
+WIDE = 50.0  # ratio of the largest to the smallest value above which an axis is logarithmic
 
 
 class ReplayedStep(NamedTuple):
-    """One step.  time, energy : [time], [energy], total.  first, second, distance : the closest pair [length]; −1 and NaN where there is none.
+    """One step.  time : [time].  energy : total [energy].  first, second, distance : the closest pair [length]; −1, −1 and NaN if there is none.
 
-    pushed, force : the atom under the largest force, and its size [energy/length].  fastest, speed : [length/time].
+    pushed, force : the atom with the largest force, and this force [energy/length].  fastest, speed : the fastest atom [length/time].
     """
 
     step: int
@@ -45,13 +45,13 @@ class ReplayedStep(NamedTuple):
 
     @classmethod
     def of(cls, simulation: Simulation) -> ReplayedStep:
-        """The present step; the forces are those of the last look."""
+        """The present step; forces and energy are those of the last observation."""
         record, pair = simulation.record, closest_pair(simulation.system) or (-1, -1, np.nan)
         energy = float(record.total_energy[-1]) if record is not None and len(record) else np.nan
         return cls(simulation.step, simulation.time, energy, *pair, *longest(simulation.forces), *longest(simulation.velocities))
 
     def row(self, units: UnitSystem) -> str:
-        """A row of the table: time and speed with ps or τ, and all else in the units of the system."""
+        """A row of the table: time in ps or τ, speed with the same unit of time, and all else in the units of the system."""
         time, speed = self.time * units.to_picosecond, self.speed / units.to_picosecond
         pair = f"{self.first}-{self.second}" if self.first >= 0 else "none"
         energies = f"{self.step:>8}{time:>11.5g}{self.energy:>14.8g}{pair:>15}{self.distance:>10.4g}"
@@ -89,19 +89,19 @@ def replay(
     picture: str | Path | bool = True,
     overwrite: bool = False,
 ) -> Replay:
-    """Go back to a state some steps before a failure, and make these steps again, each of them observed.
+    """Go back to a state some steps before a failure, make these steps again, and observe each of them.
 
     Parameters
     ----------
-    file : .crash.h5md of a run that failed: system, method and constraints are in it.
+    file : the .crash.h5md file of a run that failed; it holds system, method and constraints.
     potentials : those of the run; if not given, those of the scene that is stored in the file.
-    trajectory, picture : where to write the steps and a picture of them; True for names after the file, False for none.
+    trajectory, picture : where to write the steps and a picture of them; True for names made from that of the file, False for none.
     overwrite : replace files that exist.
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : for a file that is none, for one without a scene if no potentials are given, or for
-        outputs that exist or cannot be written.
+    FileNotFoundError, OSError, ValueError : if the file is not a crash file, if it has no scene and no potentials are given, or if
+        outputs exist or cannot be written.
     """
     past = read_crash_report(file)
     frames, drawing = _output(trajectory, Path(file), ".replay.h5md", overwrite), _output(picture, Path(file), ".replay.png", overwrite)
@@ -123,14 +123,14 @@ def _output(wanted: str | Path | bool, file: Path, suffix: str, overwrite: bool)
         return None
     path = file.with_name(file.name.removesuffix(SUFFIX).removesuffix(file.suffix) + suffix) if wanted is True else Path(wanted)
     if path.exists() and not overwrite:
-        raise FileExistsError(f"output {str(path)!r} exists; choose another name, or replace it: overwrite=True, or --overwrite of the command")
+        raise FileExistsError(f"output {str(path)!r} exists; choose another name, or replace it with overwrite=True, or --overwrite of the command")
     return path
 
 
 def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Potential]:
-    """Those of the text of a scene.  words : what acted on the atoms, for the message.  Raises ValueError if there is no scene."""
+    """The potentials of the text of a scene.  words : the potentials of the run, for the message.  Raises ValueError if there is no scene."""
     if not scene:
-        pass_them = "pass those of the script, as in minimd.replay(file, [...]), or to the command --scene with a scene that has them"
+        pass_them = "pass those of the script, as in minimd.replay(file, [...]), or give the command a scene that has them with --scene"
         raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {pass_them}")
     from minimd.scene import parse_scene
 
@@ -138,7 +138,7 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Po
 
 
 def _run(simulation: Simulation, findings: CrashReport, trajectory: Path | None, rows: list[ReplayedStep]) -> tuple[int | None, str]:
-    """Make the steps; returns at which it failed, and a sentence."""
+    """Make the steps; returns the step that failed, or None, and a sentence."""
     n_steps, observers = findings.step - simulation.step + PATIENCE, [lambda now: rows.append(ReplayedStep.of(now))]
     files = () if trajectory is None else trajectory
     try:
@@ -147,7 +147,7 @@ def _run(simulation: Simulation, findings: CrashReport, trajectory: Path | None,
         step = findings.step if error.crash_report is None else error.crash_report.step
         again = "again" if step == findings.step else f"at another step than the first time ({findings.step}): rounding differs"
         return step, f"failed {again}: {error}"
-    return None, f"it did not fail again up to step {simulation.step}: something from outside acted on the first run, such as an observer"
+    return None, f"it did not fail again up to step {simulation.step}: something that is not in the file, such as an observer, acted on the first run"
 
 
 def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, picture: Path) -> None:
@@ -155,7 +155,7 @@ def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, pi
 
     Raises OSError if the picture cannot be written.
     """
-    from minimd.analysis.picture import four_panels, save  # matplotlib takes its time to load
+    from minimd.analysis.picture import four_panels, save  # matplotlib is slow to load
 
     figure, panels = four_panels()
     shown = (units.energy, units.length, f"{units.energy}/{units.length}", f"{units.length}/{units.shown_time}")

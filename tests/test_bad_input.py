@@ -341,7 +341,7 @@ def test_existing_output_is_refused_and_kept(tmp_path):
 
 def test_full_disk_ends_a_run_with_a_sentence_and_a_valid_file(tmp_path, monkeypatch):
     fill_the_disk(monkeypatch, after=5)
-    with pytest.raises(OSError, match=r"a\.h5md' could not take the frame of step 2: No space left on device; its 2 frames") as caught:
+    with pytest.raises(OSError, match=r"a\.h5md' could not take the frame of step 2: No space left on device; the 2 frames") as caught:
         simulate(every=1, trajectory=tmp_path / "a.h5md")
     assert "\n" not in str(caught.value)
     assert read_file(tmp_path / "a.h5md").record.step.tolist() == [0, 1]

@@ -261,18 +261,18 @@ def test_scaling_runs(short, monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--scene", "ice"], "--scene must be of melt, kob-andersen, chains, dumbbells; it is 'ice'"),
-        (["--precision", "double,half"], "--precision must be of double, mixed; it is 'half'"),
+        (["--scene", "ice"], "--scene must be one of melt, kob-andersen, chains, dumbbells; it is 'ice'"),
+        (["--precision", "double,half"], "--precision must be one of double, mixed; it is 'half'"),
         (
             ["--peers", "namd"],
-            f"--peers must be of {command.PEER_NAMES}, none; it is 'namd'",
+            f"--peers must be one of {command.PEER_NAMES}, none; it is 'namd'",
         ),
         (
             ["--peers", "none,ase"],
-            f"--peers must be of {command.PEER_NAMES}; it is 'none'",
+            f"--peers must be one of {command.PEER_NAMES}; it is 'none'",
         ),
         (["--threads", "1,100000"], "--threads 100000 is more than the "),
-        (["--cells", "10,2"], "--cells 2 makes a cell narrower than twice the cutoff in the scene 'melt'; take more"),
+        (["--cells", "10,2"], "--cells 2 makes a cell narrower than twice the cutoff in the scene 'melt'; give a larger number"),
         (["--scene", "chains", "--peers", "ase"], "--peers ase cannot run the scene 'chains'; it runs melt"),
     ],
 )
@@ -293,7 +293,7 @@ def test_missing_peers_are_told_with_what_installs_them(fakes, monkeypatch, caps
     monkeypatch.setattr(engines.Peer, "is_installed", property(lambda peer: peer.package != "fast"))
     outcome = run_peers(PeersOptions(cells=(4,), threads=(1,), repeats=1))
     assert [row.engine for row in outcome.sizes[0]] == ["minimd", "slow (serial)"]
-    assert "not installed, so not compared with: fast; pip install 'minimd[peers]' installs them" in capsys.readouterr().err
+    assert "no comparison with fast: not installed; pip install 'minimd[peers]' installs this" in capsys.readouterr().err
     with pytest.raises(ValueError, match=r"fast is not installed; pip install 'minimd\[peers\]'"):
         run_peers(PeersOptions(cells=(4,), threads=(1,), peers=("fast",)))
 
@@ -303,7 +303,9 @@ def test_peer_that_does_not_start_is_named(fakes, monkeypatch):
         raise RuntimeError("libmpi.so:\n not found")
 
     monkeypatch.setattr(peers, "PEERS", {"broken": engines.Peer("broken", load)})
-    with pytest.raises(ValueError, match=r"broken is installed but does not start: libmpi\.so: not found; name the others with --peers"):
+    with pytest.raises(
+        ValueError, match=r"broken is installed but does not start: libmpi\.so: not found; to leave it out, name the others with --peers"
+    ):
         run_peers(PeersOptions(cells=(4,), threads=(1,)))
 
 

@@ -169,7 +169,7 @@ def test_resume_without_steps_goes_on_to_the_end_of_the_scene(folder, capsys):
     assert "only melt.h5md is continued" in capsys.readouterr().out
     assert read_file("melt.h5md").step == 40
     assert cli.main(["resume", "melt.h5md"]) == 2
-    assert "it stands at step 40, dynamics.steps = 40" in capsys.readouterr().err
+    assert "it is at step 40, dynamics.steps = 40" in capsys.readouterr().err
 
 
 def test_interrupted_run_says_how_to_go_on(folder, capsys, monkeypatch):

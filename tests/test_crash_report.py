@@ -179,7 +179,7 @@ def test_replay_says_which_method_it_does_not_know(tmp_path):
     simulation = chain(0.05)
     simulation.method = type("Mine", (md.VelocityVerlet,), {"name": "mine"})(0.05)
     error = failing(simulation, crash_report=tmp_path / "a.h5md")
-    with pytest.raises(ValueError, match="the method 'mine', which is not one of minimd"):
+    with pytest.raises(ValueError, match="the method 'mine', which minimd does not have"):
         md.replay(error.file, simulation.potentials)
 
 

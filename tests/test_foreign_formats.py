@@ -49,7 +49,7 @@ def test_dcd_of_one_frame_is_whole(tmp_path):
 
 
 def test_cell_that_lengths_and_angles_cannot_hold_is_told(tmp_path):
-    with pytest.warns(UserWarning, match="is turned, because MDAnalysis knows a cell by lengths and angles"):
+    with pytest.warns(UserWarning, match="is turned, because MDAnalysis holds a cell as lengths and angles"):
         simulation(system(3.0 * TURNED_CELL)).run(0, trajectory=tmp_path / "a.trr")
 
 

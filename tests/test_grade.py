@@ -126,13 +126,13 @@ def with_frc(pos, vel, frc, dt, compute_forces):
 
 
 @pytest.mark.parametrize(("step", "words"), [
-    (force_of_half_the_step, "positions of half the step"),
+    (force_of_half_the_step, "at the middle of the drift"),
     (dt_twice, "multiplied by dt twice"),
     (doubled, "(2 dt)"),
     (multiplied_by_mass, "/(2*m)"),
     (limited, "components of velocities above 1 are cut off"),
     (without_copies, "x.copy()"),
-    (with_frc, "twice the ½ dt² F/m"),
+    (with_frc, "dt² F/m in place of ½ dt² F/m"),
 ])  # fmt: skip
 def test_one_fault_is_named_and_no_other(step, words):
     grade = md.grade(step)
@@ -165,7 +165,7 @@ def test_a_bond_of_minimd_is_between_the_two_atoms():
 
     grade = md.grade(bond, law, positions=x)
     assert grade.passed, str(grade)
-    with pytest.raises(ValueError, match="name positions="):
+    with pytest.raises(ValueError, match="give their positions="):
         md.grade(bond)
     with pytest.raises(ValueError, match=r"pairs=\[\[0, 1\]\]"):
         md.grade(lambda x: -x, law)
@@ -245,7 +245,7 @@ def wrong_shape(x, v, force, m, dt):
 
 @pytest.mark.parametrize(("call", "error", "words"), [
     (lambda: md.grade(7), TypeError, "takes a function"),
-    (lambda: md.grade(no_return), ValueError, "returns None and leaves x and v as they were"),
+    (lambda: md.grade(no_return), ValueError, "returns None and does not change x and v"),
     (lambda: md.grade(wrong_shape), ValueError, "in the shape"),
     (lambda: md.grade(lambda x, v, force, m, dt: (x / 0.0, v)), ValueError, "not finite"),
     (lambda: md.grade(lambda state, dt: state), TypeError, "step(x, v, force, m, dt)"),
@@ -254,9 +254,9 @@ def wrong_shape(x, v, force, m, dt):
     (lambda: md.grade(lambda x: x[0]), ValueError, "shape of the positions"),
     (lambda: md.grade(lambda x, charges: x), TypeError, "charges"),
     (lambda: md.grade(lambda x: -x, cell=-1.0), ValueError, "cell must be"),
-    (lambda: md.grade(lambda x, v, thing, m, dt, force: x), TypeError, "what thing is"),
+    (lambda: md.grade(lambda x, v, thing, m, dt, force: x), TypeError, "the meaning of thing"),
     (lambda: md.grade(lambda self, x, v, force, dt: (x, v)), TypeError, "method without its object"),
-    (lambda: md.grade(lambda y, t, dt, f: y + dt * f(y, t)), ValueError, "as SciPy takes it"),
+    (lambda: md.grade(lambda y, t, dt, f: y + dt * f(y, t)), ValueError, "as for SciPy"),
 ])  # fmt: skip
 def test_what_cannot_be_graded_is_refused_in_a_sentence(call, error, words):
     with pytest.raises(error) as caught:

@@ -135,7 +135,7 @@ def test_full_disk_is_told_once_and_spoils_nothing(tmp_path, monkeypatch, way):
     monkeypatch.undo()
     writer.close()
     assert 5 < written < 2000
-    assert f"{written} frames before that are valid" in str(failure.value)
+    assert f"{written} frames before it are valid" in str(failure.value)
     assert read_file(path).record.step.tolist() == list(range(written))
     assert len(opened(path).trajectory) == written
     assert path.stat().st_size <= 600_000
@@ -154,7 +154,7 @@ def test_failing_write_leaves_the_frames_before_it(tmp_path, monkeypatch):
 
     monkeypatch.setattr(h5md.layout, "series_of", failing)
     bring_to_disk_every(0.0, monkeypatch)
-    with pytest.raises(OSError, match="frame of step 10: Input/output error; its 2 frames"):
+    with pytest.raises(OSError, match="frame of step 10: Input/output error; the 2 frames"):
         sim.run(50, every=5, trajectory=path)
     assert read_file(path).record.step.tolist() == [0, 5]
 

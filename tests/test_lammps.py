@@ -161,15 +161,15 @@ def test_laws_are_followed_through_decisions_and_functions_of_numpy():
 @pytest.mark.parametrize(
     ("body", "why"),
     [
-        (lambda r2, k: (k * np.sinc(r2), 0.0), "it uses sinc, for which Lepton has no word"),
-        (lambda r2, k: (k * math.gamma(r2), 0.0), "it uses gamma, for which Lepton has no word"),
+        (lambda r2, k: (k * np.sinc(r2), 0.0), "it uses sinc, which Lepton does not have"),
+        (lambda r2, k: (k * math.gamma(r2), 0.0), "it uses gamma, which Lepton does not have"),
         (lambda r2, k: (k * [1.0, 2.0][int(r2)], 0.0), "it needs whole numbers"),
-        (lambda r2, k: (next(x for x in range(20) if r2 < x) * k, 0.0), "it makes more than 8 decisions"),
+        (lambda r2, k: (next(x for x in range(20) if r2 < x) * k, 0.0), "it evaluates more than 8 conditions"),
         (lambda r2, k: (k * math.inf * r2, 0.0), "it contains the number inf"),
     ],
 )
 def test_laws_that_lepton_cannot_write_are_refused(body, why):
-    with pytest.raises(UnwritableError, match=f"Lepton cannot write the law <lambda>: {why}"):
+    with pytest.raises(UnwritableError, match=f"Lepton cannot express the law <lambda>: {why}"):
         energy_expression(checked_law(body), (1.0,))
 
 

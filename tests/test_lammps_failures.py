@@ -63,7 +63,7 @@ def test_without_lammps(tmp_path, monkeypatch, capsys):
 
 def test_without_mpiexec(tmp_path, monkeypatch):
     monkeypatch.setattr(program.shutil, "which", lambda *names, **places: None)
-    with refused(FileNotFoundError, "mpiexec was not found, which starts LAMMPS on 2 processes", tmp_path / "run", in_cell(fluid())) as go:
+    with refused(FileNotFoundError, "mpiexec, which starts LAMMPS on 2 processes, was not found", tmp_path / "run", in_cell(fluid())) as go:
         go(processes=2)
     assert len(md.lammps.hand_over(in_cell(fluid()), tmp_path / "run", 20, progress=False, tell=None).record) == 1
 
@@ -75,7 +75,7 @@ def test_copies_of_a_serial_lammps_are_noticed(tmp_path, monkeypatch):
     serial.chmod(0o755)
     monkeypatch.setattr(program.shutil, "which", lambda *names, **places: str(serial))
     (tmp_path / "in").mkdir()
-    with refused(md.lammps.HandOverError, "LAMMPS runs on 1 process, asked for 2; it seems that", tmp_path / "in" / "run", in_cell(fluid())) as go:
+    with refused(md.lammps.HandOverError, "LAMMPS runs on 1 process instead of 2; ", tmp_path / "in" / "run", in_cell(fluid())) as go:
         go(processes=2)
 
 
@@ -143,16 +143,16 @@ OUTSIDE = {
     ),
     "field": (lambda: with_potential([LJ, md.Gravity(1.0)]), r"bonds, harmonic angles and dihedrals of minimd; Gravity\(acceleration=.* is none"),
     "improper": (lambda: with_potential([LJ, md.HarmonicImproper(1.0, 0.0, [[0, 1, 2, 3]])]), r"HarmonicImproper\(k=.* is none of them"),
-    "unwritable law": (lambda: with_potential(md.PairPotential(unwritable, (1.0,), 2.0, "truncated")), "Lepton cannot write the law unwritable: "),
-    "table": (lambda: with_potential(tabulated()), "Lepton cannot write the law tabulated: it looks up a table"),
+    "unwritable law": (lambda: with_potential(md.PairPotential(unwritable, (1.0,), 2.0, "truncated")), "Lepton cannot express the law unwritable: "),
+    "table": (lambda: with_potential(tabulated()), "Lepton cannot express the law tabulated: it looks up a table"),
     "method": (
         lambda: with_method(md.PositionVerlet(TIMESTEP)),
-        "LAMMPS makes the steps of velocity-verlet, leapfrog, .*the method is position-verlet",
+        "LAMMPS can make the steps of velocity-verlet, leapfrog, .*the method is position-verlet",
     ),
-    "backwards": (lambda: with_method(md.VelocityVerlet(-TIMESTEP)), "LAMMPS needs a positive time step; timestep = -0.002"),
+    "backwards": (lambda: with_method(md.VelocityVerlet(-TIMESTEP)), "the time step must be positive for LAMMPS; timestep = -0.002"),
     "rigid chain": (rigid_chain, "fix shake of LAMMPS holds one to three bonds .*the rigid molecule of atom 0 has 5 atoms and 4 lengths"),
-    "half fixed": (half_fixed, r"LAMMPS cannot hold the length between a fixed atom and another, as that of atoms \[0, 1\]"),
-    "other bonds": (scaled_along_other_bonds, r"bonded_scale counts along the bonds of the system, .*atoms \[4, 5\] are no bond"),
+    "half fixed": (half_fixed, r"LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms \[0, 1\]"),
+    "other bonds": (scaled_along_other_bonds, r"minimd counts bonded_scale along the bonds of the system, .*atoms \[4, 5\] are not bonded"),
 }
 
 

@@ -101,7 +101,7 @@ def test_uneven_frames_are_told(tmp_path):
     path, sim = tmp_path / "a.h5md", simulation()
     sim.run(3)
     sim.run(17, every=5, trajectory=path)
-    with pytest.warns(UserWarning, match="lie 2 to 5 steps apart") as caught:
+    with pytest.warns(UserWarning, match="are 2 to 5 steps apart") as caught:
         made = universe(path)
     assert caught[0].filename == __file__
     assert made.trajectory.dt == pytest.approx(5 * 0.4 / PER_PICOSECOND)
@@ -283,7 +283,7 @@ def test_moments_recomputed_from_velocities_are_those_of_the_record(tmp_path, un
 def test_warning_about_a_turned_cell_shows_the_line_of_the_user(tmp_path):
     made = md.System(np.eye(3), cell=np.array([[0.0, 9.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, 9.0]]))
     sim = md.Simulation(made, md.LennardJones(1e-12, 1e-6, 1e-3), md.VelocityVerlet(0.5))
-    with pytest.warns(UserWarning, match="is turned, because MDAnalysis knows a cell by lengths") as caught:
+    with pytest.warns(UserWarning, match="is turned, because MDAnalysis holds a cell as lengths") as caught:
         sim.run(2, every=1, trajectory=tmp_path / "a.nc")
     assert caught[0].filename == __file__
     assert len(MDAnalysis.coordinates.TRJ.NCDFReader(str(tmp_path / "a.nc"))) == 3

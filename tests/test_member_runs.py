@@ -135,7 +135,7 @@ def test_a_journal_without_room_ends_the_call_with_a_sentence(done, tmp_path, mo
 
     with monkeypatch.context() as full:
         full.setattr(os, "write", half)
-        with pytest.raises(OSError, match=r"members.jsonl cannot take the results of member 1: No space left on device$"):
+        with pytest.raises(OSError, match=r"members.jsonl cannot store the results of member 1: No space left on device$"):
             run(tmp_path)
     run(tmp_path)
     assert (tmp_path / "table.csv").read_bytes() == (done.folder / "table.csv").read_bytes()

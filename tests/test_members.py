@@ -193,7 +193,8 @@ def test_nothing_goes_on_from_where_a_run_has_blown_up(done, tmp_path):
 
 
 def test_if_all_fail_the_first_failure_is_raised_with_its_traceback(tmp_path):
-    with pytest.raises(RuntimeError, match=r"(?s)all 4 members have failed, the first so:.member 0 .*LookupError: no structure for 0") as failure:
+    told = r"(?s)all 4 members have failed; the first failure was:.member 0 .*LookupError: no structure for 0"
+    with pytest.raises(RuntimeError, match=told) as failure:
         run(tmp_path, members.broken)
     assert "in broken" in failure.value.__notes__[0]
 
@@ -321,21 +322,21 @@ def test_the_table_as_data_frame_csv_and_json(done):
 BAD = [
     ({"build": 3}, TypeError, "build must be a function of a member; build = 3"),
     ({"parameters": 0}, ValueError, "the number of members must be a whole number, at least 1"),
-    ({"parameters": []}, ValueError, "an ensemble must have members"),
+    ({"parameters": []}, ValueError, "an ensemble must have at least one member"),
     ({"parameters": [1, 2]}, TypeError, "parameters must be the number of members, a dict of columns"),
     ({"parameters": {"a": 3}}, TypeError, "parameter 'a' must be a list of values"),
-    ({"parameters": {"a": [1, 2], "b": [1]}}, ValueError, "'a' has 2, 'b' has 1: for all combinations, list them as dicts"),
+    ({"parameters": {"a": [1, 2], "b": [1]}}, ValueError, "'a' has 2, 'b' has 1. For all combinations of values, give a list of dicts"),
     ({"parameters": [{"a": 1}, {"b": 1}]}, ValueError, "member 0 has 'a', member 1 has 'b'"),
     ({"parameters": {"index": [1]}}, ValueError, "columns of the table; it is 'index'"),
-    ({"parameters": {"a": [[1]]}}, TypeError, "parameter 'a' must be a number, a text, True or False; of member 0 it is"),
+    ({"parameters": {"a": [[1]]}}, TypeError, "parameter 'a' must be a number, a text, True or False; for member 0 it is"),
     ({"steps": -1}, ValueError, "steps must be a whole number, at least 0"),
     ({"seed": -1}, ValueError, "seed must be a whole number, at least 0"),
     ({"workers": -1}, ValueError, "workers must be a whole number, at least 0"),
     ({"workers": 2, "executor": ThreadPoolExecutor(1)}, ValueError, "with an executor leave it out; workers = 2"),
-    ({"workers": None, "executor": "dask"}, TypeError, "executor must have submit"),
+    ({"workers": None, "executor": "dask"}, TypeError, "executor must have a method submit"),
     ({"workers": 2, "build": lambda member: None}, TypeError, "build cannot be sent to worker processes: .*Define it with def at the top level"),
-    ({"build": lambda member: 3}, RuntimeError, "build must return a Simulation; of member 0 .* it has returned 3"),
-    ({"run": lambda *_: 3}, RuntimeError, "run must return a record, a dict of numbers or of series, or None; it has returned 3"),
+    ({"build": lambda member: 3}, RuntimeError, "build must return a Simulation; for member 0 .* it returned 3"),
+    ({"run": lambda *_: 3}, RuntimeError, "run must return a Record, a dict of numbers, .* or of series, or None; it returned 3"),
 ]
 
 

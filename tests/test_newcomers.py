@@ -100,7 +100,7 @@ def test_times_and_lengths_of_a_replay_have_units(tmp_path):
     assert "/ ps, period" in str(md.advise_timestep(system, sim.potentials))
     with pytest.raises(FileExistsError, match="--overwrite"):
         md.replay(tmp_path / "a.crash.h5md", sim.potentials)
-    with pytest.raises(ValueError, match=r"minimd.replay\(file, \[...\]\), or to the command --scene"):
+    with pytest.raises(ValueError, match=r"minimd.replay\(file, \[...\]\), or give the command a scene that has them with --scene"):
         md.replay(tmp_path / "a.crash.h5md", overwrite=True)
     assert np.isfinite(seen.rows[-1].energy)
 

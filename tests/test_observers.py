@@ -270,7 +270,7 @@ def test_a_run_that_was_cut_goes_on_to_the_same_answers(tmp_path):
             for name, series in one.result().columns().items():
                 assert np.array_equal(h5[f"minimd/observers/{one.name}/{name}"][:], series, equal_nan=True)
         assert h5["minimd/observers/viscosity"].attrs["viscosity"] == whole[3].result().viscosity
-    with pytest.raises(ValueError, match="made with"):
+    with pytest.raises(ValueError, match="with the arguments"):
         again.run(10, trajectory=file, append=True, observers=[observers.Profile(every=7)])
     with pytest.warns(UserWarning, match="'viscosity', which this run does not go on with"):
         again.run(10, every=50, trajectory=file, append=True, observers=[one for one in resumed if one.kind != "viscosity"])
@@ -292,7 +292,7 @@ def test_a_scene_has_observers(tmp_path, monkeypatch):
     found = md.read_observers("melt.h5md")
     assert {name: one.n_looks for name, one in found.items()} == {"radial_distribution": 9, "viscosity": 9}
     for text, message in (
-        (SCENE.replace("r_max = 2.0", 'axis = "c"'), r"cannot have axis beside kind 'radial-distribution', which takes every, name, r_max, n_bins"),
+        (SCENE.replace("r_max = 2.0", 'axis = "c"'), r"cannot have axis with kind 'radial-distribution', which takes every, name, r_max, n_bins"),
         (SCENE.replace('"viscosity"', '"viscous"'), "must be one of 'radial-distribution'"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -304,7 +304,7 @@ def test_what_cannot_be_observed_is_refused_in_a_sentence():
     for bad, message in (
         (lambda: sim.run(1, observers=[3]), "observers must be a list of functions"),
         (lambda: sim.run(1, observers=[observers.Profile]), "observers must be a list of functions"),
-        (lambda: sim.run(1, observers=[observers.Profile(), observers.Profile()]), "'profile' is that of several"),
+        (lambda: sim.run(1, observers=[observers.Profile(), observers.Profile()]), "'profile' is the name of several"),
         (lambda: observers.Profile().result(), "has not looked yet"),
         (lambda: observers.RadialDistribution(every=0), "every must be a whole number"),
         (lambda: observers.Profile("d"), "axis must be one of"),
@@ -332,7 +332,7 @@ def test_the_correction_of_yeh_and_hummer(run):
     expected = 2.837297 * result.temperature / (6.0 * np.pi * 2.0 * edge)
     assert result.infinite - result.diffusion == pytest.approx(expected, rel=1e-12)
     assert result.diffusion == looking.result(window=window).diffusion
-    assert "larger cell is larger" in str(looking.result(window=window))
+    assert "in a larger cell D is larger" in str(looking.result(window=window))
     assert "Yeh and Hummer" in str(result)
     with pytest.raises(ValueError, match="at least 3 lags"):
         looking.result(window=(0.1, 0.101))

@@ -51,7 +51,7 @@ def test_what_is_replaced_is_kept_until_the_first_frame(name, tmp_path):
 def test_links_to_a_file_are_that_file(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "link.h5md").symlink_to(tmp_path / "elsewhere" / "a.h5md")
-    with pytest.raises(ValueError, match="are the same: name it once"):
+    with pytest.raises(ValueError, match="are the same file: name it once"):
         simulation().run(10, trajectory=[tmp_path / "link.h5md", tmp_path / "elsewhere" / "a.h5md"])
     simulation().run(10, every=5, trajectory=tmp_path / "link.h5md")
     assert (tmp_path / "link.h5md").is_symlink()

@@ -76,7 +76,7 @@ def test_all_problems_are_told_at_once():
 
 def test_one_quantity_in_two_units_is_refused():
     text = ARGON.read_text().replace("epsilon_K = 120.0", "epsilon_K = 120.0\nepsilon_eV = 0.0103")
-    with pytest.raises(ValueError, match=r"potential\[0\] has 'epsilon_eV' beside the same quantity in another unit"):
+    with pytest.raises(ValueError, match=r"potential\[0\] has 'epsilon_eV' and the same quantity in another unit"):
         scene_of(text)
 
 

@@ -81,7 +81,7 @@ def test_a_file_keeps_its_observables(tmp_path, forgetting):
     assert read_file(file).n_frames == 3
     made.run(2, every=1, trajectory=tmp_path / "new.h5md")
     del OBSERVABLES["first_mass"]
-    with pytest.raises(ValueError, match=r"holds 'first_mass', which this run does not record: register it"):
+    with pytest.raises(ValueError, match=r"holds 'first_mass', which this run does not record; register what is missing"):
         made.run(2, every=1, trajectory=tmp_path / "new.h5md", append=True)
     assert not damage(tmp_path / "new.h5md")
 
@@ -116,7 +116,7 @@ def test_a_file_that_a_universe_of_this_script_has_open_says_how_to_close_it(tmp
     made = simulation()
     made.run(2, every=1, trajectory=tmp_path / "run.h5md")
     reading = universe(tmp_path / "run.h5md")
-    with pytest.raises(OSError, match=r"must be closed first, universe\.trajectory\.close\(\)"):
+    with pytest.raises(OSError, match=r"close that first: universe\.trajectory\.close\(\)"):
         made.run(2, every=1, trajectory=tmp_path / "run.h5md", append=True)
     reading.trajectory.close()
     made.run(2, every=1, trajectory=tmp_path / "run.h5md", append=True)

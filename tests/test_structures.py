@@ -138,7 +138,7 @@ def test_angles_of_a_file_are_used_and_survive_in_the_trajectory(folder, form):
 
 @pytest.mark.parametrize("form", ["data", "pdb"])
 def test_bonds_that_are_not_used_are_told(folder, form):
-    with pytest.warns(UserWarning, match=rf"melt.{form}' names 16 bonds.*, which are not used; take them with bonds = \"file\""):
+    with pytest.warns(UserWarning, match=rf"melt.{form}' has 16 bonds.*, which are not used; use them with bonds = \"file\""):
         assert len(scene(folder, form, more="").system().bonds) == 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -152,7 +152,7 @@ def test_a_command_tells_it_in_words_of_commands(folder):
     code = "import sys, minimd_command; sys.argv = ['minimd', 'run', 'melt.toml', '--steps', '0']; minimd_command.main()"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     told = [line for line in answer.stderr.splitlines() if line.startswith("minimd: warning: ")]
-    assert "names 16 bonds, which are not used" in told[0]
+    assert "has 16 bonds, which are not used" in told[0]
     assert ".py" not in answer.stderr
     assert answer.returncode == 0
 
@@ -216,7 +216,7 @@ def test_array_of_bonds_that_cannot_be_read_is_told(folder):
 
 def test_file_without_a_format_asks_for_it(folder):
     (folder / "melt.unknown").write_text((folder / "melt.data").read_text())
-    with pytest.raises(ValueError, match=r"tell no format; name it as format, such as 'lammps-data'"):
+    with pytest.raises(ValueError, match=r"do not show its format; give it as format, such as 'lammps-data'"):
         system_from_file("melt.unknown")
     same_groups(system_from_file("melt.unknown", format="lammps-data").bonds, BONDS)
     scene(folder, "pdb", more='format = "PDB"\nbonds = "file"')
@@ -225,7 +225,7 @@ def test_file_without_a_format_asks_for_it(folder):
 
 def test_bonds_of_other_atoms_are_refused(folder):
     ase.io.write("small.xyz", ase.io.read("plain.pdb")[:7])
-    with pytest.raises(ValueError, match=r"melt.psf' names bonds of 20 atoms; the structure has 7"):
+    with pytest.raises(ValueError, match=r"melt.psf' with the bonds has 20 atoms; the structure has 7"):
         system_from_file("small.xyz", bonds="melt.psf")
     with pytest.raises(ValueError, match=r"absent.psf' does not exist"):
         system_from_file("small.xyz", bonds="absent.psf")
@@ -234,7 +234,7 @@ def test_bonds_of_other_atoms_are_refused(folder):
 def test_several_types_of_bonds_are_told(folder):
     text = Path("melt.data").read_text().replace("1 bond types", "2 bond types").replace("\n3 1 3 4", "\n3 2 3 4")
     Path("melt.data").write_text(text)
-    with pytest.warns(UserWarning, match="are of 2 types, which a bond potential does not tell apart"):
+    with pytest.warns(UserWarning, match="are of 2 types, which a bond potential does not distinguish"):
         system_from_file("melt.data")
 
 

@@ -123,7 +123,7 @@ def test_labels_that_ase_does_not_know_are_told(tmp_path):
     from minimd.ase import system_from_file
 
     (tmp_path / "ab.xyz").write_text("2\n\nA 0 0 0\nB 1 0 0\n")
-    with pytest.raises(ValueError, match="'A' is no chemical symbol"):
+    with pytest.raises(ValueError, match="'A' is not a chemical symbol"):
         system_from_file(tmp_path / "ab.xyz")
 
 

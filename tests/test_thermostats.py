@@ -152,10 +152,10 @@ def test_configurations_of_an_oscillator_are_exact_at_large_timesteps():
         (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 1.5), "seed must be a whole number"),
         (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 2**128), "below 3.4e.38; seed = 340"),
         (lambda: md.StochasticVelocityRescaling(0.01, 1.0, 0.0, 1), "relaxation_time must be positive"),
-        (lambda: parse_scene(SCENE.format(method="velocity-verlet"), "x.toml"), "takes? no relaxation time"),
+        (lambda: parse_scene(SCENE.format(method="velocity-verlet"), "x.toml"), "which has no relaxation time"),
         (
             lambda: parse_scene(SCENE.format(method="langevin-baoab").replace("relaxation_time = 0.3", ""), "x.toml"),
-            "must have relaxation_time beside",
+            "must have relaxation_time with",
         ),
     ],
 )

@@ -93,7 +93,7 @@ def test_a_turned_universe_is_copied_pickled_transformed_and_checked(tmp_path):
 
 
 def test_the_rotation_is_said_once_with_its_reason(tmp_path):
-    for kind, reason in [("turned", "leads back"), ("left-handed", "left-handed, and is given as -a, -b, -c"), ("skewed", "so skewed")]:
+    for kind, reason in [("turned", "turns back"), ("left-handed", "left-handed, and is given as -a, -b, -c"), ("skewed", "so skewed")]:
         with pytest.warns(UserWarning, match=reason) as told:
             universe(moving(CELLS[kind]))
         assert len(told) == 1

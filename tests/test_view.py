@@ -265,7 +265,7 @@ def test_the_command_writes_a_page_and_names_it(tmp_path, monkeypatch, capsys):
     assert "'b.h5md' does not exist" in capsys.readouterr().err
     Path("c.toml").write_text(melt_scene(4, 20))
     assert cli.main(["view", "a.h5md", "--scene", "c.toml"]) == 2
-    assert "one that did not fail: leave them out" in capsys.readouterr().err
+    assert "a run that did not fail: leave them out" in capsys.readouterr().err
 
 
 def test_the_command_shows_a_failed_scene(tmp_path, monkeypatch, capsys):

@@ -382,7 +382,7 @@ WRONG_FORCES = {
     "cutoff of components": (in_a_cube, {"cell": 8.0, "cutoff": 2.5}, "acts on the components"),
     "wrapped positions": (wrapped_positions, {"cell": 8.0, "cutoff": 2.5}, "differences are not"),
     "with itself": (itself, {}, "meets itself"),
-    "no gradient": (not_a_gradient, {}, "no gradient"),
+    "no gradient": (not_a_gradient, {}, "not the gradient of any energy"),
     "a component missing": (planar, {}, "component"),
     "factor 2 in one term": (lambda r: 24 / r**13 - 24 / r**7, {}, "48"),
     "exponent": (lambda r: 48 / r**13 - 24 / r**6, {}, "exponent"),

@@ -1,1 +1,1 @@
-"""What is read from the file of a run: the check through MDAnalysis, pictures."""
+"""Analysis of the file of a run: the check through MDAnalysis, and pictures."""

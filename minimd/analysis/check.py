@@ -1,4 +1,4 @@
-"""The check of a run from its file alone: energies and momenta recomputed from velocities that MDAnalysis reads, and conservation laws."""
+"""The check of a run from its file only: energies and momenta recomputed from velocities read by MDAnalysis, and conservation laws."""
 
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ from minimd.structure.observables import absolute_momentum, kinetic_energy, mome
 from minimd.structure.system import System
 
 SINGLE = 6e-8  # 2⁻²⁴, relative rounding of a velocity to float32, and therefore the largest error of a momentum relative to Σ|mv|
-KINETIC = 1e-6  # K is quadratic in velocities: twice that rounding, and a margin for the sum
+KINETIC = 1e-6  # K is quadratic in velocities: its error is twice that rounding; the rest is a margin for the sum
 LENGTHS = 2.1e-7  # √12 times that rounding: a length depends on six rounded coordinates
 EXACT = 0.0
 OBSERVED = (*SERIES, "constraint_violation")
@@ -31,7 +31,7 @@ ENOUGH_FRAMES = 20  # for a diffusion coefficient: its fit then has eight lags
 
 @dataclass(frozen=True)
 class Comparison:
-    """One comparison.  figure : the worst of all frames, in units of a scale.  tolerance : its limit.  meaning : what is compared, and the scale."""
+    """One comparison.  figure : the largest difference in all frames, relative to a scale.  tolerance : its limit.  meaning : what is compared."""
 
     name: str
     figure: float
@@ -40,7 +40,7 @@ class Comparison:
 
     @property
     def passed(self) -> bool:
-        """True if the figure is within the tolerance; NaN is not."""
+        """True if the figure is within the tolerance; False for NaN."""
         return self.figure <= self.tolerance
 
     def __str__(self) -> str:
@@ -49,7 +49,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class FileCheck(Displayed):
-    """The outcome of check_file. structure : lines about a periodic liquid. str() is the whole text."""
+    """The result of check_file. structure : lines about a periodic liquid. str() is the whole text."""
 
     heading: str
     comparisons: list[Comparison]
@@ -60,7 +60,7 @@ class FileCheck(Displayed):
     def passed(self) -> bool:
         """True if all comparisons agree, and energy and momentum are conserved; False also if there are too few frames to judge.
 
-        Of a run too short to tell whether the energy drifts, it passes if the energy varies little: see Report.is_quiet.
+        A run that is too short to show a drift of the energy passes if the energy varies little: see Report.is_quiet.
         """
         report = self.report
         conserved = (report.energy_is_conserved is True or report.is_quiet) and report.momentum_is_conserved
@@ -80,7 +80,7 @@ class FileCheck(Displayed):
 def check_file(path: str | Path) -> FileCheck:
     """Read a minimd file through MDAnalysis, compare stored observables with recomputed ones, and judge what should be constant.
 
-    Stored observables are float64. Velocities come in float32, for which the tolerances allow.  Raises as minimd.mdanalysis.universe.
+    Stored observables are float64. Velocities are read in float32; the tolerances allow for this.  Raises as minimd.mdanalysis.universe.
     """
     which = damage(path)
     with damage_told(path) if which else nullcontext(), universe_of(path) as made:
@@ -88,7 +88,7 @@ def check_file(path: str | Path) -> FileCheck:
 
 
 def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
-    """The check of a file whose universe is open.  damaged : which of its frames and restarts are, as minimd.files.h5md_reader.damage."""
+    """The check of a file with an open universe.  damaged : its damaged frames or restarts, see minimd.files.h5md_reader.damage."""
     written = f"{damaged} are not those that were written" if damaged else "frames and restarts are those that were written"
     sums = Comparison("checksums", float(bool(damaged)), EXACT, written)
     contents, moved, system = made.contents, recompute(made), made.system
@@ -103,11 +103,11 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
 
 
 class Recomputed(NamedTuple):
-    """All frames as MDAnalysis gives them, in the units of the simulation.
+    """Quantities of all frames, recomputed from what MDAnalysis reads, in the units of the simulation.
 
-    step, time : (T,).  stored : observables of the file, float64 and uncast, named as in OBSERVED.
+    step, time : (T,).  stored : observables of the file in float64, not rounded, with the names in OBSERVED.
     kinetic_energy, momentum, absolute_momentum : (T,), (T, 3), (T,), recomputed from float32 velocities.
-    length_error : (T,), by length_error from float32 positions.
+    length_error : (T,), see the function length_error, from float32 positions.
     """
 
     step: NDArray[np.int64]
@@ -152,24 +152,29 @@ def length_error(system: System) -> float:
 
 
 def comparisons(moved: Recomputed) -> list[Comparison]:
-    """Recomputed figures beside stored ones."""
+    """Comparisons of recomputed quantities with stored ones."""
     stored, absolute = moved.stored, moved.absolute_momentum
     parts = stored["potential_energy"] + stored["kinetic_energy"]
     kinetic = _largest(moved.kinetic_energy - stored["kinetic_energy"], stored["kinetic_energy"])
     not_later = int(np.count_nonzero(np.diff(moved.step) <= 0))
-    lengths = Comparison("lengths", float(moved.length_error.max()), LENGTHS, "recomputed − kept, of the largest coordinate")
+    lengths = Comparison("lengths", float(moved.length_error.max()), LENGTHS, "recomputed − prescribed, relative to the largest coordinate")
     return [
-        Comparison("kinetic energy", kinetic, KINETIC, "recomputed − stored, of itself"),
-        Comparison("momentum", _largest(moved.momentum - stored["momentum"], absolute), SINGLE, "recomputed − stored, of Σ|mv|"),
-        Comparison("Σ|mv|", _largest(absolute - stored["absolute_momentum"], absolute), SINGLE, "recomputed − stored, of itself"),
-        Comparison("total energy", _largest(parts - stored["total_energy"], stored["total_energy"]), EXACT, "potential + kinetic − total, of itself"),
+        Comparison("kinetic energy", kinetic, KINETIC, "recomputed − stored, relative to the stored value"),
+        Comparison("momentum", _largest(moved.momentum - stored["momentum"], absolute), SINGLE, "recomputed − stored, relative to Σ|mv|"),
+        Comparison("Σ|mv|", _largest(absolute - stored["absolute_momentum"], absolute), SINGLE, "recomputed − stored, relative to the stored value"),
+        Comparison(
+            "total energy",
+            _largest(parts - stored["total_energy"], stored["total_energy"]),
+            EXACT,
+            "potential + kinetic − total, relative to the total",
+        ),
         *([lengths] if "constraint_violation" in stored else []),
         Comparison("steps", not_later, EXACT, "frames that are not later than the one before"),
     ]
 
 
 def exact_momenta(made: RunUniverse) -> list[Comparison]:
-    """Of a run in fixed-point arithmetic: Σ p of each frame as a whole number of steps of the grid, beside that of the first frame."""
+    """For a run in fixed-point arithmetic: Σ p of each frame, an integer in steps of the grid, compared with that of the first frame."""
     contents, grid = made.contents, made.contents.restart.grid
     if grid is None or not contents.conserves_momentum:
         return []
@@ -180,16 +185,17 @@ def exact_momenta(made: RunUniverse) -> list[Comparison]:
 
 
 def _largest(differences: NDArray[np.float64], scales: NDArray[np.float64]) -> float:
-    """Largest |difference| / |scale| of all frames; a difference of zero needs no scale, any other of a zero scale is infinite."""
+    """The largest |difference| / |scale| in all frames; 0 for a zero difference, infinite for any other with a zero scale."""
     sizes, scales = np.abs(differences) if differences.ndim == 1 else np.linalg.norm(differences, axis=1), np.abs(scales)
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.where(sizes == 0.0, 0.0, sizes / scales).max())
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:
-    """Lines about a periodic liquid: the first peak of g(r), and D if there are frames enough and the atoms left their places.
+    """Lines about a periodic liquid: the first peak of g(r), and D if there are enough frames and the atoms have left their places.
 
-    Atoms have left them if they moved by half the distance of neighbors within the window of the fit. Empty if not periodic.
+    They have left their places if they have moved by half the distance of neighbors within the window of the fit. Empty if the cell is not
+    periodic in all directions.
     run : a file, or its universe.  Raises as universe.
     """
     with universe_of(run) as made:
@@ -208,7 +214,7 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
 
 
 def _first_peak(r: NDArray[np.float64], g: NDArray[np.float64]) -> float:
-    """Where g is largest within the first stretch that lies above half of the highest peak."""
+    """The place of the largest g within the first interval in which g is above half of its highest peak."""
     above = np.append(g >= 0.5 * g.max(), False)
     first = int(np.argmax(above))
     end = first + int(np.argmin(above[first:]))

@@ -15,9 +15,9 @@ from minimd.mdanalysis.universes import RunUniverse, mean_square_displacement, r
 def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
     """Draw a minimd file and return the name of the picture.
 
-    Four panels: change of the total energy per atom, temperature, change of the total momentum, and g(r) where the cell is
-    periodic in all directions, else the mean-square displacement. And one for each observer of the run.
-    out : the picture, in a format that matplotlib knows by its suffix; the name of the file with .png if not given.
+    Four panels show the change of the total energy per atom, the temperature, the change of the total momentum, and g(r) if the cell is
+    periodic in all directions, else the mean-square displacement. A further panel is drawn for each observer of the run.
+    out : the picture, in the format of its suffix; the name of the file with .png if not given.
 
     Raises FileNotFoundError, OSError, ValueError as universe, or if the picture cannot be written.
     """
@@ -27,7 +27,7 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
 
 
 def drawn(made: RunUniverse) -> Figure:
-    """The picture of plot_file, of a run whose universe is open, not yet written anywhere."""
+    """The figure of plot_file, for a run whose universe is open; it is not written to a file."""
     contents = made.contents
     answers = [one.result() for one in contents.observers.values() if one.n_looks]
     figure, panels = four_panels(len(answers))
@@ -45,7 +45,7 @@ def drawn(made: RunUniverse) -> Figure:
 
 
 def _energy(panel: Axes, times: Array, record: Record) -> None:
-    """Total energy per atom, minus heat Q if there is a bath, since its start, with the line of its drift."""
+    """Change of the total energy per atom since the start, minus heat Q if there is a bath, with the line of its drift."""
     change = draw_energy(panel, times, record)
     panel.plot(times, change.mean() + drift(times, change).slope * (times - times.mean()), color=ACCENT, lw=1.0, ls="--", label="drift")
     panel.margins(y=0.12)
@@ -53,7 +53,7 @@ def _energy(panel: Axes, times: Array, record: Record) -> None:
 
 
 def _structure(panel: Axes, made: RunUniverse) -> None:
-    """g(r) if it can be had, else the mean-square displacement, else a note that there is none."""
+    """g(r) if possible, else the mean-square displacement, else a note that there is none."""
     system = made.contents.system
     if system.cell.pbc.all() and len(system) > 1:
         r, g = radial_distribution(made)

@@ -1,7 +1,7 @@
-"""The baths of ASE's thermostats as splittings of minimd: what ASE's arguments mean, in the place of the step where ASE's classes have it.
+"""The baths of ASE's thermostats as splittings of minimd, with the meaning of ASE's arguments, and at the same place in the step as in ASE.
 
-They differ from the thermostats of minimd.integrators in what ASE's users expect: parameters for each atom, a center of mass that stays at
-rest (fixcm), degrees of freedom counted as by Atoms.get_number_of_degrees_of_freedom. k_B T is energy of `bath.k_B` times a temperature [K].
+They differ from the thermostats of minimd.integrators in what users of ASE expect: parameters for each atom, a center of mass that stays at
+rest (fixcm), degrees of freedom counted as by Atoms.get_number_of_degrees_of_freedom. k_B T is `bath.k_B` times the temperature [K].
 """
 
 from math import exp, sqrt
@@ -23,14 +23,14 @@ BEFORE, AFTER = (Thermalize(1.0), Kick(0.5), Drift(1.0), Kick(0.5)), (Kick(0.5),
 LEAST_SCALE, MOST_SCALE = 0.9, 1.1  # of velocities in one step of Berendsen's bath, as in ASE
 _OUTER = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 WEIGHTS = (_OUTER, 1.0 - 2.0 * _OUTER, _OUTER)  # of order 4: H. Yoshida, Phys. Lett. A 150, 262 (1990); M. Suzuki
-KEPT_STEPS = 1000  # of a chain: many more than a block of steps, which is repeated if it fails
+KEPT_STEPS = 1000  # steps whose states a chain keeps: many more than in a block, which is repeated if it fails
 
 
 class LangevinBath(LangevinBAOAB):
-    """LangevinBAOAB with temperatures and frictions that may differ from atom to atom, and a center of mass that may be left alone.
+    """LangevinBAOAB with temperatures and frictions that may differ from atom to atom, and optionally without a bath for the center of mass.
 
     temperature [K], friction [1/time] : ≥ 0, one number, or an array that broadcasts to (N, 3).
-    keeps_center : whether the velocity of the center of mass is kept; 3N − 3 degrees of freedom are then thermal.
+    keeps_center : whether the bath leaves the velocity of the center of mass unchanged; then 3N − 3 degrees of freedom are thermal.
 
     Raises ValueError for a temperature or a friction below zero or not finite.
     """
@@ -42,7 +42,7 @@ class LangevinBath(LangevinBAOAB):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The time step: it alone decides whether a block can go on from the open end of the one before."""
+        """The time step only: it decides whether a block of steps can go on from the open end of the previous one."""
         return {"timestep": self.timestep}
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
@@ -60,9 +60,9 @@ class LangevinBath(LangevinBAOAB):
 
 
 class BussiBath(StochasticVelocityRescaling):
-    """StochasticVelocityRescaling before the step, of n_dof degrees of freedom that the caller counts: the whole motion is rescaled.
+    """StochasticVelocityRescaling before the step; the caller counts the degrees of freedom n_dof, and the motion of the center is rescaled, too.
 
-    relaxation_time : τ > 0 [time], however small.  n_dof : degrees of freedom.
+    relaxation_time : τ > 0 [time].  n_dof : degrees of freedom.
 
     Raises ValueError for a relaxation time that is not positive.
     """
@@ -76,19 +76,19 @@ class BussiBath(StochasticVelocityRescaling):
         self.relaxation_time, self.n_dof = relaxation_time, n_dof
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
-        """See StochasticVelocityRescaling; of all n_dof degrees of freedom."""
+        """See StochasticVelocityRescaling; for n_dof degrees of freedom."""
         bath = bath_of(around)
         bath.n_dof, bath.conserves_momentum = self.n_dof, False
         super().thermalize(state, duration, around)
 
 
 class AndersenBath(Thermostat):
-    """Collisions between the first kick and the drift: each component of a velocity is drawn anew with a given probability.
+    """Collisions between the first kick and the drift: each component of a velocity is drawn again with a given probability.
 
         v ← √(k_B T/m) ξ      with probability p in each step; ξ normal
 
     probability : p in each step, 0 to 1.
-    keeps_center : whether the center of mass stays at rest. It gets a thermal velocity before the collisions, and none is left after them.
+    keeps_center : whether the center of mass stays at rest. It gets a thermal velocity before the collisions, which is removed after them.
 
     H. C. Andersen, J. Chem. Phys. 72, 2384 (1980).  Raises ValueError for a probability out of range.
     """
@@ -101,7 +101,7 @@ class AndersenBath(Thermostat):
         super().__init__(timestep, temperature, seed)
         self.probability, self.keeps_center = checked_number("andersen_prob", probability, "finite and not negative"), keeps_center
         if self.probability > 1.0:
-            raise ValueError(f"andersen_prob is a probability, at most 1; andersen_prob = {probability!r}")
+            raise ValueError(f"andersen_prob must be a probability from 0 to 1; andersen_prob = {probability!r}")
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The collisions of one step."""
@@ -119,11 +119,11 @@ class AndersenBath(Thermostat):
 
 
 class BerendsenBath(Splitting):
-    """One factor for all velocities before each step, which brings the kinetic temperature T′ closer to T. It samples no ensemble.
+    """All velocities are multiplied by one factor before each step, which brings the kinetic temperature T′ closer to T. It samples no ensemble.
 
         v ← λ v,   λ² = 1 + (T/T′ − 1) Δt/τ,   0.9 ≤ λ ≤ 1.1
 
-    n_dof : degrees of freedom in T′.  keeps_center : whether momentum is taken out, in equal shares of all atoms.
+    n_dof : degrees of freedom in T′.  keeps_center : whether the total momentum is removed, in equal shares from all atoms.
 
     H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984).  Raises ValueError for τ = 0.
     """
@@ -154,11 +154,11 @@ class BerendsenBath(Splitting):
 
 
 class Chain:
-    """A chain of M thermostats, each in contact with the next one, the first with the atoms; deterministic and reversible.
+    """A chain of M thermostats: the first is in contact with the atoms, each other one with the one before it; deterministic and reversible.
 
         η̇_j = p_j/Q_j,   ṗ_1 = 2K − n k_B T − p_1 p_2/Q_2,   ṗ_j = p_{j−1}²/Q_{j−1} − k_B T − p_j p_{j+1}/Q_{j+1},   v̇ = −v p_1/Q_1
 
-    thermal : k_B T [energy].  n_dof : n.  relaxation_time : τ; Q_1 = n k_B T τ², all others k_B T τ².  length : M.  loops : of a contact.
+    thermal : k_B T [energy].  n_dof : n.  relaxation_time : τ; Q_1 = n k_B T τ², all others k_B T τ².  length : M.  loops : substeps of a contact.
     eta, p : (M,) η_j and p_j.  G. J. Martyna, M. L. Klein, M. E. Tuckerman, J. Chem. Phys. 97, 2635 (1992);
     integrator: G. J. Martyna et al., Mol. Phys. 87, 1117 (1996).
     """
@@ -167,16 +167,16 @@ class Chain:
         self.thermal, self.n_dof, self.loops = thermal, n_dof, loops
         self.inertia = [thermal * relaxation_time**2 * (n_dof if j == 0 else 1) for j in range(length)]
         self.eta, self.p = [0.0] * length, [0.0] * length
-        self._starts: dict[int, tuple[list[float], list[float]]] = {}  # of steps, in their order
+        self._starts: dict[int, tuple[list[float], list[float]]] = {}  # η and p at the start of steps, in their order
 
     @property
     def energy(self) -> float:
-        """n k_B T η_1 + k_B T Σ η_j + Σ p_j²/2Q_j: what the atoms have given to it [energy]."""
+        """n k_B T η_1 + k_B T Σ η_j + Σ p_j²/2Q_j: the energy that the atoms have given to the chain [energy]."""
         kinetic = sum(0.5 * p * p / q for p, q in zip(self.p, self.inertia, strict=True))
         return self.thermal * (self.n_dof * self.eta[0] + sum(self.eta[1:])) + kinetic
 
     def begin(self, step: int) -> None:
-        """Go back to the start of this step if the chain has been there: a block of steps that has failed is made again."""
+        """Go back to the start of this step if the chain has been there: a block of steps that failed is repeated."""
         if self._starts and next(reversed(self._starts)) >= step:
             self.eta, self.p = map(list, self._starts.get(step, (self.eta, self.p)))
             self._starts = {n: start for n, start in self._starts.items() if n < step}
@@ -185,7 +185,7 @@ class Chain:
             del self._starts[next(iter(self._starts))]
 
     def advance(self, twice_kinetic: float, duration: float) -> float:
-        """Advance the chain in contact with atoms of kinetic energy K; returns the factor of their velocities.  twice_kinetic : 2K [energy]."""
+        """Advance the chain in contact with atoms of kinetic energy K; returns the factor for their velocities.  twice_kinetic : 2K [energy]."""
         factor = 1.0
         for weight in WEIGHTS * self.loops:
             h = weight * duration / self.loops
@@ -198,7 +198,7 @@ class Chain:
         return factor
 
     def _push(self, j: int, twice_kinetic: float, h: float) -> None:
-        """p_j after a time h, while all others stand still: half of the friction, the force, half of the friction."""
+        """Advance p_j by a time h, with all others fixed: half of the friction, the force, half of the friction."""
         p, q = self.p, self.inertia
         damped = exp(-0.5 * h * p[j + 1] / q[j + 1]) if j + 1 < len(p) else 1.0
         force = twice_kinetic - self.n_dof * self.thermal if j == 0 else p[j - 1] ** 2 / q[j - 1] - self.thermal
@@ -221,7 +221,7 @@ class NoseHooverBath(Splitting):
         self.chain = chain
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
-        """The chain in contact with the atoms over a duration."""
+        """Contact of the chain with the atoms over a duration."""
         bath = bath_of(around)
         if bath.contact == 0:
             self.chain.begin(bath.step)

@@ -22,11 +22,11 @@ from minimd.structure.system import System
 
 
 class Calculator(ASECalculator):
-    """A calculator for ase.Atoms: their energy, forces and stress from potentials of minimd, in Å and eV.
+    """A calculator for ase.Atoms: energy, forces and stress from potentials of minimd, in Å and eV.
 
-    The stress is −W/V, tension positive, in the order xx yy zz yz xz xy, without the ideal-gas part, for every cell with
-    three lattice vectors; stresses are each atom's share of it. The list of neighbors is kept while atoms move.
-    ASE applies the constraints of the atoms itself. Copies and pickles carry the potentials, not the list.
+    The stress is −W/V, tension positive, in the order xx yy zz yz xz xy, without the ideal-gas part; it exists for every cell with
+    three lattice vectors. The property "stresses" is the share of each atom. The list of neighbors is kept while atoms move. ASE itself
+    applies the constraints of the atoms. Copies and pickles contain the potentials, but not the list.
 
     Parameters
     ----------
@@ -36,8 +36,8 @@ class Calculator(ASECalculator):
 
     Raises
     ------
-    TypeError, ValueError : when it first meets the atoms, as System and Forces do.
-    NonFiniteError : where a force or an energy is not finite, as for two atoms on one spot; it names the closest pair.
+    TypeError, ValueError : in the first calculation, as System and Forces.
+    NonFiniteError : if a force or an energy is not finite, as for two atoms at the same place; it names the closest pair.
     """
 
     implemented_properties = ["energy", "free_energy", "energies", "forces", "stress", "stresses"]  # noqa: RUF012 - ASE's form
@@ -73,11 +73,11 @@ class Calculator(ASECalculator):
 
     @property
     def n_builds(self) -> int:
-        """How often a pair list was built since the scene was last planned."""
+        """How often a pair list was built since the atoms or potentials were last replaced by others."""
         return self._plan[1].n_builds if self._plan else 0
 
     def calculate(self, atoms: Atoms | None = None, properties: Sequence[str] = ("energy",), system_changes: Sequence[str] = all_changes) -> None:
-        """Fill results. What is kept is decided by a look at the atoms: system_changes knows neither masses nor failed calls."""
+        """Fill results. The atoms themselves decide whether the list is kept, because system_changes includes neither masses nor failed calls."""
         super().calculate(atoms, list(properties), list(system_changes))
         per_atom = bool({"energies", "stresses"} & set(properties))
         forces = self._forces_at(self.atoms)
@@ -91,12 +91,12 @@ class Calculator(ASECalculator):
             self.results["stresses"] = -forces.virials / volume
 
     def check_state(self, atoms: Atoms, tol: float = 1e-15) -> list[str]:
-        """ASE's list of what has changed; another label counts as another atomic number."""
+        """ASE's list of changes; a changed label counts as a changed atomic number."""
         changes = super().check_state(atoms, tol)
         return changes if self.atoms is None or same_labels(self.atoms, atoms) else [*changes, "numbers"]
 
     def adopt(self, atoms: Atoms, forces: Forces) -> None:
-        """Take over energy, forces and stress of these atoms from where minimd has found them: Forces with the same potentials, just computed."""
+        """Take over energy, forces and stress of these atoms from Forces with the same potentials, which have just been computed."""
         self.atoms = atoms.copy()
         self.results = _results(atoms, forces)
 
@@ -118,7 +118,7 @@ class Calculator(ASECalculator):
 
 
 def _results(atoms: Atoms, forces: Forces) -> dict[str, Any]:
-    """Energy, forces and, where there is a volume, stress of the last compute with TOTALS or PER_ATOM."""
+    """Energy, forces and, if there is a volume, stress of the last compute with TOTALS or PER_ATOM."""
     energy, volume = forces.potential_energy, volume_of(atoms)
     results = {"energy": energy, "free_energy": energy, "forces": forces.forces.copy()}
     return results | {"stress": -full_3x3_to_voigt_6_stress(forces.virial) / volume} if volume else results

@@ -1,4 +1,4 @@
-"""ASE's molecular dynamics with the steps made by minimd: what all of its classes have in common, and velocity Verlet."""
+"""ASE's molecular dynamics with the steps made by minimd: the base of all its classes, and velocity Verlet."""
 
 import warnings
 from collections.abc import Iterator
@@ -24,18 +24,18 @@ from minimd.structure.units import ASE
 
 
 class MinimdSteps(MolecularDynamics):
-    """What makes a class of ase.md step with minimd; it stands before that class among the bases.
+    """A mixin with which a class of ase.md makes its steps with minimd; it is put before that class in the list of bases.
 
-    run makes all steps between two observations at once, then brings atoms, momenta and the calculator's results (energy, forces, stress)
-    up to date. Whatever is changed between two blocks counts from then on: positions, momenta, cell, masses, calculator, potentials,
-    constraints, time step, temperature, friction. irun yields after every step, and step makes one, as in ASE.
+    run makes all steps between two observations at once, then updates atoms, momenta and the calculator's results (energy, forces, stress).
+    Changes between two blocks take effect in the next block: positions, momenta, cell, masses, calculator, potentials, constraints, time
+    step, temperature, friction. irun yields after every step, and step makes one step, as in ASE.
 
-    Forces are those of minimd's potentials if the calculator of the atoms is a minimd.ase.Calculator. Those of any other calculator are used
-    too, at its speed, and a warning says so once.
+    Forces are those of minimd's potentials if the calculator of the atoms is a minimd.ase.Calculator. The forces of any other calculator can
+    be used, too, at its speed; a warning says so once.
 
     Raises
     ------
-    ValueError : when it runs, for constraints that minimd does not know, by name.
+    ValueError : in a run, for constraints that minimd does not know, with their names.
     NonFiniteError, ConstraintError : if the run blows up; atoms hold the last good state.
     KeyboardInterrupt : after Ctrl-C; atoms hold the state of the last whole step.
     """
@@ -44,7 +44,7 @@ class MinimdSteps(MolecularDynamics):
     _made_for: Atoms | None = None
     _made_with: Any = None  # potentials of the calculator, constraints
     _is_new_run = True  # no step of the present run was made yet
-    _steps_made = 0  # by whatever call: noise has their numbers
+    _steps_made = 0  # in all calls; the noise depends on it
     _is_told = False
 
     def __repr__(self) -> str:
@@ -67,25 +67,25 @@ class MinimdSteps(MolecularDynamics):
         return bool(self.nsteps == self.max_steps)
 
     def irun(self, steps: int = 50) -> Iterator[bool]:
-        """As ASE's: make this many steps, one by one, and yield after each."""
+        """Make this many steps one by one, and yield after each, as in ASE."""
         self._is_new_run = True
         return super().irun(steps)  # type: ignore[no-any-return]
 
     def step(self, forces: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-        """Make one step, which the caller counts; returns the forces after it, (N, 3) [eV/Å].
+        """Make one step, without changing nsteps; returns the forces after it, (N, 3) [eV/Å].
 
-        forces : at the present positions, as ASE's classes take them. They are known here, and not needed.
+        forces : at the present positions, as in ASE's classes; they are ignored, because they are already known.
         """
         self._advance(1)
         self.nsteps -= 1
         return np.asarray(self.atoms.get_forces(md=True))
 
     def _may_make_blocks(self) -> bool:
-        """Whether nobody has put a step, or a log of every step, in the place of these."""
+        """Whether step and log have not been replaced, for example by a log of every step."""
         return getattr(self.step, "__func__", None) is MinimdSteps.step and getattr(self.log, "__func__", None) is MolecularDynamics.log
 
     def _next_look(self) -> int:
-        """The step after which the next observer is due, or the last one: interval n > 0 is every n-th, −n the n-th only."""
+        """The step after which the next observer is due, or the last step: an interval n > 0 means every n-th step, −n the n-th step only."""
         looks = [n * (self.nsteps // n + 1) if n > 0 else -n for _, n, _, _ in self.observers]
         return int(min([self.max_steps, *(look for look in looks if look > self.nsteps)]))
 
@@ -110,12 +110,12 @@ class MinimdSteps(MolecularDynamics):
             atoms.calc.adopt(atoms, engine.interactions)
 
     def _count_heat(self, energy: float) -> None:
-        """The bath has given this energy [eV] to the atoms."""
+        """Take notice of the energy [eV] that the bath has given to the atoms."""
 
     def _guard_at(self, atoms: Atoms) -> tuple[RunGuard, bool]:
         """The guarded engine, with positions and momenta of the atoms; a new one if anything else was changed from outside.
 
-        Also whether this is the run that its last steps were part of, and nobody has moved the atoms since.
+        Also returns whether this continues the run of its last steps, with atoms that were not moved since.
         """
         made_for, is_new_run, self._is_new_run = self._made_for, self._is_new_run, False
         if made_for is None or not self._is_made_for(made_for, atoms):
@@ -126,18 +126,18 @@ class MinimdSteps(MolecularDynamics):
             engine.velocities[:] = atoms.get_velocities()
         is_same_run = engine.is_as_left and not is_new_run
         if not isinstance(atoms.calc, Calculator):
-            engine.moved()  # who knows what became of its parameters: it is asked again, and answers at once if nothing did
+            engine.moved()  # its parameters may have changed: it is called again, and answers at once if they have not
         return self._guard, is_same_run
 
     def _is_made_for(self, made_for: Atoms, atoms: Atoms) -> bool:
-        """Whether the engine can go on with these atoms. Rigid bonds are measured anew where atoms were moved."""
+        """Whether the engine can go on with these atoms. If atoms with constraints were moved, it cannot: rigid bonds are measured again."""
         is_same = same_scene(made_for, atoms) and np.array_equal(made_for.cell.array, atoms.cell.array) and _same(self._made_with, _essence(atoms))
         return is_same and (not atoms.constraints or np.array_equal(atoms.positions, self._guard.engine.positions))
 
     def _new_guard(self, atoms: Atoms) -> RunGuard:
         calculator = atoms.calc
         if calculator is None:
-            raise RuntimeError("the atoms have no calculator; set atoms.calc, to a minimd.ase.Calculator for instance")
+            raise RuntimeError("the atoms have no calculator; set atoms.calc, for example to a minimd.ase.Calculator")
         if isinstance(calculator, Calculator):
             engine = Engine(System.from_ase(atoms, calculator.bonds), calculator.potentials, self.method(), options=calculator.options)
         else:
@@ -154,7 +154,7 @@ class MinimdSteps(MolecularDynamics):
 class VelocityVerlet(MinimdSteps, ase.md.verlet.VelocityVerlet):
     """ase.md.verlet.VelocityVerlet with the steps made by minimd: the same motion, to rounding.
 
-    Parameters, attach, irun, get_time and all the rest are ASE's. Raises : see MinimdSteps.
+    Parameters, attach, irun, get_time and everything else are those of ASE. Raises : see MinimdSteps.
     """
 
     def method(self) -> Splitting:

@@ -20,13 +20,16 @@ from minimd.structure.system import System
 
 
 class ForcesFromCalculator(OwnPotential):
-    """A potential for scenes of minimd: forces, energy and virial from any calculator of ASE.
+    """A potential for systems of minimd: forces, energy and virial from any calculator of ASE.
 
-    The energy is the one that belongs to the forces (free_energy), where the calculator has it. The virial is
-    W = −stress · volume; in an open scene W = Σ r ⊗ F, which needs no stress. Where neither is to be had, virial and
-    pressure are NaN, and a warning says so. The units of the calculator (Å, eV) should be those of the system.
 
-    calculator : of ase.calculators, an EMT() for instance.  Raises TypeError if it is none.
+
+    The energy is the one that is consistent with the forces (free_energy) if the calculator has it. The virial is
+    W = −stress · volume; in a system without periodic directions it is W = Σ r ⊗ F, which needs no stress. If the calculator gives no
+    stress that is needed, virial and pressure are NaN, and a warning says so. The units of the system should be those of the calculator
+    (Å, eV).
+
+    calculator : of ase.calculators, such as EMT().  Raises TypeError for anything else.
     """
 
     def __init__(self, calculator: BaseCalculator) -> None:
@@ -39,17 +42,17 @@ class ForcesFromCalculator(OwnPotential):
         return {"calculator": type(self.calculator)}
 
     def bind(self, system: System) -> Any:
-        """The term that asks the calculator for the forces on this system."""
+        """The term that gets the forces on this system from the calculator."""
         atoms = atoms_from_system(system)
-        atoms.set_constraint()  # minimd wants the forces as they are, and keeps constraints itself
+        atoms.set_constraint()  # minimd needs the forces without constraints, which it applies itself
         atoms.calc = self.calculator
         return CalculatorTerm(atoms)
 
 
 class ForcesOnAtoms:
-    """A potential for one ase.Atoms: forces and energy from its calculator, which sees these very atoms, with all that they carry.
+    """A potential for one ase.Atoms: forces and energy from its calculator, which is called with these atoms and all their arrays.
 
-    Their positions follow those of the system. The virial is NaN: nobody asks the calculator for a stress here.
+    Their positions follow those of the system. The virial is NaN, because the stress is not needed here.
     """
 
     def __init__(self, atoms: Atoms) -> None:
@@ -59,7 +62,7 @@ class ForcesOnAtoms:
         return f"ForcesOnAtoms({type(self._atoms.calc).__name__})"
 
     def bind(self, system: System) -> "WithoutVirial":
-        """The term that asks the calculator for the forces on the atoms."""
+        """The term that gets the forces on the atoms from the calculator."""
         return WithoutVirial(self._atoms)
 
 
@@ -80,11 +83,11 @@ class CalculatorTerm:
             virials += self._virial(system, own) / len(system)
 
     def skipped(self) -> Iterable[str]:
-        """Nothing that minimd knows of."""
+        """Nothing: what the calculator leaves out is not known."""
         return ()
 
     def _shares_of_energy(self, detail: int) -> NDArray[np.float64]:
-        """(N,), with the right sum; the calculator's own shares if it has them and PER_ATOM asks for them."""
+        """Energies of atoms, (N,), with the right sum: the calculator's own if it has them and PER_ATOM needs them, else equal shares."""
         total = self._atoms.get_potential_energy(force_consistent="free_energy" in self._implemented)
         own = detail == PER_ATOM and "energies" in self._implemented
         shares = self._atoms.get_potential_energies() if own else np.zeros(len(self._atoms))
@@ -102,7 +105,7 @@ class CalculatorTerm:
 
 
 class WithoutVirial(CalculatorTerm):
-    """Forces and energy alone. Where the atoms have FixCom, the force on their center is taken out, in shares of their masses."""
+    """Forces and energy only. If the atoms have FixCom, the force on their center of mass is removed, in proportion to the masses."""
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See CalculatorTerm."""
@@ -115,15 +118,15 @@ class WithoutVirial(CalculatorTerm):
 
 
 def calculators_said(calculator: BaseCalculator) -> str:
-    """What a user hears once whose steps wait for a calculator that is not minimd's."""
+    """The warning, given once, for steps with a calculator that is not minimd's."""
     name = type(calculator).__name__
-    return f"the calculator is {name}, not minimd.ase.Calculator: minimd makes the steps with its forces, as fast as {name} finds them"
+    return f"the calculator is {name}, not minimd.ase.Calculator: minimd makes the steps with its forces, only as fast as {name} computes them"
 
 
 def potentials_of_calculator(calculator: Any) -> Sequence[Potential] | None:
-    """The potentials that stand for a calculator of ASE: those of a minimd Calculator, else ForcesFromCalculator, and a warning says so.
+    """The potentials of a calculator of ASE: those of a minimd.ase.Calculator without bonds, else ForcesFromCalculator, with a warning.
 
-    None for anything that is no calculator.
+    None for anything that is not a calculator.
     """
     if not is_calculator(calculator):
         return None
@@ -134,5 +137,5 @@ def potentials_of_calculator(calculator: Any) -> Sequence[Potential] | None:
 
 
 def is_calculator(calculator: Any) -> bool:
-    """Whether it answers as a calculator of ASE does."""
+    """Whether an object has the methods of a calculator of ASE."""
     return hasattr(calculator, "get_forces") and hasattr(calculator, "get_potential_energy")

@@ -1,6 +1,6 @@
-"""minimd's H5MD files for ase.io.read, which finds this module by an entry point; see minimd_plugin.py.
+"""Reading minimd's H5MD files with ase.io.read, which finds this module by an entry point; see minimd_plugin.py.
 
-ase.io.write does not write them: a file of minimd holds a run that can go on, and atoms alone are none.
+ase.io.write does not write them: a file of minimd holds a run that can go on, and atoms alone are not a run.
 """
 
 from collections.abc import Iterator
@@ -19,11 +19,13 @@ from minimd.structure.units import UnitSystem
 def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
     """Frames of a minimd file, to the last bit: positions (not wrapped), momenta, masses, cell, constraints, bonds, and energy.
 
-    Forces are there if the run stored them; they come through kJ/mol and are right to rounding. The stress is there if the run observed it.
-    Bonds, angles, dihedrals and impropers stand in arrays of these names, as ASE's reader of LAMMPS data leaves them; step and time in info.
-    Reduced numbers are no Å and eV.
 
-    index : which frames, as ase.io.read takes it.
+
+    Forces are included if the run stored them; they are converted from kJ/mol, and right to rounding. The stress is included if the run
+    observed it. Bonds, angles, dihedrals and impropers are arrays with these names, as made by ASE's reader of LAMMPS data; step and time are
+    in info. Numbers in reduced units are not converted to Å and eV.
+
+    index : of the frames, as for ase.io.read.
 
     Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_reader.read_file.
     """

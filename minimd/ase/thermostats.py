@@ -1,7 +1,7 @@
-"""ASE's thermostats with the steps made by minimd. Arguments, defaults, attributes and setters are those of ASE's classes, their bases.
+"""ASE's thermostats with the steps made by minimd. Arguments, defaults, attributes and setters are inherited from ASE's classes.
 
-Noise is minimd's: its paths are not those of ASE's classes, its distributions are. Each class draws one seed from its rng, when the first step
-is made; equal rngs make equal runs.
+The noise is minimd's: paths differ from those of ASE's classes, distributions are the same. Each class draws one seed from its rng when the
+first step is made; equal rngs give equal runs.
 """
 
 import functools
@@ -27,10 +27,10 @@ from minimd.structure.checks import shown
 
 
 class Noisy(MolecularDynamics):
-    """A class with random numbers.
+    """The base of classes that use random numbers.
 
     rng : RandomState, Generator, numpy.random itself, or any object with standard_normal; an int or a SeedSequence becomes a Generator.
-        Another one that is set takes over from the next step on.
+        An rng that is set later is used from the next step on.
 
     Raises TypeError for anything else.
     """
@@ -40,7 +40,7 @@ class Noisy(MolecularDynamics):
 
     @property
     def rng(self) -> Any:
-        """Where the seed of the noise is drawn."""
+        """The source of the seed of the noise."""
         return self._rng
 
     @rng.setter
@@ -68,10 +68,10 @@ class Noisy(MolecularDynamics):
 class Langevin(MinimdSteps, Noisy, ase.md.langevin.Langevin):
     """ase.md.langevin.Langevin with the steps of BAOAB, see minimd.LangevinBAOAB: the same distribution by another scheme.
 
-    temperature_K and friction may be arrays with one value for each atom, (N, 1). With fixcm the center of mass is left alone, and the
-    temperature of all other motions raised by n/(n − 3), n = atoms.get_number_of_degrees_of_freedom(), so that atoms.get_temperature() is
-    temperature_K on average, as in ASE. A constraint FixCom, which ASE advises instead, is kept exactly. Where atoms are held by FixAtoms
-    the center of mass is not free, and fixcm means nothing.
+    temperature_K and friction may be arrays with one value for each atom, (N, 1). With fixcm the bath does not act on the center of mass, and
+    the temperature of all other motions is raised by n/(n − 3), n = atoms.get_number_of_degrees_of_freedom(), so that the mean of
+    atoms.get_temperature() is temperature_K, as in ASE. A constraint FixCom, which ASE recommends instead, is kept exactly. If atoms are held
+    by FixAtoms, the center of mass is not free, and fixcm has no effect.
     """
 
     def method(self) -> Splitting:
@@ -80,13 +80,13 @@ class Langevin(MinimdSteps, Noisy, ase.md.langevin.Langevin):
         if self.fix_com and _center_is_free(self.atoms):
             n_dof = self.atoms.get_number_of_degrees_of_freedom()
             if n_dof <= 3:
-                raise ValueError(f"fixcm = True leaves no motion to {len(self.atoms)} atoms with {n_dof} degrees of freedom; use fixcm=False")
+                raise ValueError(f"fixcm = True needs more than 3 degrees of freedom, {len(self.atoms)} atoms have {n_dof}; use fixcm=False")
             keeps_center, temperature = True, temperature * n_dof / (n_dof - 3)
         return LangevinBath(self.dt, temperature, self.fr, self.noise_seed(), keeps_center)
 
 
 class LangevinBAOAB(MinimdSteps, Noisy, ase.md.langevinbaoab.LangevinBAOAB):
-    """ase.md.langevinbaoab.LangevinBAOAB for a cell that stays as it is; without temperature_K it is velocity Verlet.
+    """ase.md.langevinbaoab.LangevinBAOAB for a constant cell; without temperature_K it is velocity Verlet.
 
     Raises NotImplementedError for externalstress, with which the cell would change.
     """
@@ -96,7 +96,7 @@ class LangevinBAOAB(MinimdSteps, Noisy, ase.md.langevinbaoab.LangevinBAOAB):
         super().__init__(*arguments, **options)
         if self.externalstress is not None:
             raise NotImplementedError(
-                f"externalstress = {shown(self.externalstress)}: this class keeps the cell as it is; use ase.md.langevinbaoab.LangevinBAOAB, "
+                f"externalstress = {shown(self.externalstress)}: this class needs a constant cell; use ase.md.langevinbaoab.LangevinBAOAB, "
                 "or minimd.Simulation with barostat=StochasticCellRescaling(...)"
             )
 
@@ -110,13 +110,13 @@ class LangevinBAOAB(MinimdSteps, Noisy, ase.md.langevinbaoab.LangevinBAOAB):
 class Bussi(MinimdSteps, Noisy, ase.md.bussi.Bussi):
     """ase.md.bussi.Bussi: the kinetic energy of all ndof degrees of freedom has its canonical distribution.
 
-    temp, ndof and target_kinetic_energy = ½ ndof temp may be set between steps, as well as taut.
-    transferred_energy : what the bath has given to the atoms so far [eV].
+    temp, ndof, target_kinetic_energy = ½ ndof temp, and taut may be set between steps.
+    transferred_energy : energy that the bath has given to the atoms so far [eV].
     """
 
     @property
     def target_kinetic_energy(self) -> float:
-        """½ ndof temp [eV]; to set it sets temp [eV]."""
+        """½ ndof temp [eV]; setting it sets temp [eV]."""
         return float(0.5 * self.temp * self.ndof)
 
     @target_kinetic_energy.setter
@@ -135,8 +135,8 @@ class Bussi(MinimdSteps, Noisy, ase.md.bussi.Bussi):
 class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNVT):  # type: ignore[misc] # ASE's step returns nothing
     """ase.md.nose_hoover_chain.NoseHooverChainNVT: the same motion, to rounding, and the same get_conserved_energy.
 
-    Unlike ASE's class it counts degrees of freedom by atoms.get_number_of_degrees_of_freedom(), which is 3N without constraints, keeps
-    constraints, and takes notice of what others do to the atoms between steps.
+    Unlike ASE's class it counts degrees of freedom by atoms.get_number_of_degrees_of_freedom(), which is 3N without constraints; it keeps
+    constraints, and uses changes that others make to the atoms between steps.
     """
 
     def __init__(self, atoms: Atoms, timestep: float, temperature_K: float, tdamp: float, tchain: int = 3, tloop: int = 1, **kwargs: Any) -> None:  # noqa: N803
@@ -148,7 +148,7 @@ class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNV
         return NoseHooverBath(self.dt, self._chain)
 
     def get_conserved_energy(self) -> float:
-        """U + K + the energy of the chain [eV]; constant but for the error of the time step."""
+        """U + K + the energy of the chain [eV]; constant except for the error of the time step."""
         return float(self.atoms.get_potential_energy(force_consistent=True) + self.atoms.get_kinetic_energy() + self._chain.energy)
 
 
@@ -161,7 +161,7 @@ class Andersen(MinimdSteps, Noisy, ase.md.andersen.Andersen):
 
 
 class NVTBerendsen(MinimdSteps, ase.md.nvtberendsen.NVTBerendsen):
-    """ase.md.nvtberendsen.NVTBerendsen: the same motion, to rounding. With fixcm total momentum is taken out, unless atoms are held by FixAtoms."""
+    """ase.md.nvtberendsen.NVTBerendsen: the same motion, to rounding. With fixcm the total momentum is removed, unless atoms are held by FixAtoms."""
 
     def method(self) -> Splitting:
         """One factor for all velocities, then velocity Verlet."""

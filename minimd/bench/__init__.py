@@ -1,1 +1,1 @@
-"""Benchmarks: run time against error, against other engines, against what a scene holds and how large it is."""
+"""Benchmarks: run time against error, compared with other engines, and as a function of ingredients and size of a scene."""

@@ -1,6 +1,6 @@
-"""ASE's own Lennard-Jones dynamics, and that of asap3 on ASE's atoms: engines that `minimd bench` compares with.
+"""ASE's own Lennard-Jones dynamics, and that of asap3 on ASE's atoms: engines with which `minimd bench` compares minimd.
 
-Å, eV, u and ASE's unit of time are σ, ε, m and τ here, so that the numbers of a scene in reduced units stay as they are.
+Å, eV, u and ASE's unit of time stand for σ, ε, m and τ here, so that the numbers of a scene in reduced units do not change.
 """
 
 from typing import Any
@@ -12,7 +12,7 @@ from ase.md.verlet import VelocityVerlet
 from minimd.bench.scenes import CUTOFF, SHIFT, BenchScene, pairs_in_range
 from minimd.structure.ase_atoms import atoms_from_system
 
-ARGON = 18  # asap3 wants a chemical element; the masses remain those of the scene
+ARGON = 18  # asap3 needs a chemical element; the masses are those of the scene
 
 
 class OnASE:
@@ -32,7 +32,7 @@ class OnASE:
         return self.potential_energy() + float(self._atoms.get_kinetic_energy())
 
     def run(self, n_steps: int) -> None:
-        """Make steps."""
+        """Make n_steps steps."""
         self._dynamics.run(n_steps)
 
 
@@ -46,12 +46,12 @@ class ASE(OnASE):
         self._scene = scene
 
     def potential_energy(self) -> float:
-        """U [ε], without the shift that ASE's calculator gives each pair."""
+        """U [ε], without the shift that ASE's calculator adds for each pair."""
         return super().potential_energy() + SHIFT * pairs_in_range(self._scene, self._atoms.positions)
 
 
 def asap(scene: BenchScene, timestep: float) -> OnASE:
-    """asap3's calculator LennardJones and its compiled VelocityVerlet; ASE's, with the same calculator, takes twice as long."""
+    """asap3's calculator LennardJones and its compiled VelocityVerlet; ASE's VelocityVerlet with this calculator takes twice as long."""
     import asap3
     from asap3.md.verlet import VelocityVerlet_Asap
 

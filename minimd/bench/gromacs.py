@@ -1,6 +1,6 @@
-"""GROMACS, if its program gmx is on the path: an engine that `minimd bench` compares with. Each run is a process.
+"""GROMACS, if its program gmx is on the path: an engine with which `minimd bench` compares minimd. Each run is a process.
 
-nm, u, ps and kJ/mol are σ, m, τ and ε here, so that the numbers of a scene in reduced units stay as they are.
+nm, u, ps and kJ/mol stand for σ, m, τ and ε here, so that the numbers of a scene in reduced units do not change.
 """
 
 import os
@@ -16,7 +16,7 @@ import minimd as md
 from minimd.bench.scenes import CUTOFF, BenchScene
 
 PROGRAM = "gmx"
-BUFFER = 1e-7  # kJ/mol/ps, the drift that GROMACS lets its list make; its default, 0.005, drifts a thousand times more than minimd
+BUFFER = 1e-7  # kJ/mol/ps, the drift that GROMACS allows from its list; with the default, 0.005, it drifts a thousand times more than minimd
 NEVER = 10**9  # steps
 PARAMETERS = f"""
 integrator = md
@@ -78,12 +78,14 @@ class Gromacs:
         """See TimedEngine."""
         potential, kinetic = self._energies()
         last = max(Path(self._folder.name).glob("last.part*.gro"))
-        positions = Universe(str(last)).atoms.positions / 10.0  # in nm; three decimals are enough for the small term below
+        positions = Universe(str(last)).atoms.positions / 10.0  # in nm; the three decimals of the file are enough for the small term below
         forces = md.evaluate(md.System(positions, cell=self._scene.edges, species=self._scene.system.species), self._scene.potentials).forces
-        return potential + kinetic - 0.125 * self._timestep**2 * float(np.sum(forces**2))  # K is the mean of those half a step before and after
+        return (
+            potential + kinetic - 0.125 * self._timestep**2 * float(np.sum(forces**2))
+        )  # GROMACS' K is the mean of those half a step before and after
 
     def run(self, n_steps: int) -> float:
-        """Make steps; returns the seconds that they took by GROMACS' own clock, without those of starting the program."""
+        """Make n_steps steps; returns the seconds that they took by GROMACS' own clock, without the start of the program."""
         before = ("-cpi", "run.cpt") if Path(self._folder.name, "run.cpt").exists() else ()
         options = ("-nsteps", str(n_steps), "-ntmpi", "1", "-ntomp", str(self.threads), "-nb", "cpu", "-noappend")
         for old in Path(self._folder.name).glob("run.part*"):
@@ -104,7 +106,7 @@ class Gromacs:
         Path(self._folder.name, name).write_text(text, encoding="utf-8")
 
     def _call(self, command: str, *arguments: str, given: str = "") -> None:
-        """Raises RuntimeError with the last lines that gmx wrote, if it fails."""
+        """Call gmx.  Raises RuntimeError with the last words that it printed, if it fails."""
         environment = os.environ | {"GMX_MAXBACKUP": "-1", "GMX_SUPPRESS_DUMP": "1"}
         words = [PROGRAM, "-quiet", command, *arguments]
         answer = subprocess.run(words, cwd=self._folder.name, input=given, capture_output=True, text=True, env=environment, check=False)
@@ -113,7 +115,7 @@ class Gromacs:
 
 
 def _structure(scene: BenchScene, timestep: float) -> str:
-    """The scene as GROMACS reads it: nine decimals instead of three, and velocities of half a step before, as leapfrog has them."""
+    """The scene as a file of GROMACS: with nine decimals instead of three, and velocities half a step earlier, as needed by leapfrog."""
     system = scene.system
     velocities = system.velocities - 0.5 * timestep * md.evaluate(system, scene.potentials).forces
     wrapped = system.positions - np.floor(system.positions / scene.edges) * scene.edges

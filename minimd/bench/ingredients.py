@@ -1,4 +1,4 @@
-"""`minimd bench scene`: what each ingredient of a scene costs, and that one which is absent costs nothing."""
+"""`minimd bench scene`: the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing."""
 
 import tempfile
 from collections.abc import Callable, Sequence
@@ -21,13 +21,13 @@ from minimd.potentials.pair import Label
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PARTNERS = 1.3  # σ: only atoms closer than that are bonded, within the first peak of g(r)
-EVERY = 10  # steps between observations, where there are some
+PARTNERS = 1.3  # σ: only closer atoms are bonded; this is within the first peak of g(r)
+EVERY = 10  # steps between observations, for ingredients with observations
 BASE = "melt"
 
 
 class IngredientCost(NamedTuple):
-    """One ingredient. seconds : (R,) of a step in each turn.  n_pairs : in range."""
+    """The cost of one ingredient.  seconds : (R,) of a step in each turn.  n_pairs : number of pairs in range."""
 
     name: str
     n_atoms: int
@@ -45,20 +45,20 @@ class IngredientCosts:
     name: ClassVar[str] = "scene"
 
     def ratio(self, cost: IngredientCost) -> NDArray[np.float64]:
-        """Time of a step per atom / that of the melt, turn by turn, (R,)."""
+        """Time of a step per atom divided by that of the melt, in each turn, (R,)."""
         return cost.seconds / cost.n_atoms * self.costs[0].n_atoms / self.costs[0].seconds
 
     def lines(self) -> list[str]:
         """See Outcome."""
         base = self.costs[0]
-        titles = {"scene": str} | dict.fromkeys(["atoms", "µs per step", "beside the melt", "pairs per atom", "per pair"], float)
+        titles = {"scene": str} | dict.fromkeys(["atoms", "µs per step", "ratio to the melt", "pairs per atom", "ratio per pair"], float)
         cells = []
         for cost in self.costs:
             ratio, pairs = self.ratio(cost), cost.n_pairs / cost.n_atoms
             by_pair = ratio * (base.n_pairs / base.n_atoms) / pairs
             times = [spread(1e6 * cost.seconds), spread(ratio)]
             cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", spread(by_pair)])
-        head = f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); pairs are those in range."
+        head = f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only pairs in range are counted."
         return [head, "", *table(titles, cells)]
 
     def content(self) -> dict[str, Any]:
@@ -67,7 +67,7 @@ class IngredientCosts:
         return {"repeats": self.repeats, "rows": rows}
 
     def figure(self) -> "Figure":
-        """Times beside that of the melt."""
+        """A figure of the times relative to that of the melt."""
         figure = new_figure(4.5)
         axes = figure.subplots()
         ratios = [self.ratio(cost) for cost in self.costs]
@@ -76,12 +76,12 @@ class IngredientCosts:
         axes.barh([cost.name for cost in self.costs], middle, xerr=ends, color="tab:blue", ecolor="gray")
         axes.axvline(1.0, color="black", lw=0.8)
         axes.invert_yaxis()
-        axes.set(xlabel="time of a step per atom, beside the melt", title=f"median and range of {self.repeats} rounds")
+        axes.set(xlabel="time of a step per atom, relative to the melt", title=f"median and range of {self.repeats} rounds")
         return figure
 
 
 def run_ingredients(n: int, repeats: int) -> IngredientCosts:
-    """Time the melt of 4 n³ atoms plain and with one ingredient more, or less, one after the other in each round."""
+    """Measure the time of the melt of 4 n³ atoms, and with one ingredient more or less, in turns."""
     with tempfile.TemporaryDirectory() as folder:
         loaded = {name: make() for name, make in _ingredients(equilibrated(melt(n)), n, Path(folder)).items()}
         engines = [engine for _, engine in loaded.values()]
@@ -98,7 +98,7 @@ def run_ingredients(n: int, repeats: int) -> IngredientCosts:
 
 
 def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, Callable[[], tuple[BenchScene, Minimd]]]:
-    """Scenes by name, each with its engine."""
+    """Functions that make a scene and its engine, by name."""
     bonds, length = partners(base.system)
     plain, excluding = (md.LennardJones(1.0, 1.0, CUTOFF, "truncated", bonded_scale=scale) for scale in ((1.0, 1.0, 1.0), (0.0, 1.0, 1.0)))
     spring, rigid = md.HarmonicBond(400.0, length), md.DistanceConstraints(bonds)
@@ -131,7 +131,7 @@ def _run(scene: BenchScene) -> tuple[BenchScene, Minimd]:
 
 
 def _with(scene: BenchScene, **changes: Any) -> BenchScene:
-    """The scene with another System: species, bonds or pbc changed."""
+    """The scene with other species, bonds or pbc."""
     old = scene.system
     kept = {"species": old.species, "bonds": old.bonds, "pbc": old.cell.pbc} | changes
     system = md.System(old.positions, velocities=old.velocities, masses=old.masses, cell=old.cell.vectors, units=old.units, **kept)
@@ -139,7 +139,7 @@ def _with(scene: BenchScene, **changes: Any) -> BenchScene:
 
 
 def partners(system: md.System) -> tuple[NDArray[np.int64], float]:
-    """Pairs of neighbors, no atom in two of them, (K, 2), and the mean of their distances [σ]."""
+    """Pairs of neighbors, with each atom in at most one pair, (K, 2), and the mean of their distances [σ]."""
     edges = np.diag(system.cell.vectors)
     wrapped = system.positions % edges
     wrapped[wrapped >= edges] = 0.0

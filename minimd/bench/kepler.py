@@ -23,7 +23,7 @@ def attraction(q):
 
 
 def about_line(time: NDArray[np.float64], energies: NDArray[np.float64]) -> tuple[float, float]:
-    """Oscillation, the standard deviation about the line of regression, and drift, its |slope|; infinite if a run failed.  (T,), (T,)."""
+    """Oscillation, the standard deviation about the line of regression, and drift, its |slope|; infinite if the run failed.  Both (T,)."""
     if not np.isfinite(energies).all():
         return np.inf, np.inf
     slope, start = np.polyfit(time, energies, 1)
@@ -31,7 +31,7 @@ def about_line(time: NDArray[np.float64], energies: NDArray[np.float64]) -> tupl
 
 
 def runs(costs: Sequence[int], repeats: int) -> Iterator[tuple[str, int, float, float, float, float, float, float]]:
-    """Method, order, Δt, forces per unit of time, seconds, and the errors: oscillation, drift, distance. costs : forces per unit of time."""
+    """For each run: method, order, Δt, forces per unit of time, seconds, oscillation, drift, distance.  costs : ten times the forces per time."""
     from numba import njit
 
     problem = md.integrators.SecondOrder(njit(attraction))

@@ -1,4 +1,4 @@
-"""Memory of a simulation per atom, measured in processes of its own."""
+"""Memory of a simulation per atom, measured in separate processes."""
 
 import subprocess
 import sys
@@ -8,22 +8,22 @@ from pathlib import Path
 from minimd.bench.engines import SKIN_LAMMPS, Minimd, Precision, preload_mpi
 from minimd.bench.scenes import CUTOFF, MELT_DENSITY, MELT_TEMPERATURE, SCENES, SEED, TIMESTEP
 
-FROM_ATOMS = 256_000  # with fewer the memory of Python and of the kernels hides that of the atoms
+FROM_ATOMS = 256_000  # with fewer atoms, the memory of Python and of the kernels hides that of the atoms
 SMALL = 20  # a first scene of 32 000 atoms loads the kernels
 STEPS = 120  # enough for the snapshots to which a failed run goes back
-STATUS = Path("/proc/self/status")  # of Linux; the peak of getrusage can be that of the parent process
+STATUS = Path("/proc/self/status")  # of Linux; getrusage may give the peak of the parent process
 
 
 def bytes_per_atom(scene: str, n: int, threads: int, precision: str) -> float | None:
-    """Growth of minimd's peak memory from a scene of 32 000 atoms to one of about 4 n³, built and run, per atom more.
+    """Growth of minimd's peak memory per additional atom, from a scene of 32 000 atoms to one of about 4 n³; both are built and run.
 
-    None if the operating system does not tell the peak, or the measurement fails.
+    None if the operating system does not give the peak, or the measurement fails.
     """
     return _in_a_process(f"peak_per_atom(minimd_peak({scene!r}, {threads}, {precision!r}), {n})")
 
 
 def bytes_per_atom_lammps(n: int) -> float | None:
-    """The same for LAMMPS and the melt, built by its own commands; None also where it is not installed."""
+    """The same for LAMMPS and the melt, built by its own commands; None also if LAMMPS is not installed."""
     return _in_a_process(f"peak_per_atom(lammps_peak, {n})")
 
 
@@ -39,7 +39,7 @@ def _in_a_process(call: str) -> float | None:
 
 
 def peak_per_atom(run: Callable[[int], int], n: int) -> float:
-    """As bytes_per_atom, in this process, which must be a fresh one. run : builds and runs a size, returns the number of atoms."""
+    """As bytes_per_atom, in this process, which must be new.  run : function of a size that runs it and returns the number of atoms."""
     few, before = run(SMALL), _peak()
     many, after = run(n), _peak()
     return (after - before) / (many - few)
@@ -51,7 +51,7 @@ def minimd_peak(scene: str, threads: int, precision: Precision) -> Callable[[int
     def run(n: int) -> int:
         loaded = SCENES[scene](n)
         n_atoms, engine = len(loaded.system), Minimd(loaded, threads, precision)
-        del loaded  # the simulation has a copy
+        del loaded  # the simulation has its own copy
         engine.run(STEPS)
         return n_atoms
 
@@ -73,6 +73,6 @@ def lammps_peak(n: int) -> int:
 
 
 def _peak() -> float:
-    """Bytes this process has held at most so far."""
+    """The largest memory of this process so far [bytes]."""
     peak = next(line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM:"))  # "VmHWM:   178012 kB"
     return 1024.0 * float(peak.split()[1])

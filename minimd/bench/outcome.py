@@ -1,4 +1,4 @@
-"""The outcome of a benchmark: a table for people, JSON for programs, a picture."""
+"""The outcome of a benchmark: a table to read, JSON for programs, a picture."""
 
 import json
 import platform
@@ -17,7 +17,7 @@ from minimd.compiled.machine import available_cores, processor_name, version
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DIGITS = 3  # of a median: rounds differ by a percent or more
+DIGITS = 3  # of a median, because rounds differ by a percent or more
 ALIGN = {str: ":---", float: "---:"}
 DPI = 150
 
@@ -25,7 +25,7 @@ Ratios = NDArray[np.float64] | None
 
 
 class DisagreementError(ArithmeticError):
-    """Two engines have different energies in the same scene, so that nothing is timed."""
+    """Two engines have different energies in the same scene, so no times are measured."""
 
 
 class Outcome(Protocol):
@@ -33,30 +33,30 @@ class Outcome(Protocol):
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """The name in its files."""
 
     @property
     def packages(self) -> Sequence[str]:
-        """Whose versions matter, beside minimd, numba and numpy."""
+        """Packages whose versions matter, besides minimd, numba and numpy."""
 
     def lines(self) -> list[str]:
-        """What was measured, as lines of Markdown."""
+        """The results as lines of Markdown."""
 
     def content(self) -> dict[str, Any]:
-        """Everything measured, in every round."""
+        """Everything that was measured, in every round."""
 
     def figure(self) -> "Figure":
-        """A picture of it."""
+        """A figure of the results."""
 
 
 def markdown(outcome: Outcome) -> str:
-    """The tables, with machine and versions above them."""
+    """The tables, below a description of machine and versions."""
     words = ", ".join(f"{name} {number}" for name, number in versions(outcome.packages).items())
     return "\n".join([f"# minimd bench {outcome.name}", "", f"{machine()['text']}.  ", f"{words}.", "", *outcome.lines()])
 
 
 def as_json(outcome: Outcome) -> str:
-    """Everything, with machine and versions."""
+    """All results as JSON, with machine and versions."""
     content = {"machine": machine(), "versions": versions(outcome.packages)} | outcome.content()
     return json.dumps(content, indent=2, ensure_ascii=False)
 
@@ -70,7 +70,7 @@ def write(outcome: Outcome, folder: Path) -> None:
 
 
 def versions(packages: Sequence[str]) -> dict[str, str]:
-    """Versions of minimd, of numba and numpy, and of the packages that took part."""
+    """Versions of minimd, numba, numpy, and of the packages that took part."""
     return {"minimd": md.__version__} | {name: version(name) for name in ("numba", "numpy", *packages)}
 
 
@@ -93,12 +93,12 @@ def threads_text(n: int) -> str:
 
 
 def tell(line: str) -> None:
-    """What is going on, on standard error, since the outcome goes to standard output."""
+    """Print a line about the progress to standard error, because the outcome goes to standard output."""
     print(line, file=sys.stderr, flush=True)
 
 
 def spread(values: Ratios) -> str:
-    """Median (least to most); nothing for no values, and 1 where a row is divided by itself."""
+    """The median (least to most) as text; empty without values, and 1 if a row is divided by itself."""
     if values is None:
         return ""
     if np.all(values == 1.0):

@@ -1,4 +1,4 @@
-"""`minimd bench peers`: the same scene in minimd and in the other engines that are installed."""
+"""`minimd bench peers`: the same scene in minimd and in other installed engines."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ NO_PEERS = ("none",)
 
 
 class EngineSpeed(NamedTuple):
-    """One engine with one scene.
+    """The speed of one engine with one scene.
 
     speeds : (R,) atom-steps per second in each turn.  bytes_per_atom : None if not measured.
     """
@@ -44,19 +44,19 @@ class EngineSpeed(NamedTuple):
 
 
 def faster_than_peer(rows: Sequence[EngineSpeed], peer: EngineSpeed) -> NDArray[np.float64] | None:
-    """Speed of minimd, double, on as many threads / speed of the peer, turn by turn; None where that did not run."""
+    """Speed of minimd, double, on as many threads, divided by the speed of the peer, in each turn; None if that did not run."""
     ours = None if peer.is_minimd else _double(rows, peer.threads, peer.scene)
     return None if ours is None else ours.speeds / peer.speeds
 
 
 def beside_one_thread(rows: Sequence[EngineSpeed], row: EngineSpeed) -> NDArray[np.float64] | None:
-    """Speed of a row of minimd / speed of minimd, double, on one thread, with the same scene; None for peers."""
+    """Speed of a row of minimd divided by that of minimd, double, on one thread, for the same scene; None for peers."""
     reference = _double(rows, 1, row.scene) if row.is_minimd else None
     return None if reference is None else row.speeds / reference.speeds
 
 
 def _double(rows: Sequence[EngineSpeed], threads: int, scene: str) -> EngineSpeed | None:
-    """The row of minimd in double precision on some threads."""
+    """The row of minimd in double precision on this number of threads."""
     return next((row for row in rows if row.is_minimd and (row.threads, row.precision, row.scene) == (threads, "double", scene)), None)
 
 
@@ -74,18 +74,18 @@ class PeersOptions(NamedTuple):
     repeats: int = 7
 
     def kinds(self) -> list[tuple[int, Precision]]:
-        """Threads and precisions in which minimd runs: double on one thread, the reference, and those asked for."""
+        """Numbers of threads and precisions of minimd: the reference, double on one thread, and those that are asked for."""
         return list(dict.fromkeys([(1, "double"), *((t, p) for t in self.all_threads() for p in self.precisions)]))
 
     def all_threads(self) -> tuple[int, ...]:
-        """Numbers of threads, each once."""
+        """Numbers of threads, without repetition."""
         return tuple(dict.fromkeys(self.threads or (1, available_cores())))
 
 
 def run_peers(options: PeersOptions) -> "Peers":
-    """Measure size by size; progress goes to standard error.
+    """Measure one size after the other; progress is printed to standard error.
 
-    Raises ValueError for options that do not fit, or a peer that does not start.  DisagreementError as check_agreement.
+    Raises ValueError for options that do not fit, or if a peer does not start.  DisagreementError as check_agreement.
     """
     check_options(options)
     peers, text = _peers(options), SCENES[options.scene](min(options.cells)).text
@@ -95,7 +95,7 @@ def run_peers(options: PeersOptions) -> "Peers":
 
 @dataclass(frozen=True)
 class Peers:
-    """Rows of each size. scene : name.  text : what it is.  packages : of the peers that took part."""
+    """The rows of each size.  scene : name.  text : its description.  packages : of the peers that took part."""
 
     scene: str
     text: str
@@ -109,7 +109,7 @@ class Peers:
         speeds = (
             f"Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of {self.repeats} rounds (least to most)."
         )
-        head = [f"{self.text}.", "", speeds, "In each round all engines run once, in one process; ratios are taken within a round."]
+        head = [f"{self.text}.", "", speeds, "In each round all engines run once, in one process; ratios are computed within a round."]
         return head + [line for rows in self.sizes for line in _table(rows)]
 
     def content(self) -> dict[str, Any]:
@@ -118,7 +118,7 @@ class Peers:
         return {"scene": self.scene, "text": self.text, "repeats": self.repeats, "sizes": sizes}
 
     def figure(self) -> "Figure":
-        """Speed against the number of atoms, with a panel for each number of threads; of more than six engines the six fastest."""
+        """Speed against the number of atoms, with a panel for each number of threads; at most the six fastest engines are drawn."""
         all_threads = sorted({row.threads for rows in self.sizes for row in rows})
         figure = new_figure(3.8 * len(all_threads))
         panels = figure.subplots(len(all_threads), sharex=True, sharey=True, squeeze=False)[:, 0]
@@ -133,7 +133,7 @@ class Peers:
 
 
 def _draw(panel: Any, rows: Sequence[EngineSpeed]) -> dict[str, End]:
-    """Median speeds of engines and their ranges; returns where the curves end."""
+    """Draw median speeds of engines and their ranges; returns the ends of the curves."""
     curves, ends = dict[str, list[EngineSpeed]](), {}
     for row in rows:
         curves.setdefault(f"{row.engine}{', mixed' if row.precision == 'mixed' else ''}", []).append(row)
@@ -151,7 +151,7 @@ def _draw(panel: Any, rows: Sequence[EngineSpeed]) -> dict[str, End]:
 
 
 def check_options(options: PeersOptions) -> None:
-    """Raise ValueError unless the options fit together and to this machine."""
+    """Raise ValueError unless the options fit together, and fit this machine."""
     for name, value, allowed in (
         ("scene", (options.scene,), SCENES),
         ("precision", options.precisions, PRECISIONS),
@@ -159,12 +159,12 @@ def check_options(options: PeersOptions) -> None:
     ):
         unknown = [word for word in value if word not in allowed]
         if unknown:
-            raise ValueError(f"--{name} must be of {', '.join(allowed)}; it is {unknown[0]!r}")
+            raise ValueError(f"--{name} must be one of {', '.join(allowed)}; it is {unknown[0]!r}")
     if max(options.all_threads()) > available_cores():
         raise ValueError(f"--threads {max(options.threads)} is more than the {available_cores()} cores that this process may use")
     smallest = min(options.cells)
     if SCENES[options.scene](smallest).edges.min() < 2.0 * CUTOFF:
-        raise ValueError(f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {options.scene!r}; take more")
+        raise ValueError(f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {options.scene!r}; give a larger number")
     for name in options.peers:
         if name not in NO_PEERS and options.scene not in PEERS[name].scenes:
             raise ValueError(f"--peers {name} cannot run the scene {options.scene!r}; it runs {', '.join(PEERS[name].scenes)}")
@@ -173,20 +173,20 @@ def check_options(options: PeersOptions) -> None:
 
 
 def _peers(options: PeersOptions) -> tuple[str, ...]:
-    """Names of the peers that take part; tells which are not installed."""
+    """Names of the peers that take part; peers that are not installed are named on standard error."""
     able = [name for name, peer in PEERS.items() if options.scene in peer.scenes]
     if not able or options.peers == NO_PEERS:
         return ()
     missing = {PEERS[name].package: PEERS[name].installer for name in able if not PEERS[name].is_installed}
     for installer in dict.fromkeys(() if options.peers else missing.values()):
         packages = [package for package, its in missing.items() if its == installer]
-        tell(f"not installed, so not compared with: {', '.join(packages)}; {installer} installs them")
+        tell(f"no comparison with {', '.join(packages)}: not installed; {installer} installs this")
     return tuple(name for name in options.peers or able if PEERS[name].package not in missing)
 
 
 def _beside_peers(n: int, options: PeersOptions, peers: Sequence[str]) -> list[EngineSpeed]:
     scene = SCENES[options.scene](n)
-    if options.scene != MELT:  # the melt melts while the engines warm up
+    if options.scene != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)
     engines: list[TimedEngine] = [Minimd(scene, *kind) for kind in options.kinds()]
     n_atoms = len(scene.system)
@@ -201,16 +201,16 @@ def _beside_peers(n: int, options: PeersOptions, peers: Sequence[str]) -> list[E
 
 
 def _load(name: str, scene: BenchScene, threads: int) -> TimedEngine:
-    """A peer with the scene.  Raises ValueError for any failure of its program."""
+    """A peer that has loaded the scene.  Raises ValueError for any failure of the peer."""
     try:
         return PEERS[name].load(scene, threads, TIMESTEP)
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"{name} is installed but does not start: {reason}; name the others with --peers") from error
+        raise ValueError(f"{name} is installed but does not start: {reason}; to leave it out, name the others with --peers") from error
 
 
 def with_memory(row: EngineSpeed, n: int) -> EngineSpeed:
-    """The row, with the memory of minimd per atom if the scene is large enough for a measurement."""
+    """The row, with the memory of minimd per atom if the scene is large enough to measure it."""
     if not row.is_minimd or 4 * n**3 < FROM_ATOMS:
         return row
     tell(f"{row.n_atoms} atoms: memory of minimd, {row.precision}, {threads_text(row.threads)}")
@@ -219,7 +219,7 @@ def with_memory(row: EngineSpeed, n: int) -> EngineSpeed:
 
 def _table(rows: Sequence[EngineSpeed]) -> list[str]:
     titles: dict[str, type] = {"engine": str, "threads": float, "precision": str, "speed": float}
-    titles |= {"minimd double, same threads, is faster by": float, "beside minimd double, 1 thread": float}
+    titles |= {"minimd double, same threads, is faster by": float, "ratio to minimd double, 1 thread": float}
     cells = []
     for row in rows:
         name = f"**{row.engine}**" if row.is_minimd else row.engine

@@ -19,12 +19,12 @@ from minimd.compiled.machine import available_cores
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CELLS, CELLS_QUICK = (3, 5, 8, 12, 20, 32, 63), (3, 5, 10, 20)  # 108 to 1 000 188 atoms; to 32 000
+CELLS, CELLS_QUICK = (3, 5, 8, 12, 20, 32, 63), (3, 5, 10, 20)  # 108 to 1 000 188 atoms; quick: 108 to 32 000
 MEMORY_OF, MEMORY_OF_QUICK = 63, 40  # cells
 
 
 class Size(NamedTuple):
-    """One number of atoms. seconds : threads → (R,) of a step in each turn."""
+    """Times for one number of atoms.  seconds : for each number of threads (R,), of a step in each turn."""
 
     n_atoms: int
     seconds: dict[int, NDArray[np.float64]]
@@ -32,7 +32,7 @@ class Size(NamedTuple):
 
 @dataclass(frozen=True)
 class Scaling:
-    """Times by size and threads; memory : engine → bytes per atom, between 32 000 and memory_atoms."""
+    """Times by size and threads.  memory : bytes per atom of each engine, between 32 000 and memory_atoms atoms."""
 
     sizes: Sequence[Size]
     memory: dict[str, float]
@@ -44,7 +44,7 @@ class Scaling:
     def lines(self) -> list[str]:
         """See Outcome."""
         threads = list(self.sizes[0].seconds)
-        columns = [f"ns per atom and step, {threads_text(t)}" for t in threads] + [f"{t} threads beside 1" for t in threads if t > 1]
+        columns = [f"ns per atom and step, {threads_text(t)}" for t in threads] + [f"speedup with {t} threads" for t in threads if t > 1]
         titles = dict.fromkeys(["atoms", *columns], float)
         cells = []
         for size in self.sizes:

@@ -1,6 +1,6 @@
 """The scenes of the benchmark, in reduced Lennard-Jones units: a melt, a mixture, chains of beads, rigid dumbbells.
 
-Each takes a number n and has 4 n³ atoms, or nearly as many.
+Each is a function of a number n, and has 4 n³ atoms, or nearly as many.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,10 +23,10 @@ SEED = 87287
 TIMESTEP = 0.005  # τ
 CUTOFF = 2.5  # σ of the pair
 CUTOFFS: Mapping[tuple[Label, Label], float] = {("A", "A"): CUTOFF}
-SHIFT = 4.0 * (CUTOFF**-12 - CUTOFF**-6)  # u(r_c) [ε] of Lennard-Jones, which a shifted potential takes away
+SHIFT = 4.0 * (CUTOFF**-12 - CUTOFF**-6)  # u(r_c) [ε] of Lennard-Jones, which a shifted potential subtracts
 EQUILIBRATION = 500  # steps: 2.5 τ, in which a crystal at these temperatures melts
 
-MELT_DENSITY, MELT_TEMPERATURE = 0.8442, 1.44  # LAMMPS' benchmark
+MELT_DENSITY, MELT_TEMPERATURE = 0.8442, 1.44  # of LAMMPS' benchmark
 
 MIXTURE_DENSITY, MIXTURE_TEMPERATURE = 1.2, 1.0
 MIXTURE: Mapping[Label, tuple[float, float]] = {"A": (1.0, 1.0), "B": (0.5, 0.88)}  # ε, σ
@@ -44,8 +44,8 @@ DUMBBELL_LENGTH = 0.6
 class BenchScene(NamedTuple):
     """A system with its potentials; bonded neighbors have no pair force.
 
-    cutoffs : r_c for each pair of species [σ].  text : what it is, in one line.  constraints : lengths held fixed.
-    bond_constant, bond_length : of its bonds [ε/σ²], [σ].  is_shifted : whether u(r_c) = 0. Peers read these, not the potentials.
+    cutoffs : r_c for each pair of species [σ].  text : a description in one line.  constraints : lengths held fixed.
+    bond_constant, bond_length : of its bonds [ε/σ²], [σ].  is_shifted : whether u(r_c) = 0. Peers use these numbers, not the potentials.
     """
 
     name: str
@@ -74,7 +74,7 @@ def melt(n: int) -> BenchScene:
 
 
 def kob_andersen(n: int) -> BenchScene:
-    """4 n³ atoms of two kinds on the fcc lattice, drawn at random.
+    """4 n³ atoms on the fcc lattice, of two species distributed at random.
 
     W. Kob, H. C. Andersen, Phys. Rev. E 51, 4626 (1995).
     """
@@ -97,7 +97,7 @@ def chains(n: int) -> BenchScene:
     width = round(cbrt(4 * n**3))  # lattice sites along an edge
     n_beads = width**3 // BEADS * BEADS
     if n_beads == 0:
-        raise ValueError(f"chains need room for one of {BEADS} beads; {width**3} sites are too few")
+        raise ValueError(f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has {width**3}")
     edge = cbrt(n_beads / CHAIN_DENSITY)
     first = np.arange(n_beads - 1)
     first = first[(first + 1) % BEADS != 0]
@@ -135,7 +135,7 @@ def equilibrated(scene: BenchScene) -> BenchScene:
 
 
 def pairs_in_range(scene: BenchScene, positions: NDArray[np.float64]) -> int:
-    """Pairs of atoms closer than their cutoff on which the pair potential acts: bonded ones are excluded where it says so.
+    """Number of pairs of atoms within their cutoff on which the pair potential acts: without bonded pairs if it excludes them.
 
     positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff, or open.
     """
@@ -154,7 +154,7 @@ def pairs_in_range(scene: BenchScene, positions: NDArray[np.float64]) -> int:
 
 
 def _warm(system: md.System, temperature: float) -> md.System:
-    """The system itself, with velocities drawn at a temperature."""
+    """The same system, with velocities drawn at a temperature."""
     system.velocities[:] = maxwell_boltzmann(system.masses, temperature, system.units.k_B, SEED)
     return system
 

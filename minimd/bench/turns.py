@@ -1,4 +1,4 @@
-"""Timing in rounds: engines that have the same energies run one after the other, again and again."""
+"""Timing in rounds: engines with the same energies run one after the other, again and again."""
 
 from collections.abc import Sequence
 from time import perf_counter
@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 from minimd.bench.engines import TimedEngine
 from minimd.bench.outcome import DisagreementError, tell, threads_text
 
-SAME_START = 5e-5  # relative difference of energies at step 0: rounding of single precision; GROMACS sums those of 32 000 atoms to 2e-5
-STEPS_COMPARED = 10  # few enough for trajectories not to part, enough for the potential energy to change by half an ε per atom
-SAME_COURSE = 1e-3  # ε per atom, difference of energies after these steps: single precision; a time step 1 % longer makes more
-WARM_UP, SECONDS_WARM_UP = 200, 5.0  # steps, or seconds if those are over first: melts the lattice, fills caches
-SECONDS_A_TURN = 0.5  # far above the resolution of the clock, far below the minutes in which machines change their speed
-STEPS_A_TURN, LONGEST_TURN = 40, 5.0  # steps of a turn at least, so that two new lists are among them, unless they take longer [s]
+SAME_START = 5e-5  # allowed relative difference of energies at step 0: rounding of single precision; GROMACS sums 32 000 atoms to 2e-5
+STEPS_COMPARED = 10  # so few that trajectories do not diverge, enough for the potential energy to change by half an ε per atom
+SAME_COURSE = 1e-3  # ε per atom, allowed difference after these steps, in single precision; a time step 1 % longer makes a larger one
+WARM_UP, SECONDS_WARM_UP = 200, 5.0  # steps or seconds, whichever ends first: melts the lattice, fills caches
+SECONDS_A_TURN = 0.5  # much longer than the resolution of the clock, much shorter than the minutes in which machines change their speed
+STEPS_A_TURN, LONGEST_TURN = 40, 5.0  # least number of steps in a turn, so that it has two new lists, unless they take longer than so many seconds
 
 
 def check_agreement(engines: Sequence[TimedEngine], n_atoms: int) -> None:
-    """Make sure that all engines have loaded the same scene and make the same steps. They make some.
+    """Check that all engines have loaded the same scene and make the same steps; for this they make some steps.
 
-    The total energy alone does not show a wrong time step, since it is conserved. The potential energy of a crystal that melts does.
+    The total energy alone does not show a wrong time step, because it is conserved. The potential energy of a melting crystal does.
     Raises DisagreementError if an engine differs from the first.
     """
     _compare("potential energy at step 0", [(e, e.potential_energy()) for e in engines], relative=SAME_START)
@@ -32,7 +32,7 @@ def check_agreement(engines: Sequence[TimedEngine], n_atoms: int) -> None:
 
 
 def warm_up(engines: Sequence[TimedEngine], n_atoms: int) -> list[int]:
-    """Run each engine for a while; returns how many steps its turns have."""
+    """Run each engine for a while; returns the number of steps in its turns."""
     n_steps = []
     for engine in engines:
         tell(f"{n_atoms} atoms: warming up {label(engine)}")
@@ -43,7 +43,7 @@ def warm_up(engines: Sequence[TimedEngine], n_atoms: int) -> list[int]:
 def take_turns(engines: Sequence[TimedEngine], n_steps: Sequence[int], repeats: int, n_atoms: int) -> NDArray[np.float64]:
     """Steps per second of each engine in each turn, (E, repeats).
 
-    The engines take turns because the speed of a machine drifts: so it does for all of them. n_steps : (E,), of a turn.
+    The engines take turns because the speed of a machine drifts: so the drift affects all of them.  n_steps : (E,), of a turn.
     """
     speeds = np.empty((len(engines), repeats))
     for turn in range(repeats):
@@ -60,7 +60,7 @@ def steps_in_a_turn(seconds_per_step: float) -> int:
 
 
 def label(engine: TimedEngine) -> str:
-    """An engine in words."""
+    """The description of an engine."""
     return f"{engine.name}, {engine.precision}, {threads_text(engine.threads)}"
 
 

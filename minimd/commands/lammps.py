@@ -11,12 +11,12 @@ from minimd.commands.run import tell_next
 
 def add(commands: Any) -> None:
     """Add the command to the subparsers of `minimd`."""
-    text = "Build a scene, let LAMMPS run it under MPI, and bring the result back as minimd's file."
+    text = "Build a scene, let LAMMPS run it under MPI, and bring the result back as a file of minimd."
     file = "scene", "scene file (TOML)"
     parser = add_command(commands, lammps, "let LAMMPS run a scene file", file, "--overwrite", "--quiet", description=text)
-    parser.add_argument("--processes", type=partial(whole_number, least=1), default=1, metavar="P", help="processes of MPI, 1 if not given")
-    parser.add_argument("--steps", type=partial(whole_number, least=1), metavar="N", help="instead of the steps in the scene")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="for all files; named after the scene if not given")
+    parser.add_argument("--processes", type=partial(whole_number, least=1), default=1, metavar="P", help="number of MPI processes, 1 if not given")
+    parser.add_argument("--steps", type=partial(whole_number, least=1), metavar="N", help="number of steps, in place of that in the scene")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="folder for all files; named after the scene if not given")
 
 
 def lammps(arguments: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""The command `minimd`: finds the command that is asked for, and turns failures into sentences and exit codes."""
+"""The program `minimd`: it finds the command, and turns errors into sentences and exit codes."""
 
 import argparse
 import sys
@@ -23,8 +23,8 @@ CODES |= dict.fromkeys((DisagreementError, EnsembleError, HandOverError), FAILED
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
-    0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted, 143 terminated, 129 terminated as its terminal was closed.
-    Expected failures end in one sentence for each problem on standard error.
+    0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted, 143 terminated, 129 terminated because the terminal was closed.
+    For an expected error, one sentence for each problem is printed to standard error.
     """
     parser = argparse.ArgumentParser(prog="minimd", description="Molecular dynamics from scene files.", epilog="Begin with: minimd doctor")
     parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
@@ -36,12 +36,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return OK
     try:
-        with warnings.catch_warnings():  # of the whole process, which is this command
+        with warnings.catch_warnings():  # changes them for the whole process, which is this command
             warnings.showwarning = _tell
-            passed = arguments.command(arguments)  # None of a command that judges nothing
+            passed = arguments.command(arguments)  # None for a command without a judgement
         return OK if passed is None or passed else FAILED
     except tuple(CODES) as error:
-        with suppress(OSError):  # nobody reads it any more
+        with suppress(OSError):  # the reader may be gone
             sys.stdout.flush()
         for line in sentence(error).splitlines():
             print(f"minimd: error: {line}", file=sys.stderr)
@@ -52,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _tell(message: Warning | str, *_where: Any, **_more: Any) -> None:
-    """A warning as a sentence: the line of Python that it comes from is not the user's."""
+    """Print a warning as a sentence, without the line of Python from which it comes, which is not the user's."""
     print(f"minimd: warning: {message}", file=sys.stderr)
 
 

@@ -10,7 +10,7 @@ from minimd.commands.options import add_command
 def add(commands: Any) -> None:
     """Add the command to the subparsers of `minimd`."""
     parser = add_command(commands, plot, "draw the energies, the temperature and the structure of a run", ("file", "trajectory (.h5md)"))
-    parser.add_argument("--out", type=Path, metavar="PNG", help="picture, named after the trajectory if not given")
+    parser.add_argument("--out", type=Path, metavar="PNG", help="file of the picture; named after the trajectory if not given")
 
 
 def plot(arguments: argparse.Namespace) -> None:

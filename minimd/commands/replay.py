@@ -11,7 +11,7 @@ def add(commands: Any) -> None:
     """Add the command to the subparsers of `minimd`."""
     text, file = "Make the last steps of a failed run again, one by one.", ("file", "file (.crash.h5md) that the run left")
     parser = add_command(commands, replay, "make the last steps of a failed run again", file, "--scene", "--overwrite", "--quiet", description=text)
-    parser.add_argument("--out", type=Path, metavar="FILE", help="trajectory of the steps (.h5md); the picture lies beside it")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="trajectory of the steps (.h5md); the picture is written beside it")
 
 
 def replay(arguments: argparse.Namespace) -> None:

@@ -6,8 +6,8 @@ from typing import Any
 from minimd.commands.options import add_command, scene_of, silence, whole_number
 from minimd.commands.run import tell_next
 
-SCENE = """replace the scene stored in the run by this one, from now on: potentials, method, time step, bath, output; structure, minimization and
-equilibration, which make a start, are not used"""
+SCENE = """use this scene, from now on, in place of the one stored in the run: potentials, method, time step, bath, output; structure, minimization
+and equilibration, which concern only the start, are not used"""
 
 
 def add(commands: Any) -> None:
@@ -15,7 +15,7 @@ def add(commands: Any) -> None:
     text, file = "Continue the run in an H5MD file and append to it.", ("file", "trajectory (.h5md) of a run from a scene file")
     parser = add_command(commands, resume, "go on with a run", file, "--quiet", description=text)
     parser.add_argument("--scene", metavar="TOML", help=SCENE)
-    parser.add_argument("--steps", type=whole_number, metavar="N", help="how many more steps; up to the end of the scene if not given")
+    parser.add_argument("--steps", type=whole_number, metavar="N", help="number of further steps; if not given, up to the number in the scene")
 
 
 def resume(arguments: argparse.Namespace) -> None:

@@ -12,8 +12,10 @@ def add(commands: Any) -> None:
     """Add the command to the subparsers of `minimd`."""
     text, file = "Build a scene, run it, and write its files.", ("scene", "scene file (TOML)")
     parser = add_command(commands, run, "run a scene file", file, "--overwrite", "--quiet", description=text)
-    parser.add_argument("--steps", type=whole_number, metavar="N", help="instead of the steps in the scene")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="one trajectory file instead of those in the scene; the picture lies beside it")
+    parser.add_argument("--steps", type=whole_number, metavar="N", help="number of steps, in place of that in the scene")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="one trajectory file, in place of those in the scene; the picture is written beside it"
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -31,7 +33,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def tell_next(files: Iterable[Path]) -> None:
-    """Name the commands that look at the files of a run."""
+    """Print the commands that check and show the files of a run."""
     from minimd.scene.document import h5md_files
 
     for file in h5md_files(files):

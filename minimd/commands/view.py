@@ -1,4 +1,4 @@
-"""`minimd view`: a run as a page for the browser."""
+"""`minimd view`: show a run as a page in the browser."""
 
 import argparse
 from pathlib import Path
@@ -10,14 +10,16 @@ from minimd.view.viewing import FRAMES
 
 def add(commands: Any) -> None:
     """Add the command to the subparsers of `minimd`."""
-    text = (
-        "Write a run as one page of HTML: its report, its pictures, its atoms in motion. Of a failed run it shows the last steps and marks the pair."
-    )
+    text = "Write a run as one HTML page: its report, its pictures, its atoms in motion. For a failed run it shows the last steps and marks the pair."
     file = ("file", "trajectory (.h5md), or file (.crash.h5md) that a failed run left")
-    parser = add_command(commands, view, "see the atoms of a run move, in the browser", file, "--scene", description=text)
-    parser.add_argument("--out", type=Path, metavar="HTML", help="page, named after the file if not given")
+    parser = add_command(commands, view, "show the atoms of a run in motion, in the browser", file, "--scene", description=text)
+    parser.add_argument("--out", type=Path, metavar="HTML", help="file of the page; named after the run if not given")
     parser.add_argument(
-        "--frames", type=lambda text: whole_number(text, 2), metavar="N", default=FRAMES, help=f"at most, evenly chosen (default {FRAMES})"
+        "--frames",
+        type=lambda text: whole_number(text, 2),
+        metavar="N",
+        default=FRAMES,
+        help=f"largest number of frames, evenly chosen (default: {FRAMES})",
     )
     parser.add_argument("--open", action="store_true", help="show the page in the browser")
 

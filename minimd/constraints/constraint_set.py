@@ -16,7 +16,7 @@ from minimd.structure.images import images_of_length, nearest_images
 from minimd.structure.observables import degrees_of_freedom
 from minimd.structure.system import System, check_resolution
 
-TOLD = 1e-8  # relative violations above this, as in files of single precision, cause a warning when the initial state is projected
+TOLD = 1e-8  # relative violation, exceeded for example in files of single precision, above which the projection of an initial state causes a warning
 
 
 class ConstraintSet:
@@ -64,7 +64,7 @@ class ConstraintSet:
         return degrees_of_freedom(n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed)
 
     def fit(self, system: System) -> None:
-        """Choose for each bond the image that has its length again, after atoms were moved by lattice vectors or the cell was changed."""
+        """Choose the image of each bond that has its length, after atoms were moved by lattice vectors or the cell was changed."""
         if self.bonds is None:
             return
         off = self.bonds.violation(system.positions) > self.bonds.tolerance
@@ -80,7 +80,7 @@ class ConstraintSet:
             self.bonds.iterations = iterations
 
     def follow(self, before: Cell, cell: Cell) -> None:
-        """After the cell was strained: images of bonds become the same multiples of its new vectors."""
+        """Change the images of bonds after the cell was strained: they become the same multiples of its new vectors."""
         if self.bonds is not None:
             self.bonds.follow(before, cell)
         self._cell = cell
@@ -96,13 +96,13 @@ class ConstraintSet:
         return ConstraintSet(light, self.kept, self._threads)
 
     def project(self, velocities: NDArray[np.float64], positions: NDArray[np.float64]) -> None:
-        """Project velocities in place onto those that the constraints allow. (N, 3) both."""
+        """Project velocities in place onto those that the constraints allow.  Both arrays are (N, 3)."""
         velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is not None:
             self.bonds.project_velocities(velocities, positions)
 
     def begin(self, system: System) -> None:
-        """Project positions and velocities that violate a constraint, with a warning that says by how much."""
+        """Project positions and velocities that violate a constraint; a warning says by how much if it is more than rounding."""
         self.fit(system)
         system.velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is None:

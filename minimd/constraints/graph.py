@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 class Components(NamedTuple):
     """The components of a graph, and the envelope of their matrices.
 
-    starts : (C + 1,) where the constraints of each component begin.
+    starts : (C + 1,) indices at which the constraints of each component begin.
     atoms, atom_starts : atoms of the components, one after the other, and where each component begins among them.
     begins : (K + 1,) where row k of the lower envelope begins in memory.  lowest : (K,) its first column.
     coupling : c_kl for l = lowest[k] … k, row after row; zero where two constraints share no atom.
@@ -46,10 +46,10 @@ class Graph(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """Atoms that constraints tie together.
+    """Bodies of atoms that constraints connect.
 
-    label : (N,) the body of each atom; an atom without constraints is one.  last : (B,) the last atom of each body.
-    is_free : (B,) whether no atom of it is held fixed, so that constraints leave its momentum as it is.
+    label : (N,) the body of each atom; an atom without constraints is a body.  last : (B,) the last atom of each body.
+    is_free : (B,) whether none of its atoms is held fixed, so that constraints do not change its momentum.
     """
 
     label: Ints

@@ -20,8 +20,8 @@ from minimd.constraints.pairs import DriftPairs, ProjectPairs
 from minimd.constraints.settle import DriftTriangles
 from minimd.constraints.vectors import Atoms, Bonds, Molecules
 
-STRAIGHT = 1e-9  # relative: a triangle whose longest side is the sum of the others to this accuracy is a line; files give some nine digits
-CONSTRAINTS_IN_A_CHUNK = 500  # at least, some ten microseconds of work: more than it takes to wake a thread
+STRAIGHT = 1e-9  # relative: a triangle whose longest side is the sum of the others to this accuracy is a line; files have about nine digits
+CONSTRAINTS_IN_A_CHUNK = 500  # least number: about ten microseconds of work, more than the time to wake a thread
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
 
@@ -105,7 +105,7 @@ class Networks:
         k = dependent_constraint(positions, self.graph.components, self.bonds, self.memory)
         if k >= 0:
             i, j = self.graph.first[k], self.graph.second[k]
-            raise ValueError(f"constraint {self.order[k]} (atoms {i}-{j}) follows from the others or contradicts them; leave it out")
+            raise ValueError(f"constraint {self.order[k]} (atoms {i}-{j}) follows from the other constraints or contradicts them; leave it out")
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
         """Drift of the atoms of the group. Returns a number of iterations, or −1 − the constraint, within the group, that cannot be kept."""
@@ -173,7 +173,7 @@ class LinearTriatomics(Networks):
         self.known = (Molecules(corners[:, [1, 0, 2]], offsets, shapes),)  # the middle atom is the corner opposite the longest side
 
     def check(self, positions: Floats) -> None:
-        """Do nothing: these constraints do depend on each other, and their solver takes this into account."""
+        """Do nothing: these constraints depend on each other, and their solver takes this into account."""
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """See Networks."""
@@ -209,7 +209,9 @@ def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Floats, inverse_ma
     if (excess > STRAIGHT * lengths.sum(axis=1)).any():
         k = starts[np.argmax(excess)]
         sides = graph.order[k : k + 3].tolist()
-        raise ValueError(f"lengths of the triangle of constraints {sides} contradict each other: one is longer than the other two together")
+        raise ValueError(
+            f"the lengths of constraints {sides}, which form a triangle, contradict each other: one is longer than the sum of the other two"
+        )
     is_straight = excess >= -STRAIGHT * lengths.sum(axis=1)
     base = _equal_sides(graph, starts, lengths2, inverse_masses)
     moves = [(inverse_masses[graph.first[s : s + 3]] > 0.0).all() and (inverse_masses[graph.second[s : s + 3]] > 0.0).all() for s in starts]

@@ -72,12 +72,12 @@ class ConstraintSolver:
         return ", ".join(f"{len(group.order)} in {group.shape}" for group in self.groups)
 
     def follow(self, before: Cell, cell: Cell) -> None:
-        """Offsets that are multiples of the vectors of a cell become those of another, in place."""
+        """Change offsets, in place, to the same multiples of the vectors of another cell."""
         for offsets in (self.offsets, *(array for group in self.groups for array in group.offsets())):
             before.follow(cell, offsets)
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> None:
-        """positions += duration · velocities, projected along the old gradients; velocities changed accordingly. (N, 3) both.
+        """positions += duration · velocities, projected along the old gradients; velocities are changed accordingly.  Both arrays are (N, 3).
 
         Raises
         ------
@@ -92,14 +92,14 @@ class ConstraintSolver:
             self.iterations = max(self.iterations, answer)
 
     def project_velocities(self, velocities: Floats, positions: Floats) -> None:
-        """Velocities projected so that r_ij · v_ij = 0 for all constraints. (N, 3) both."""
+        """Project velocities in place so that r_ij · v_ij = 0 for all constraints.  Both arrays are (N, 3)."""
         for group in self.groups:
             answer = group.project(positions, velocities, np.zeros(len(group.order)))
             if answer < 0:
                 self._fail(group.order[-1 - answer], positions, velocities, 0.0)
 
     def project_positions(self, positions: Floats) -> None:
-        """Positions moved along their present bonds, with mass weights, until all lengths are kept. (N, 3)."""
+        """Move positions (N, 3) along their present bonds, with mass weights, until all lengths are kept."""
         at_rest = np.zeros_like(positions)
         for _ in range(10):
             self.drift(positions, at_rest, 1.0)
@@ -158,7 +158,7 @@ def _checked_lengths(constraints: DistanceConstraints, positions: Floats, invers
     stuck = np.flatnonzero((inverse_masses[pairs] == 0.0).all(axis=1))
     if stuck.size:
         i, j = pairs[stuck[0]]
-        raise ValueError(f"constraint {stuck[0]} (atoms {i}-{j}) joins two atoms that are held fixed; leave it out")
+        raise ValueError(f"constraint {stuck[0]} (atoms {i}-{j}) connects two atoms that are held fixed; leave it out")
     bonds = positions[pairs[:, 1]] - positions[pairs[:, 0]] + offsets
     lengths = np.linalg.norm(bonds, axis=1) if constraints.lengths is None else constraints.lengths
     if not (lengths > 0.0).all():

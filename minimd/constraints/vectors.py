@@ -1,4 +1,4 @@
-"""Atoms, bonds and molecules in the form that constraint solvers take, and what solvers do to their vectors.
+"""Atoms, bonds and molecules in the form that constraint solvers use, and operations on their vectors.
 
 Solvers return the largest number of iterations; a negative number n says that the constraint (or molecule) −1 − n could not be kept.
 """

@@ -1,4 +1,4 @@
-"""Lennard-Jones atoms that collide: how fast they vibrate then, and whether their ε is meant in another unit."""
+"""Collisions of Lennard-Jones atoms: their frequency, and a test whether ε was given in another unit."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -31,7 +31,7 @@ def collision_frequency(system: System, potentials: Sequence[Any], held: NDArray
 
         ω² = u″(r_min)/μ · max(5², 15 + 12.2 T*^(7/6)),   T* = k_B T/ε of the velocities
 
-    The largest of all pairs of species. An atom bonded to a heavier one moves with it, and does not count.
+    This is the largest ω of all pairs of species. An atom bonded to a heavier one moves with it, and does not count.
     held : (C, 2), pairs at a fixed distance.  at_rest : whether the velocities are left out.
     """
     masses, bonds = system.masses, np.concatenate([system.bonds, held])
@@ -45,7 +45,7 @@ def collision_frequency(system: System, potentials: Sequence[Any], held: NDArray
     for table in _tables(system, potentials):
         each = fastest if len(table) > 1 else fastest.max(keepdims=True)
         epsilon = table[..., -2]
-        with np.errstate(over="ignore"):  # of a run that has run away
+        with np.errstate(over="ignore"):  # in a run that has blown up
             heat = np.divide(thermal, epsilon, out=np.zeros_like(epsilon), where=epsilon > 0.0) ** (7.0 / 6.0)
             both = np.where((each[:, None] > 0.0) & (each > 0.0), each[:, None] + each, 0.0)
             stiffness = curvature_at_minimum(epsilon, table[..., -1]) * both
@@ -54,7 +54,7 @@ def collision_frequency(system: System, potentials: Sequence[Any], held: NDArray
 
 
 def strange_depth(system: System, potentials: Sequence[Any]) -> str | None:
-    """A clause if, in eV and Å, an ε is larger than that of any atom, as a number in kelvin or kJ/mol is; else None."""
+    """A clause if an ε in eV is larger than that of any atom, as a number in kelvin or kJ/mol would be; else None."""
     if system.units != ASE:
         return None
     for table in _tables(system, potentials):
@@ -78,5 +78,5 @@ def _tables(system: System, potentials: Sequence[Any]) -> Iterator[NDArray[np.fl
 
 
 def velocity_temperature(system: System) -> float:
-    """T of the velocities [temperature], all degrees of freedom counted; 0 at rest."""
+    """T of the velocities [temperature], with all 3N degrees of freedom; 0 at rest."""
     return temperature(kinetic_energy(system.velocities, system.masses), system.velocities.size, system.units.k_B)

@@ -1,4 +1,4 @@
-"""Lines of a report about what a barostat did: from a record alone, so that a file has them, too."""
+"""Lines of a report about a barostat, from a record only, so that a file has them, too."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FAR = 4.0  # standard errors, themselves estimated from few means, within which 
 
 
 def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, conserves_momentum: bool) -> Iterator[Line]:
-    """What a barostat did: the mean volume, and the mean pressure compared with its target. No line without a barostat."""
+    """Lines with the mean volume, and the mean pressure compared with the target of the barostat. No line without a barostat."""
     if barostat is None or len(record) < ENOUGH or not np.isfinite(record.pressure).all():
         return
     first, last, units = float(record.volume[0]), float(record.volume[-1]), record.units
@@ -36,7 +36,7 @@ def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, con
 
 
 def _of_all_motion(record: Record) -> NDArray[np.float64]:
-    """The pressure, with the k_B T/V of the center of mass, whose three degrees of freedom are missing in the recorded one."""
+    """The pressure with the part k_B T/V of the center of mass, whose three degrees of freedom the recorded pressure lacks."""
     warmest = int(np.argmax(record.temperature))
     thermal = record.units.k_B * record.temperature[warmest]
     n_dof = 2.0 * record.kinetic_energy[warmest] / thermal if thermal > 0.0 else np.inf

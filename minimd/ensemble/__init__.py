@@ -1,4 +1,4 @@
-"""Many runs: members of an ensemble, made by any executor, each in a file of its own, with a table of their averages."""
+"""Many runs: the members of an ensemble are run by any executor, each with its own file; a table holds their averages."""
 
 from minimd.ensemble.member import Member
 from minimd.ensemble.running import ensemble

@@ -1,11 +1,11 @@
-"""The folder of an ensemble: what was asked for, one line for each member that has ended, and a file for each member.
+"""The folder of an ensemble: a description of what was asked for, one line for each member that has ended, and a file for each member.
 
 ensemble.json          seed, steps, every, functions, and the parameters of all members
-members.jsonl          one line for each member that has ended, in the order of their ends; a later line replaces an earlier one
+members.jsonl          one line for each member that has ended, in the order in which they end; a later line replaces an earlier one
 0000-0999/0012.h5md    the run of member 12
 table.csv, table.json  the table, written when a call ends
 
-A line is appended when its member ends: 10⁵ members cost 10⁵ lines, and a process that is killed loses at most the line that it is writing.
+A line is appended when a member ends: 10⁵ members need 10⁵ lines, and a process that is killed loses at most the line that it is writing.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from minimd.files.crash_file import crash_file_place
 from minimd.structure.checks import checked_count, shown
 
 DESCRIPTION, JOURNAL = "ensemble.json", "members.jsonl"
-BYTES_AT_ONCE = 2**20  # of the journal, that are read
+BYTES_AT_ONCE = 2**20  # of the journal, read in one piece
 
 
 class Asked(NamedTuple):
@@ -44,9 +44,9 @@ class Asked(NamedTuple):
 
 
 class EnsembleFolder:
-    """The folder of an ensemble, locked while it is open, if it is to be written.
+    """The folder of an ensemble; if it is opened for writing, it is locked until it is closed.
 
-    path : of the folder.  asked : what was asked for last, None in a new folder.  rows : of members that have ended, by index.
+    path : of the folder.  asked : what the last call asked for, None in a new folder.  rows : of members that have ended, by index.
     """
 
     def __init__(self, path: Path, *, writes: bool) -> None:
@@ -56,16 +56,17 @@ class EnsembleFolder:
             try:
                 self._lock = locked(path / JOURNAL, create=True)
             except OSError as error:
-                reason = f"{error.strerror}: an ensemble is running there" if "another run" in str(error.strerror) else error.strerror
-                raise OSError(f"folder {str(path)!r} cannot be used: {reason}; wait for its end, or choose another folder") from None
+                is_running = "another run" in str(error.strerror)
+                advice = ": an ensemble is running there; wait for its end, or choose another folder" if is_running else "; choose another folder"
+                raise OSError(f"folder {str(path)!r} cannot be used: {error.strerror}{advice}") from None
         self.asked, self.rows = self._read_description(), dict[int, Row]()
         if self.asked is not None:
             self.rows = {row["index"]: row for row in self._lines()}
 
     def begin(self, asked: Asked, resume: bool) -> Asked:
-        """Describe what is asked for now; returns it, with the parameters of members from earlier calls behind.
+        """Write the description of what is asked for now, and return it; the parameters of further members from earlier calls are appended.
 
-        resume : what is there is gone on with, else removed.
+        resume : True to go on with the members in the folder, False to remove them.
         Raises ValueError if the folder holds another ensemble.
         """
         if resume and self.asked is not None:
@@ -79,7 +80,7 @@ class EnsembleFolder:
         return asked
 
     def take(self, row: Row) -> None:
-        """Append the row of a member that has ended.  Raises OSError if there is no room."""
+        """Append the row of a member that has ended.  Raises OSError if it cannot be written, such as on a full disk."""
         self.rows[row["index"]] = row
         try:
             os.lseek(self._lock, 0, os.SEEK_END)
@@ -87,18 +88,18 @@ class EnsembleFolder:
             while text:
                 text = text[os.write(self._lock, text) :]
         except OSError as error:
-            raise OSError(f"{self.path / JOURNAL} cannot take the results of member {row['index']}: {error.strerror}") from None
+            raise OSError(f"{self.path / JOURNAL} cannot store the results of member {row['index']}: {error.strerror}") from None
 
     def file(self, index: int) -> Path:
-        """The H5MD file of a member, from the root: a worker may have another current folder."""
+        """The absolute path of the H5MD file of a member: the current folder of a worker may be another one."""
         return self.path.absolute() / file_of(index)
 
     def files(self) -> set[str]:
-        """All that is in the folders of members, as 0000-0999/0012.h5md: a thousand files cost one look, not a thousand."""
+        """Names of all files of members, such as 0000-0999/0012.h5md; a thousand files need a single listing of a folder."""
         return {f"{place.name}/{name}" for place in self.path.iterdir() if place.is_dir() for name in os.listdir(place)}
 
     def close(self) -> None:
-        """Give the folder free."""
+        """Release the lock of the folder."""
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
@@ -110,7 +111,7 @@ class EnsembleFolder:
         self.close()
 
     def _forget(self) -> None:
-        """Remove the files of all members: runs of another ensemble must not be gone on with."""
+        """Remove the files of all members and all rows, so that no member goes on from a run of another ensemble."""
         for index in range(len(self.asked.parameters) if self.asked is not None else 0):
             file = self.file(index)
             for one in (file, crash_file_place(True, file), stopped_file(file), file.with_suffix(NOTE)):
@@ -129,11 +130,11 @@ class EnsembleFolder:
             return None
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(
-                f"{file} is no description of an ensemble ({type(error).__name__}: {error}); choose another folder, or remove it"
+                f"{file} is not a description of an ensemble ({type(error).__name__}: {error}); choose another folder, or remove it"
             ) from None
 
     def _lines(self) -> Iterator[Row]:
-        """Rows of the journal. A line that is not whole is that of a process that was killed; it is removed when the folder is open for writing."""
+        """Rows of the journal. An incomplete last line comes from a process that was killed; it is removed if the folder is open for writing."""
         file, whole = self.path / JOURNAL, 0
         with open(file, "rb") as lines:
             while some := lines.readlines(BYTES_AT_ONCE):
@@ -143,7 +144,7 @@ class EnsembleFolder:
             os.ftruncate(self._lock, whole)
 
     def _check_is(self, before: Asked, asked: Asked) -> None:
-        """Raise ValueError unless this is the same ensemble, perhaps with more members or, where minimd makes the steps, with more steps."""
+        """Raise ValueError unless this is the same ensemble; it may have more members and, without a function run, more steps."""
         for name in ("seed", "every"):
             there, here = getattr(before, name), getattr(asked, name)
             self._refuse_unless(there == here, f"{name} = {there} there, {here} here")
@@ -163,7 +164,7 @@ class EnsembleFolder:
 
 
 def _rows_in(lines: list[bytes]) -> list[Row]:
-    """Rows of those lines of the journal that are whole. Read in one piece they share the names in them, which is half of their memory."""
+    """Rows of the complete lines of the journal. If the lines are read in one piece, rows share their names, which halves the memory."""
     whole = [line for line in lines if line.endswith(b"\n")]
     with suppress(ValueError):
         rows: list[Row] = json.loads(b"[%b]" % b",".join(whole))
@@ -187,7 +188,7 @@ def rows_of(columns: dict[str, list[Value]], n_members: int) -> list[dict[str, V
 
 
 def entropy_of(seed: int | None, before: Asked | None) -> int:
-    """The seed as entropy; if none is given, that of the folder, else one that is drawn.  Raises ValueError for a seed below 0."""
+    """The entropy: the seed if given, else that of the folder, else a random one.  Raises ValueError for a seed below 0 or from 2¹²⁸ on."""
     if seed is not None:
         return checked_count("seed", seed, 0, 2**128)
     return before.seed if before is not None else secrets.randbits(128)
@@ -202,7 +203,7 @@ def name_of(function: Callable | None) -> str:
 
 
 def write_whole(file: Path, text: str) -> None:
-    """Write a file that is never seen half written.  Raises OSError, with a sentence."""
+    """Write a file under another name, then rename it: nobody sees it half written.  Raises OSError with a message."""
     part = file.with_name(f"{file.name}.part")
     try:
         with part.open("w", encoding="utf-8") as whole:
@@ -216,5 +217,5 @@ def write_whole(file: Path, text: str) -> None:
 
 
 def is_done(row: Row | None, steps: int, has_run: bool) -> bool:
-    """Whether a member has made all its steps."""
+    """Whether a member is done: it has made all steps, or with a function run, that function has returned."""
     return row is not None and row["status"] == DONE and (has_run or row["n_steps"] >= steps)

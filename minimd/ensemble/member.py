@@ -18,15 +18,15 @@ from minimd.structure.checks import checked_count, listed, shown
 Value = bool | int | float | str
 OWN_COLUMNS = ("index", "status", "n_steps", "n_atoms", "n_members", "file", "message")  # of tables
 OWN_ENDINGS = ("_mean", "_error")
-PER_FOLDER = 1000  # files
+PER_FOLDER = 1000  # files of members
 
 
 @dataclass(frozen=True)
 class Member:
     """One run of an ensemble. member["temperature"] is its parameter of that name.
 
-    index : from 0.  parameters : name to value.  steps : that were asked for.  file : its H5MD file.
-    entropy : of the ensemble, from which all seeds of all members come.
+    index : from 0.  parameters : value of each name.  steps : number of steps asked for.  file : its H5MD file.
+    entropy : of the ensemble; the seeds of all members are derived from it.
     """
 
     index: int
@@ -43,19 +43,19 @@ class Member:
 
     @cached_property
     def seed_sequence(self) -> np.random.SeedSequence:
-        """The child of SeedSequence(entropy) with the index of the member: the same whatever the number of members."""
+        """The child of SeedSequence(entropy) with the index of the member; it does not depend on the number of members."""
         return np.random.SeedSequence(self.entropy, spawn_key=(self.index,))
 
     @property
     def seed(self) -> int:
-        """A whole number below 2⁶³, of the seed sequence, for set_temperature and the noise of a bath."""
+        """An integer from 0 to 2⁶³ − 1, drawn from the seed sequence, for set_temperature and the noise of a bath."""
         return int(self.seed_sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
     def run(self, simulation: Simulation, every: int = 100) -> Record:
-        """For the function `run` of an ensemble: make the steps of the member into its file; the record of all its frames.
+        """For use in the function `run` of an ensemble: make the steps of the member, write its file, and return the record of all its frames.
 
-        Where an earlier call was stopped in the middle, the simulation takes the state of the file and makes the steps that are left: file and
-        record have the same bits.
+        If an earlier call was stopped before the end, the simulation takes over the state in the file and makes the remaining steps: file and
+        record have the same bits as without the interruption.
 
         every : steps between observations.  Raises as Simulation.run; FileExistsError if it is called twice.
         """
@@ -76,7 +76,7 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
     """The parameters of each member.  parameters : number of members, columns of values, or one mapping for each member.
 
     Raises ValueError, TypeError for anything else, no members, columns of different lengths, members with different names, values that are
-    neither numbers nor texts, and names that the table has for itself.
+    neither numbers nor texts, and names that are reserved for columns of the table.
     """
     if isinstance(parameters, Mapping):
         rows = _from_columns(parameters)
@@ -90,7 +90,7 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
     else:
         rows = [{} for _ in range(checked_count("the number of members", parameters))]
     if not rows:
-        raise ValueError("an ensemble must have members; parameters are empty")
+        raise ValueError("an ensemble must have at least one member; parameters is empty")
     for index, row in enumerate(rows):
         if row.keys() != rows[0].keys():
             raise ValueError(f"all members must have the same parameters; member 0 has {listed(rows[0])}, member {index} has {listed(row)}")
@@ -107,19 +107,21 @@ def _from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
     lengths = {name: len(values) for name, values in lists.items()}
     if len(set(lengths.values())) > 1:
         told = ", ".join(f"{name!r} has {length}" for name, length in lengths.items())
-        raise ValueError(f"all parameters must have as many values as there are members; {told}: for all combinations, list them as dicts")
+        raise ValueError(
+            f"all parameters must have as many values as there are members; {told}. For all combinations of values, give a list of dicts"
+        )
     return [dict(zip(lists, row, strict=True)) for row in zip(*lists.values(), strict=True)]
 
 
 def _check_names(names: Mapping[str, Any]) -> None:
     for name in names:
         if not isinstance(name, str) or not name or name in OWN_COLUMNS or name.endswith(OWN_ENDINGS):
-            taken = f"{listed(OWN_COLUMNS)}, nor end in {' or '.join(OWN_ENDINGS)}"
-            raise ValueError(f"the name of a parameter must be a text, and not one of {taken}, which are columns of the table; it is {shown(name)}")
+            taken = f"{listed(OWN_COLUMNS)}, and must not end in {' or '.join(OWN_ENDINGS)}"
+            raise ValueError(f"the name of a parameter must be a text, not one of {taken}: these are columns of the table; it is {shown(name)}")
 
 
 def _checked_value(name: str, index: int, value: Any) -> Value:
     plain = value.item() if isinstance(value, np.generic) else value
     if not isinstance(plain, bool | int | float | str):
-        raise TypeError(f"parameter {name!r} must be a number, a text, True or False; of member {index} it is {shown(value)}")
+        raise TypeError(f"parameter {name!r} must be a number, a text, True or False; for member {index} it is {shown(value)}")
     return plain

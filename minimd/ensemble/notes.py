@@ -1,7 +1,7 @@
-"""How far a member is: a note beside its file while it is made, for `minimd scan --status`.
+"""The progress of a member: a note beside its file, kept while the member runs, for `minimd scan --status`.
 
-A thread writes the note every two seconds, so that short members have none. The note is locked as long as its process lives: a note without a
-lock was left behind by a process that was killed.
+A thread writes the note every two seconds; members that take less time have none. The process holds a lock on the note as long as it lives:
+a note without a lock was left behind by a process that was killed.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from minimd.simulation.simulation import Simulation
 
 SECONDS_BETWEEN_NOTES = 2.0
 SUFFIX = ".running"
-LENGTH = 60  # of a note, which is written in one piece
+LENGTH = 60  # characters of a note, so that each writing replaces the whole note
 
 
 class Note:
-    """What a member is doing.  simulation : that makes it.  first : the step at which its run begins; None before."""
+    """The note of a member.  simulation : of the member.  first : the step at which its run begins.  Both are None before the run begins."""
 
     def __init__(self, member: Member) -> None:
         self._place, self._steps, self._descriptor = note_of(member.file), member.steps, -1
@@ -30,14 +30,14 @@ class Note:
         self.first: int | None = None
 
     def write(self) -> None:
-        """Write it down.  Raises OSError."""
+        """Write the note to its file.  Raises OSError."""
         if self._descriptor < 0:
             self._descriptor = locked(self._place, create=True)
         os.lseek(self._descriptor, 0, os.SEEK_SET)
         os.write(self._descriptor, f"{self}\n".rjust(LENGTH).encode())
 
     def remove(self) -> None:
-        """Leave nothing behind, nor what a process that was killed has left.  Raises OSError."""
+        """Remove the file of the note, also if a process that was killed has left it.  Raises OSError."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
         self._place.unlink(missing_ok=True)
@@ -55,7 +55,7 @@ def noting(member: Member) -> Iterator[Note]:
 
     def keep() -> None:
         while not ended.wait(SECONDS_BETWEEN_NOTES):
-            with suppress(OSError):  # a note is a courtesy
+            with suppress(OSError):  # a run does not fail because its note cannot be written
                 note.write()
 
     thread = threading.Thread(target=keep, daemon=True)
@@ -75,7 +75,7 @@ def note_of(file: Path) -> Path:
 
 
 def read_note(file: Path) -> str:
-    """What the member with this file is doing now; empty if no process makes it, or it has begun a moment ago."""
+    """What the member with this file is doing now; empty if no process runs it, or if it began less than two seconds ago."""
     place = note_of(file)
     try:
         return place.read_text(encoding="utf-8").strip() if is_locked(place) else ""

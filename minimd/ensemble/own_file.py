@@ -1,4 +1,4 @@
-"""The run of a member in its own file, for functions `run` that go on where they were stopped."""
+"""The run of a member in its own file, for functions `run` that can go on after an interruption."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ STOPPED = ".stopped.h5md"
 
 
 def stopped_file(file: Path) -> Path:
-    """Where the file of a member that was stopped waits."""
+    """The name under which the file of a stopped member is kept."""
     return file.with_suffix(STOPPED)
 
 
 def set_aside(file: Path) -> None:
-    """Give the file of a member that was stopped another name, so that `run` may write a new one, or go on with it."""
+    """Rename the file of a stopped member, so that `run` may write a new file, or go on with the old one."""
     if file.exists():
-        with suppress(OSError, ValueError):  # what cannot be repaired will not be gone on with
+        with suppress(OSError, ValueError):  # a file that cannot be repaired is not continued
             repair(file)
         os.replace(file, stopped_file(file))
 
 
 def run_in_file(simulation: Simulation, file: Path, steps: int, every: int) -> Record:
-    """Make the steps of a member into its file, or those that are left where it was stopped; the record of all frames.
+    """Make the steps of a member, or the remaining ones if it was stopped, and write them to its file; returns the record of all frames.
 
-    The simulation takes the state of the file, and has the bits that it had when it was stopped.  Raises as Simulation.run.
+    To go on, the simulation takes over the state in the file, to the last bit.  Raises as Simulation.run.
     """
     from minimd.files.h5md_reader import read_file
 
@@ -43,7 +43,7 @@ def run_in_file(simulation: Simulation, file: Path, steps: int, every: int) -> R
 
 
 def _taken_up(simulation: Simulation, file: Path) -> int | None:
-    """Put the simulation where a file ends; the first step of its run. None if there is no such file, or it is damaged or of another system."""
+    """Take over the last state in a file; returns the first step of its run, or None if there is no file or it is damaged or of another system."""
     from minimd.files.h5md_reader import read_file, verify_frames
 
     if not file.exists():

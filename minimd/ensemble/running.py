@@ -1,4 +1,4 @@
-"""md.ensemble: many runs on any executor, each in a file of its own, gone on with where an earlier call has stopped."""
+"""md.ensemble: many runs on any executor, each with its own file; a call goes on where an earlier one was stopped."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from minimd.structure.checks import checked_count, checked_flag, shown
 from minimd.structure.console import Terminated, outside_minimd, progress_of, raising_on_signals, stop_runs_of_threads
 from minimd.structure.errors import Interrupted, sentence
 
-MOST_WAITING = 4096  # members that an executor of somebody else's has at a time
+MOST_WAITING = 4096  # members submitted at a time to an executor that the caller brings
 TOLD = 3  # failures that a warning names
-BETWEEN_REQUESTS = 0.02  # seconds, to members in threads that are to stop: one may just be between two runs
+BETWEEN_REQUESTS = 0.02  # seconds between requests to stop, repeated because a member that is between two runs does not notice one
 
 
 class EnsembleError(RuntimeError):
-    """No member could be made. The traceback of the first failure is in its notes."""
+    """All members have failed, with the traceback of the first in the notes; or members cannot be run at all."""
 
 
 Parameters = int | Mapping[str, Sequence[Any]] | Sequence[Mapping[str, Any]]
@@ -55,32 +55,32 @@ def ensemble(
 ) -> EnsembleTable:
     """Make many runs, each with parameters, random numbers and a file of its own; return a table of their averages.
 
-    Members that an earlier call in the same folder has finished are skipped. Those that were stopped in the middle go on from their files, to
-    the same bits; those that failed begin anew. What a member becomes depends on its index, its parameters and the seed alone.
+    Members that an earlier call in the same folder has finished are skipped. Those that were stopped before the end go on from their files,
+    with the same bits; those that failed begin anew. The result of a member depends on its index, its parameters and the seed alone.
 
     Parameters
     ----------
-    build : function of a Member that returns its Simulation. It is called again when a member goes on from its file.
-    parameters : number of members; or columns, {"temperature": [0.8, 0.9]}; or a list of dicts, one for each member.
-    steps : that each member makes.
-    prepare : function of simulation and member, called before the first step and not again, such as an equilibration.
-    run : function of simulation and member that makes the run instead, and returns a Record, or a dict of numbers, of pairs of mean and
-        error, or of series. A member of this kind that is stopped begins anew.
+    build : function of a Member that returns its Simulation. It is called again if a member goes on from its file.
+    parameters : number of members; or columns, such as {"temperature": [0.8, 0.9]}; or a list of dicts, one for each member.
+    steps : number of steps of each member.
+    prepare : function of simulation and member, such as an equilibration, called before the first step, but not when a member goes on.
+    run : function of simulation and member that makes the run in place of minimd, and returns a Record, or a dict of numbers, of tuples
+        (mean, error) or of series. A member that was stopped begins anew, unless the function calls member.run, which goes on from the file.
     every : steps between observations.
-    executor : any concurrent.futures.Executor, such as client.get_executor() of dask or mpi4py.futures.MPIPoolExecutor(); the folder
-        must be one that all its workers see. If not given, spawned processes of this machine.
-    workers : number of those processes, one for each core if not given; 0 makes all members in this process, one after the other.
-    seed : entropy of the SeedSequence whose children the members have; None draws one. It is written down in the folder.
+    executor : any concurrent.futures.Executor, such as client.get_executor() of dask or mpi4py.futures.MPIPoolExecutor(); all its workers
+        must see the folder. If not given, processes are spawned on this machine.
+    workers : number of those processes, one for each core if not given; 0 runs all members in this process, one after the other.
+    seed : entropy of the SeedSequence from which each member gets a child; None for that of the folder, or a random one in a new folder.
     folder : for all files; see minimd.ensemble.folder.  resume : False to replace what is in the folder.
-    progress : a bar over members, as for Simulation.run.
+    progress : whether to show a bar that counts members, as for Simulation.run.
 
     A simulation has one thread, unless build says otherwise.
 
     Raises
     ------
-    TypeError, ValueError : for arguments of another kind, functions that cannot be sent to a process, a folder with another ensemble.
-    EnsembleError, a RuntimeError : if no member could be made; the failures of some are told in a warning and in the table.
-    KeyboardInterrupt : after Ctrl-C; what is done is kept, and the next call goes on.  OSError : if the folder cannot be written.
+    TypeError, ValueError : for wrong arguments, functions that cannot be sent to a process, a folder with another ensemble.
+    EnsembleError, a RuntimeError : if all members fail or cannot be run; if only some fail, a warning and the table say why.
+    KeyboardInterrupt : after Ctrl-C; finished members are kept, and the next call goes on.  OSError : if the folder cannot be written.
     """
     _check_functions(build=build, prepare=prepare, run=run)
     rows, place = checked_parameters(parameters), Path(folder)
@@ -115,7 +115,7 @@ def ensemble(
 
 
 def _rows(executor: Executor, plan: Plan, jobs: Iterator[tuple[Member, bool]], most_waiting: int) -> Iterator[Row]:
-    """Rows of members, as they end. If this is left early, no further member begins."""
+    """Rows of members, in the order in which they end. If the caller stops early, no further member begins."""
     ended: SimpleQueue[Future] = SimpleQueue()
     members: dict[Future, Member] = {}
     try:
@@ -137,28 +137,28 @@ def _rows(executor: Executor, plan: Plan, jobs: Iterator[tuple[Member, bool]], m
 
 
 def _row_of(future: Future, member: Member) -> Row:
-    """The row of a member that has ended, in whichever way.  Raises what is no fault of the member's."""
+    """The row of a member that has ended, also if its worker died.  Raises EnsembleError if members cannot be run, and KeyboardInterrupt."""
     try:
         row: Row = future.result()
         return row
     except (WorkerNeverBegan, BrokenProcessPool, pickle.PicklingError) as error:
-        raise EnsembleError(f"{member} could not be made, nor can others: {sentence(error)}. {_advice(error)}") from None
+        raise EnsembleError(f"{member} could not be run, and neither can the others: {sentence(error)}. {_advice(error)}") from None
     except (CancelledError, SystemExit):
         raise KeyboardInterrupt from None
-    except Exception as error:  # of a worker that died, or whatever an executor has
+    except Exception as error:  # of a worker that died, or any error of an executor
         row = {"index": member.index, "parameters": dict(member.parameters), "status": FAILED}
         return row | {"message": f"{type(error).__name__}: {sentence(error)}", "traceback": "", "crash_file": "", "seconds": 0.0}
 
 
 def _advice(error: Exception) -> str:
     if isinstance(error, BrokenProcessPool):
-        return "A ProcessPoolExecutor ends with the first of its processes; call again to go on, or leave executor out"
-    return "If the script calls md.ensemble outside of functions, put that call below a line: if __name__ == '__main__':"
+        return "A ProcessPoolExecutor gives up when one of its processes dies; call md.ensemble again to go on, or leave executor out"
+    return "If the script calls md.ensemble outside of functions, put that call below the line: if __name__ == '__main__':"
 
 
 @contextmanager
 def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Executor, int]]:
-    """The executor, and how many members it may have at a time; one of ours is ended, at once if this context is left by an error."""
+    """The executor, and how many members it may have at a time. An executor made here is shut down at the end, at once after an error."""
     if executor is not None:
         yield executor.get_executor() if hasattr(executor, "get_executor") else executor, MOST_WAITING
     elif n_workers == 0:
@@ -175,11 +175,11 @@ def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Execu
 
 
 def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) -> int:
-    """The number of processes to spawn.  Raises TypeError, ValueError, RuntimeError for what cannot work."""
+    """The number of processes to spawn.  Raises TypeError, ValueError, RuntimeError if executor and functions cannot work together."""
     if executor is not None and workers is not None:
         raise ValueError(f"workers is the number of minimd's own processes; with an executor leave it out; workers = {shown(workers)}")
     if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise TypeError(f"executor must have submit, as a concurrent.futures.Executor; executor = {shown(executor)}")
+        raise TypeError(f"executor must have a method submit, like a concurrent.futures.Executor; executor = {shown(executor)}")
     n_workers = available_cores() if workers is None else checked_count("workers", workers, 0)
     if isinstance(executor, ProcessPoolExecutor) or (executor is None and n_workers):
         _check_can_be_sent(plan)
@@ -199,13 +199,13 @@ def _check_can_be_sent(plan: Plan) -> None:
         function = getattr(plan, name)
         try:
             pickle.dumps(function)
-            reason = "it was written in a session that no process can import" if _is_of_session(function) else ""
-        except Exception as error:  # whatever pickle meets
+            reason = "it was defined in a session, which other processes cannot import" if _is_of_session(function) else ""
+        except Exception as error:  # pickle raises errors of many kinds
             reason = sentence(error)
         if reason:
             raise TypeError(
                 f"{name} cannot be sent to worker processes: {reason}. Define it with def at the top level of a file, and import it if this is a "
-                f"notebook; or pass workers=0 to stay in this process; or an executor that sends functions as they are, such as dask's"
+                f"notebook; or pass workers=0 to stay in this process; or use an executor that can send such functions, such as that of dask"
             )
 
 
@@ -216,11 +216,11 @@ def _is_of_session(function: Any) -> bool:
 
 
 def _check_is_no_worker() -> None:
-    """Raise RuntimeError in a process that has been spawned and imports the script which spawns it."""
+    """Raise RuntimeError in a spawned process that imports the script which spawned it."""
     frame = sys._getframe(1)
     while frame.f_back is not None:
         if frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == "__mp_main__":
-            raise RuntimeError("a worker process imports the script, which calls md.ensemble again; put that call below: if __name__ == '__main__':")
+            raise RuntimeError("a worker process imports the script, which calls md.ensemble again; put the call below: if __name__ == '__main__':")
         frame = frame.f_back
 
 
@@ -231,13 +231,13 @@ def _written(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
 
 
 def _tell_failures(table: EnsembleTable, rows: dict[int, Row]) -> None:
-    """Warn of members that have failed.  Raises RuntimeError if all have."""
+    """Warn of members that have failed.  Raises EnsembleError if all have failed."""
     sentences = list(table.failures())
     if not sentences:
         return
     if len(sentences) == len(table):
         first = next(row["traceback"] for row in rows.values() if row["status"] == FAILED)
-        failure = EnsembleError(f"all {len(table)} members have failed, the first so:\n{sentences[0]}")
+        failure = EnsembleError(f"all {len(table)} members have failed; the first failure was:\n{sentences[0]}")
         failure.add_note(first)
         raise failure
     more = [f"and {len(sentences) - TOLD} more, see the messages in the table"] if len(sentences) > TOLD else []

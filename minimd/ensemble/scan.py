@@ -1,4 +1,4 @@
-"""A scan: one scene file with some of its keys changed from member to member. It is what `minimd scan` does."""
+"""A scan, as of `minimd scan`: one scene file, with values of some of its keys that differ from member to member."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count
 
 SEED = "dynamics.seed"
-OF_THE_SCAN = {  # keys that are the same for all members, and what to do
+OF_THE_SCAN = {  # keys that must be the same for all members, and what to do instead of setting them
     "dynamics.steps": "give --steps N",
     "output.every": "write it into the scene",
     "output.trajectory": "each member has a file of its own",
@@ -35,7 +35,7 @@ Tell = Callable[[str], None]
 
 
 class Setting(NamedTuple):
-    """A key of a scene, such as dynamics.temperature_K or potential[0].cutoff_A, and the values that it gets."""
+    """A key of a scene, such as dynamics.temperature_K or potential[0].cutoff_A, and its values in the scan."""
 
     key: str
     values: list[Value]
@@ -46,9 +46,9 @@ class Setting(NamedTuple):
 
 
 def parsed_setting(text: str) -> Setting:
-    """KEY=FROM:TO:STEP, both ends included, or KEY=VALUE,VALUE,...
+    """Read KEY=FROM:TO:STEP, where TO is included if a step reaches it, or KEY=VALUE,VALUE,...
 
-    Numbers are counted in decimals: 0.1:0.3:0.1 is 0.1, 0.2, 0.3.  Raises ValueError.
+    Steps are counted in decimal arithmetic: 0.1:0.3:0.1 is 0.1, 0.2, 0.3.  Raises ValueError.
     """
     key, equals, values = text.partition("=")
     if not equals or not key.strip() or not values.strip():
@@ -65,13 +65,13 @@ def _steps(text: str, numbers: Sequence[str]) -> list[Value]:
     except (InvalidOperation, OverflowError, ValueError):
         raise ValueError(f"--set needs numbers FROM:TO:STEP; it is {text!r}") from None
     if not 1 <= n <= MOST_VALUES:
-        raise ValueError(f"--set needs a STEP that leads from FROM to TO in at most {MOST_VALUES} steps; it is {text!r}")
+        raise ValueError(f"--set needs a STEP that leads from FROM to TO with at most {MOST_VALUES} values; it is {text!r}")
     is_whole = all(one.strip().lstrip("+-").isdecimal() for one in numbers)
     return [int(start + k * step) if is_whole else float(start + k * step) for k in range(n)]
 
 
 def _value(text: str) -> Value:
-    """A value as TOML reads it; what it cannot read is a text."""
+    """A number, text or bool as TOML reads it; anything else is a text."""
     try:
         value = tomllib.loads(f"value = {text.strip()}")["value"]
     except tomllib.TOMLDecodeError:
@@ -80,7 +80,7 @@ def _value(text: str) -> Value:
 
 
 def changed_text(path: Path, text: str, values: Iterable[tuple[str, Value]]) -> str:
-    """The text of a scene with other values; the rest stays as it is, comments too.  Raises ValueError for a place that the scene does not have."""
+    """The text of a scene with new values; everything else, with the comments, is unchanged.  Raises ValueError for a table that is not in it."""
     import tomlkit
 
     document = tomlkit.parse(text)
@@ -93,20 +93,20 @@ def changed_text(path: Path, text: str, values: Iterable[tuple[str, Value]]) -> 
             except (KeyError, IndexError, TypeError):
                 raise ValueError(f"{path} has no {key!r}: {part!r} is not in it") from None
         if not isinstance(node, dict):
-            raise ValueError(f"{path} has no {key!r}: {last!r} must be a key in a table; name an entry of a list as potential[0].cutoff")
+            raise ValueError(f"{path} has no {key!r}: {last!r} must be a key in a table; write an entry of a list as in potential[0].cutoff")
         node[last] = value
     return tomlkit.dumps(document)
 
 
 @dataclass(frozen=True)
 class SceneMembers:
-    """Builds and prepares the members of a scan.  path : of the scene, from the root.  text : of the scene."""
+    """Builds and prepares the members of a scan.  path : of the scene, absolute.  text : of the scene."""
 
     path: Path
     text: str
 
     def scene(self, member: Member) -> Scene:
-        """The scene of a member; its seed is that of the member, unless it is scanned itself."""
+        """The scene of a member; its dynamics.seed is the seed of the member, unless the scan sets dynamics.seed."""
         seed = [] if SEED in member.parameters else [(SEED, member.seed)]
         return parse_scene(changed_text(self.path, self.text, [*member.parameters.items(), *seed]), self.path)
 
@@ -134,17 +134,17 @@ def scan_scene(
     progress: bool | None = None,
     tell: Tell = print,
 ) -> EnsembleTable:
-    """Run a scene with all combinations of some settings, each of them `replicas` times with other random numbers.
+    """Run a scene with all combinations of the settings, each combination `replicas` times with different random numbers.
 
     Members are counted replica by replica, so that more replicas can be added later.
 
     Parameters
     ----------
-    steps : instead of those of the scene.  tell : gets a line about each thing that is done.  others : as of ensemble.
+    steps : in place of those of the scene.  tell : called with each line of the report.  others : see ensemble.
 
     Raises
     ------
-    ValueError, OSError : for scenes that cannot be built, before anything is computed, and as ensemble.
+    ValueError, OSError : for scenes that cannot be built, before the first run begins, and as ensemble.
     """
     scene, place = load_scene(path), Path(folder)
     build = SceneMembers(Path(path).absolute(), scene.text)
@@ -155,28 +155,30 @@ def scan_scene(
     n_steps = scene.sections.dynamics.steps if steps is None else steps
     for row in grid[:MOST_TRIED]:
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
-    build(Member(0, grid[0], seed, n_steps, place))  # structure and laws, too
+    build(Member(0, grid[0], seed, n_steps, place))  # checks the structure and the potentials, too
     _check_scene(place, scene.text, resume)
     replicas = checked_count("replicas", replicas)
     tell(f"scene          {path}" + (f": {scene.sections.title}" if scene.sections.title else ""))
     if scene.sections.observer:
-        tell("NOTE           observers look at single runs of a scene only; the members of a scan go without them")
+        tell("NOTE           the observers of the scene are not used: they need a single run, and a scan has many")
     for setting in settings:
         tell(f"set            {setting}")
-    tell(f"members        {len(grid) * replicas}, {n_steps} steps each; {replicas} of each kind; files in {place}")
+    tell(f"members        {len(grid) * replicas}, {n_steps} steps each; {replicas} for each set of values; files in {place}")
     options: dict[str, Any] = {"every": scene.sections.output.every, "workers": workers, "seed": seed, "resume": resume, "progress": progress}
     parameters: Any = grid * replicas if settings else replicas
     return ensemble(build, parameters, n_steps, prepare=build.prepare, folder=place, **options)
 
 
 def _check_scene(folder: Path, text: str, resume: bool) -> None:
-    """Keep the scene in the folder.  Raises ValueError if another one is there."""
+    """Write the scene into the folder.  Raises ValueError if another scene is there."""
     kept = folder / SCENE
     if resume and kept.exists() and kept.read_text(encoding="utf-8") != text:
-        raise ValueError(f"folder {str(folder)!r} holds a scan of another scene, {kept}; choose another with --out, or replace it with --overwrite")
+        raise ValueError(
+            f"folder {str(folder)!r} holds a scan of another scene, {kept}; choose another folder with --out, or replace it with --overwrite"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(kept, text)
 
 
 def _silent(_line: str) -> None:
-    """Members do not tell what they do."""
+    """Discard a line: members of a scan print nothing."""

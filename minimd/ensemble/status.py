@@ -1,4 +1,4 @@
-"""What is done in the folder of an ensemble, seen from outside; an ensemble may be running there."""
+"""The state of an ensemble, read from its folder while the ensemble may be running."""
 
 from collections.abc import Iterator
 from itertools import islice
@@ -12,7 +12,7 @@ from minimd.ensemble.table import EnsembleTable, table_of
 from minimd.ensemble.work import BEGUN
 from minimd.structure.errors import sentence
 
-MOST_TOLD = 10  # members in the middle of their runs
+MOST_TOLD = 10  # members that are listed as running, and as begun
 
 
 def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
@@ -38,13 +38,13 @@ def _noted(folder: EnsembleFolder) -> list[int]:
 
 
 def _some(word: str, told: Iterator[str], n: int) -> list[str]:
-    """The first of n lines, below one word, and how many more there are."""
+    """The first of n lines, each after the word, and how many more there are."""
     lines = [f"{word:<14} {line}" for line in islice(told, MOST_TOLD)]
     return lines + ([f"{'':<14} and {n - MOST_TOLD} more"] if n > MOST_TOLD else [])
 
 
 def _progress(file: str, steps: int) -> str:
-    """How far a member is, in words. A file that is being written cannot be read."""
+    """The progress of a member in words. A file that is being written cannot be read."""
     from minimd.files.h5md_reader import read_file
 
     try:

@@ -1,4 +1,4 @@
-"""A table of averages in words, and a picture of one quantity against a parameter."""
+"""The averages of a table as text, and a figure of one quantity against a parameter."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from minimd.structure.statistics import with_error
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-TOLD = ("temperature", "potential_energy", "pressure")  # observables of the table in words, if there are others too
+TOLD = ("temperature", "potential_energy", "pressure")  # observables listed as text; if none of them exists, all are listed
 DRAWN = ("pressure", "potential_energy")
 MOST_CURVES = 8
 MOST_LINES = 100
 
 
 def told_averages(table: EnsembleTable) -> Iterator[str]:
-    """The averages over members with the same parameters, a line for each of the first hundred sets, below a line of names."""
+    """A line of names, then the averages over members with the same parameters, a line for each of the first hundred sets."""
     rows = table.averaged()
     names = [name for name in TOLD if name in table.observables] or list(table.observables)
     units = {name: f" [{table.unit(name)}]" if table.unit(name) else "" for name in names}
@@ -38,7 +38,7 @@ def told_averages(table: EnsembleTable) -> Iterator[str]:
 
 
 def drawn_quantity(table: EnsembleTable, quantity: str | None) -> str:
-    """The observable of the picture: pressure, else the potential energy, else the first, if none is named.  Raises ValueError."""
+    """The observable of the figure: quantity, or if it is None, pressure, else potential energy, else the first.  Raises ValueError."""
     if not table.observables:
         raise ValueError("there is nothing to draw: no member is done yet")
     if quantity is None:
@@ -49,7 +49,7 @@ def drawn_quantity(table: EnsembleTable, quantity: str | None) -> str:
 
 
 def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure:
-    """One quantity against the first parameter that has several numbers as values, with error bars; a curve for each value of the others.
+    """One quantity against the first parameter that has several numbers as values, with error bars; a curve for each set of values of the others.
 
     Raises ValueError if no member is done, or none has such a quantity.
     """
@@ -84,7 +84,7 @@ def _finish(axes: Any, table: EnsembleTable, name: str, numbers: list[str], n_cu
 
 
 def save_picture(table: EnsembleTable, quantity: str | None = None, out: Path | None = None) -> Path:
-    """Draw the picture into the folder, named after the quantity, or to out.  Raises ValueError as picture_of_scan, OSError."""
+    """Save the figure to out, or to a file in the folder named after the quantity.  Raises ValueError as picture_of_scan, OSError."""
     from minimd.analysis.picture import save
 
     place = out or table.folder / f"{drawn_quantity(table, quantity)}.png"

@@ -28,12 +28,12 @@ SHOWN_FAILURES = 3
 
 
 class EnsembleTable(Displayed):
-    """What came of the members of an ensemble, in the order of their indices.
+    """The results of the members of an ensemble, in the order of their indices.
 
     Attributes
     ----------
     array : structured array: index, the parameters, status, n_steps, n_atoms, <name>_mean and <name>_error of each observable, file, message.
-        status is "done", "failed", "begun" (stopped before its end) or "missing". Means are NaN where a member is not done.
+        status is "done", "failed", "begun" (stopped before its end) or "missing". Means are NaN for a member that is not done.
     folder : of the ensemble.  parameters, observables : names.  units : the UnitSystem of the observables, None if it is not known.
 
     table["pressure_mean"] is a column of the array.
@@ -58,10 +58,10 @@ class EnsembleTable(Displayed):
         return np.asarray(self["status"] == DONE)
 
     def averaged(self) -> NDArray[Any]:
-        """Structured array with a row for each set of parameters: these, n_members that are done, means and errors over these members.
+        """Structured array with a row for each set of parameters: the parameters, the number n_members of members done, their means and errors.
 
-        The error of a mean over M ≥ 2 members is the larger of √(Σ σ²) / M, with their own errors σ, and the standard error of their means
-        by their scatter. Sets of which no member is done are left out.
+        The error of a mean over M ≥ 2 members is the larger of √(Σ σ²) / M, with the error σ of each member, and the standard error that
+        follows from the scatter of their means. Sets without a member that is done are left out.
         """
         rows = self.array[self.done]
         groups, first = _groups([rows[name] for name in self.parameters], len(rows))
@@ -82,7 +82,7 @@ class EnsembleTable(Displayed):
     def to_pandas(self) -> pandas.DataFrame:
         """A data frame with the columns of the array, and the index of the members as its index.
 
-        Raises ModuleNotFoundError if pandas is not installed, which minimd does not need itself.
+        Raises ModuleNotFoundError if pandas is not installed; minimd itself does not need it.
         """
         try:
             from pandas import DataFrame
@@ -91,7 +91,7 @@ class EnsembleTable(Displayed):
         return DataFrame({name: self.array[name] for name in self.array.dtype.names or ()}).set_index("index")
 
     def write(self) -> None:
-        """Write table.csv and table.json into the folder; numbers have all their digits, paths begin at the folder.  Raises OSError."""
+        """Write table.csv and table.json into the folder; numbers have all their digits, paths are relative to the folder.  Raises OSError."""
         columns = {name: self.array[name].tolist() for name in self.array.dtype.names or ()}
         columns["file"] = [file_of(index).as_posix() if file else "" for index, file in zip(columns["index"], columns["file"], strict=True)]
         stream = io.StringIO()
@@ -147,7 +147,7 @@ def _joined(means: Floats, errors: Floats, groups: NDArray[np.int64], n: NDArray
     """Means of the means of the n members of each group, and their errors, (G,); see EnsembleTable.averaged."""
 
     def summed(numbers: Floats) -> Floats:
-        return np.bincount(groups, numbers, minlength=len(n)).astype(np.float64)  # of no members these are whole numbers
+        return np.bincount(groups, numbers, minlength=len(n)).astype(np.float64)  # without members, bincount returns integers
 
     joined, inner = summed(means) / n, np.sqrt(summed(errors**2)) / n
     scatter = np.full(len(n), np.nan)
@@ -192,6 +192,6 @@ def _numbers(rows: Sequence[Row | None], key: str, names: list[str]) -> Floats:
 
 
 def _present(row: Row | None, asked: Asked) -> Row | None:
-    """The row of a member that has failed or is done, also if more steps are asked for than when it ended; else None."""
+    """The row of a member that has failed, or is done with all steps that are asked for now; else None."""
     is_present = row is not None and (row["status"] == FAILED or is_done(row, asked.steps, bool(asked.run)))
     return row if is_present else None

@@ -1,4 +1,4 @@
-"""What a worker does: it makes one member, and tells what came of it in a row of plain values."""
+"""The work of a worker: it runs one member and returns a row of plain values with its results or its failure."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done with every member; see ensemble.  call : a name of this call, without which dask would hand out results of an earlier one."""
+    """What is done for every member; see ensemble.  call : unique name of this call; without it dask would return results of an earlier call."""
 
     build: Callable[[Member], Simulation]
     prepare: Callable[[Simulation, Member], Any] | None
@@ -36,9 +36,9 @@ class Plan:
 
 
 def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
-    """Make a member; whatever it raises is told in the row. Its simulation has one thread, unless build says otherwise.
+    """Run a member and return its row, which also describes an error. Its simulation has one thread, unless build says otherwise.
 
-    begins_anew : do not go on from its file, because a run that has blown up takes another path from there.
+    begins_anew : do not go on from its file, because a run that has blown up would go another way from there.
     Raises KeyboardInterrupt, SystemExit if it is stopped.
     """
     started, row = perf_counter(), {"index": member.index, "parameters": dict(member.parameters)}
@@ -55,7 +55,7 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
 def _made(plan: Plan, member: Member, begins_anew: bool, note: Note) -> Row:
     simulation = plan.build(member)
     if not isinstance(simulation, Simulation):
-        raise TypeError(f"build must return a Simulation; of {member} it has returned {shown(simulation)}")
+        raise TypeError(f"build must return a Simulation; for {member} it returned {shown(simulation)}")
     begins_anew |= _crash_file(member).exists()
     resumed = None if begins_anew or plan.run is not None else _resumed(member.file, simulation)
     if resumed is not None:
@@ -74,7 +74,7 @@ def _made(plan: Plan, member: Member, begins_anew: bool, note: Note) -> Row:
 
 
 def _clear_place(member: Member, begins_anew: bool) -> None:
-    """Make room for the file of a member; one that was stopped is set aside, unless the member begins anew."""
+    """Make room for the file of a member; the file of a stopped run is renamed, or removed if the member begins anew."""
     if not begins_anew:
         set_aside(member.file)
     for file in (member.file, _crash_file(member), *([stopped_file(member.file)] if begins_anew else [])):
@@ -83,12 +83,12 @@ def _clear_place(member: Member, begins_anew: bool) -> None:
 
 
 def _crash_file(member: Member) -> Path:
-    """Where its run leaves a file if it blows up."""
+    """The file that the run of a member leaves if it blows up."""
     return crash_file_place(True, member.file) or member.file
 
 
 def _resumed(file: Path, built: Simulation) -> tuple[Simulation, int] | None:
-    """The simulation in the file of a member that was stopped, and its first step; None if there is no file, or a damaged one."""
+    """The simulation in the file of a stopped member, and the first step of its run; None if there is no file, or a damaged one."""
     from minimd.files.h5md_reader import read_file
 
     if not file.exists():
@@ -101,7 +101,7 @@ def _resumed(file: Path, built: Simulation) -> tuple[Simulation, int] | None:
 
 
 def _rest_of_run(plan: Plan, member: Member, simulation: Simulation, first: int) -> Record:
-    """Make the steps that are left, and return the record of all."""
+    """Make the remaining steps, and return the record of all steps."""
     from minimd.files.h5md_reader import read_file
 
     if simulation.step < first + member.steps:

@@ -1,7 +1,7 @@
-"""Spawned worker processes, each of which can die without taking the others along; and this process as the only worker.
+"""Spawned worker processes, each of which can die without ending the others; and an executor that uses this process only.
 
-concurrent.futures.ProcessPoolExecutor gives up all members when one of its processes is killed. Here each process has a pipe and a thread
-of its own; the member of a process that dies fails, and the next one gets a new process.
+concurrent.futures.ProcessPoolExecutor gives up all members when one of its processes is killed. Here each process has its own pipe and
+thread; if a process dies, its member fails, and the next member gets a new process.
 """
 
 import multiprocessing
@@ -19,8 +19,8 @@ from minimd.files.first_look import end_with
 READY = b"ready"
 
 
-class WorkerDied(RuntimeError):  # noqa: N818  # it is what happened
-    """The process that made a member is dead.  Its message says of what."""
+class WorkerDied(RuntimeError):  # noqa: N818  # the name says what happened
+    """The process that ran a member has died.  The message says how."""
 
 
 class WorkerNeverBegan(RuntimeError):  # noqa: N818
@@ -28,24 +28,24 @@ class WorkerNeverBegan(RuntimeError):  # noqa: N818
 
 
 class SpawnedProcesses(Executor):
-    """So many worker processes, spawned when they are needed."""
+    """An executor with n_workers processes, each spawned when it is first needed."""
 
     def __init__(self, n_workers: int) -> None:
         self._threads = ThreadPoolExecutor(n_workers, thread_name_prefix="minimd worker")
         self._own, self._workers, self._is_stopped = threading.local(), list[Worker](), False
 
     def submit(self, function: Callable, /, *args: Any, **kwargs: Any) -> Future:
-        """function(*args, **kwargs) in one of the processes; both must be picklable."""
+        """Call function(*args, **kwargs) in one of the processes; function and arguments must be picklable."""
         return self._threads.submit(self._in_process, pickle.dumps((function, args, kwargs)))
 
     def stop(self) -> None:
-        """End the processes, runs after a whole step, and let nothing that waits begin."""
+        """End the processes, a run after a whole step; jobs that are waiting do not begin."""
         self._is_stopped = True
         for worker in list(self._workers):
             worker.process.terminate()
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Wait for what was submitted, then end the processes."""
+        """Wait for the submitted jobs, then end the processes."""
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
         for worker in self._workers:
             worker.end()
@@ -79,7 +79,7 @@ class Worker:
         self._has_begun = False
 
     def do(self, job: bytes) -> Any:
-        """The result of a pickled job.  Raises what it raises, WorkerDied if the process does, CancelledError if it was told to end."""
+        """The result of a pickled job.  Raises what the job raises, WorkerDied if the process dies, CancelledError if it was told to end."""
         try:
             if not self._has_begun:
                 self._has_begun = self._pipe.recv_bytes() == READY
@@ -95,7 +95,7 @@ class Worker:
         return result
 
     def end(self) -> None:
-        """Let it end, for want of jobs."""
+        """Close the pipe, which ends the process, and wait for its end."""
         self._pipe.close()
         self.process.join()
 
@@ -107,13 +107,13 @@ class Worker:
 
 
 def serve(pipe: Any, parent: int) -> None:
-    """The life of a worker process: it takes jobs from the pipe until the other end is closed, and ends with its parent.
+    """Main function of a worker process: it takes jobs from the pipe until the other end is closed, and it ends if its parent ends.
 
     Ctrl-C is for the parent alone, which then sends SIGTERM.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(parent, signal.SIGTERM)
-    with suppress(EOFError, OSError):  # of a pipe without another end
+    with suppress(EOFError, OSError):  # the other end of the pipe is closed
         pipe.send_bytes(READY)
         while True:
             pipe.send_bytes(_answer(pipe.recv_bytes()))
@@ -131,15 +131,15 @@ def _answer(job: bytes) -> bytes:
         answer = None, error
     try:
         return pickle.dumps(answer)
-    except Exception as error:  # of objects of the user's
-        return pickle.dumps((None, RuntimeError(f"the answer of a worker cannot be sent: {error}")))
+    except Exception as error:  # pickling objects of the user may raise any error
+        return pickle.dumps((None, RuntimeError(f"the result of a worker cannot be sent back: {error}")))
 
 
 class ThisProcess(Executor):
-    """Does each job at once, in this process."""
+    """An executor that does each job at once, in this process."""
 
     def submit(self, function: Callable, /, *args: Any, **kwargs: Any) -> Future:
-        """function(*args, **kwargs), which is done when this returns."""
+        """Call function(*args, **kwargs); the future is done when this method returns."""
         future: Future = Future()
         try:
             future.set_result(function(*args, **kwargs))

@@ -1,8 +1,8 @@
 """A claim on an output file: one file, one run.
 
-Who has the claim holds a lock, so that no other run writes the file: neither in another process nor in this one, under whatever name or link. A
-new file grows under a name of its own, and appears under the one that was asked for when its first frame is in it: what it replaces is kept until
-then, and who loses touches nothing.
+A claim holds a lock, so that no other run writes the file, neither in another process nor in this one, under any name or link. A new file is
+written under a temporary name, and gets the name that was asked for when its first frame is in it: a file that it replaces is kept until
+then, and a run that does not get the claim changes nothing.
 """
 
 import errno
@@ -16,18 +16,20 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
-IN_USE = "another run is writing it, or a program has it open; a universe of it in this one must be closed first, universe.trajectory.close()"
+IN_USE = "another run is writing it, or a program has it open; if a universe in this process reads it, close that first: universe.trajectory.close()"
 UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
 
 
 class Claim:
-    """A file that this run alone writes.
+    """A file that only this run writes.
 
-    path : links are followed.  is_new : begin a new file.  overwrite : it may replace one that exists.
-    place : where to write: the path, or the name that a new file has until it appears.  descriptor : of the file, locked.
+
+
+    path : links are followed.  is_new : begin a new file.  overwrite : a new file may replace one that exists.
+    place : where to write: the path, or the temporary name of a new file.  descriptor : of the file, locked.
     replaced : descriptor of the file that will be replaced, locked; −1 if there is none.
 
-    Raises FileExistsError if a new file exists and may not be replaced.  OSError if another run writes the file, or it is no regular file.
+    Raises FileExistsError if a new file would replace one and may not.  OSError if another run writes the file, or it is not a regular file.
     """
 
     def __init__(self, path: str | Path, is_new: bool = True, overwrite: bool = False) -> None:
@@ -45,7 +47,7 @@ class Claim:
             raise
 
     def appear(self) -> None:
-        """A new file gets its name, if it has not got it yet.  Raises FileExistsError if another file has it meanwhile, and may not be replaced."""
+        """Give a new file its name, unless it has it already.  Raises FileExistsError if another file took the name meanwhile."""
         if not self._is_new:
             return
         if self.replaced >= 0:
@@ -57,7 +59,7 @@ class Claim:
         self._release_replaced()
 
     def check(self) -> None:
-        """Raise OSError if the file was removed or replaced by somebody else."""
+        """Raise OSError if the file was removed or replaced by another program."""
         try:
             is_there = _is_same(os.stat(self.place), os.fstat(self.descriptor))
         except FileNotFoundError:
@@ -66,7 +68,7 @@ class Claim:
             raise OSError(errno.EEXIST, "it was replaced while the run was writing it")
 
     def release(self) -> None:
-        """Give the file free. A new one that has not appeared leaves nothing."""
+        """Release the lock. A new file that has not got its name is removed."""
         if self.descriptor < 0:
             return
         if self._is_new:
@@ -83,13 +85,13 @@ class Claim:
 
 
 def locked(path: Path, create: bool = False) -> int:
-    """A descriptor of a regular file, which no other run can get while it is open.
+    """A descriptor of a regular file, locked: no other run can lock the file while it is open.
 
-    Raises OSError if another run has it, or it is no regular file.
+    Raises OSError if another run holds the lock, or it is not a regular file.
     """
     with suppress(FileNotFoundError):
         if not stat.S_ISREG(os.stat(path).st_mode):
-            raise OSError(errno.EINVAL, "it is no regular file")
+            raise OSError(errno.EINVAL, "it is not a regular file")
     descriptor = os.open(path, os.O_RDWR | (os.O_CREAT if create else 0) | getattr(os, "O_BINARY", 0), 0o666)
     try:
         if fcntl is not None:
@@ -107,7 +109,7 @@ def locked(path: Path, create: bool = False) -> int:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a process has the lock of a file; true also where nobody can know.  Raises OSError for a file that cannot be opened."""
+    """Whether a process holds the lock of a file; True also where this cannot be found out.  Raises OSError if the file cannot be opened."""
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
     try:
         if fcntl is not None:
@@ -121,7 +123,7 @@ def is_locked(path: Path) -> bool:
 
 
 def _begun(place: Path) -> int:
-    """The descriptor of an empty file, locked. What a killed run left under this name is nobody's, unless it has another name: that file is whole."""
+    """The descriptor of an empty file, locked. A killed run may have left a file here; with a second link it is complete, and only unlinked."""
     descriptor = locked(place, create=True)
     if os.fstat(descriptor).st_nlink > 1:
         os.close(descriptor)
@@ -134,7 +136,7 @@ def _begun(place: Path) -> int:
 def _rename(old: Path, new: Path) -> None:
     """Rename a file.  Raises FileExistsError if the new name is taken."""
     try:
-        os.link(old, new)  # unlike a rename it fails if the name is taken
+        os.link(old, new)  # unlike a rename, it fails if the name is taken
     except FileExistsError:
         raise FileExistsError(errno.EEXIST, "another run has made it meanwhile; choose another name") from None
     except OSError:  # a file system without links
@@ -150,7 +152,7 @@ def _is_same(one: os.stat_result, other: os.stat_result) -> bool:
 
 
 def _sync_folder(folder: Path) -> None:
-    """A new name is on the disk when its folder is. Not every system can do this."""
+    """Write a folder to the disk, and with it new names of files. Not every system can do this."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:

@@ -1,6 +1,6 @@
-"""The file that a failed run leaves: an H5MD file with the last good state, an earlier one, and what it takes to go there again.
+"""The file that a failed run leaves: an H5MD file with the last good state, an earlier state, and all that a replay needs.
 
-frames                 the earlier state and the last good one, with forces and observables; the restart is the last good one
+frames                 the earlier state and the last good one, with forces and observables; the restart is the last good state
 minimd/crash_report    findings, and the shift of the noise, as JSON
     start              the earlier state to the last bit
 """
@@ -31,10 +31,10 @@ SUFFIX = ".crash.h5md"
 
 
 class CrashFile(NamedTuple):
-    """What such a file holds.
+    """The contents of a crash file.
 
-    findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.  method : as it was.
-    precision, skin, noise_shift : of the engine.  judgment : of the guard.
+    findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.  method : of the run.
+    precision, skin, noise_shift : of the engine.  judgment : of the run guard.
     potentials : in words.  scene : text, empty if the run came from a script.  barostat : StochasticCellRescaling, or None.
     """
 
@@ -52,9 +52,9 @@ class CrashFile(NamedTuple):
 
 
 def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
-    """Where a run leaves its crash file: where it was asked to, beside its first trajectory if True, nowhere if there is none.
+    """Where a run leaves its crash file: the path given, or for True beside its first trajectory; None if there is no such place.
 
-    Raises ValueError for one of the trajectories, which it would replace.
+    Raises ValueError for the path of a trajectory, which the crash file would replace.
     """
     several = named_files("trajectory", trajectories)
     if isinstance(crash_report, bool):
@@ -67,7 +67,7 @@ def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path |
 
 @contextmanager
 def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iterator[None]:
-    """If a run fails, leave its crash file, and name it in the error; without overwrite a file that exists is kept, and the new one gets a number."""
+    """If a run fails, write its crash file and name it in the error; unless overwrite, an existing file is kept and the new one gets a number."""
     try:
         yield
     except (NonFiniteError, ConstraintError) as error:
@@ -78,29 +78,29 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
                 error.file = file
                 look = f"look again with: minimd replay {file}, or, in the browser, minimd view {file}"
                 hint = f"Crash report in {file}; {look}; in a script, minimd.replay(file, potentials) or minimd.view"
-            except Exception as reason:  # whatever it is: the failure itself must be heard
+            except Exception as reason:  # of any kind: the error of the run itself must be raised
                 hint = f"No crash report was written: {reason}"
             error.args = (f"{error}. {hint}",)
         raise
 
 
 def _free_name(path: Path) -> Path:
-    """The path; where a file stands there, the first free one with a number."""
+    """The path or, if there is a file already, the first path with a number that is free."""
     suffix = SUFFIX if path.name.endswith(SUFFIX) else path.suffix
     numbered = (path.with_name(f"{path.name.removesuffix(suffix)}-{number}{suffix}") for number in count(2))
     return next(free for free in chain([path], numbered) if not free.exists())
 
 
 def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> None:
-    """Write the file of a run that has just failed; its engine stands in the last good state, and is left there.
+    """Write the crash file of a run that has just failed; its engine is in the last good state, before and afterwards.
 
     Raises OSError if it cannot be written.
     """
-    from minimd.files.claim import Claim  # h5py takes its time to load
+    from minimd.files.claim import Claim  # h5py is slow to load
     from minimd.files.h5md_restart import flattened, write_group
     from minimd.files.h5md_writer import H5MDWriter, edit
 
-    part = path.with_name(f"{path.name}.part")  # a crash report that is half written never has the final name
+    part = path.with_name(f"{path.name}.part")  # so that no incomplete file has the final name
     engine, last = guard.engine, guard.engine.checkpoint()
     start = guard.failed_from or last.state
     claim = Claim(part, overwrite=True)
@@ -131,7 +131,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
 
 
 def is_crash_file(path: str | Path) -> bool:
-    """Whether a file is that of a failed run.  Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_schema.opened."""
+    """Whether a file is a crash file.  Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_schema.opened."""
     from minimd.files.h5md_schema import opened
 
     with opened(path) as h5:
@@ -139,7 +139,7 @@ def is_crash_file(path: str | Path) -> bool:
 
 
 def read_crash_report(path: str | Path) -> CrashFile:
-    """What the file of a failed run holds.  Raises FileNotFoundError, OSError, ValueError as read_file, or if it is not the file of a failed run."""
+    """The contents of a crash file.  Raises FileNotFoundError, OSError, ValueError as read_file, and ValueError for another file of minimd."""
     from minimd.files.h5md_reader import read_file
     from minimd.files.h5md_restart import read_group, unflattened
     from minimd.files.h5md_schema import opened

@@ -1,4 +1,4 @@
-"""A first look at a file, in a child process: on damaged bytes HDF5 may crash, or never come to an end, and take its process along."""
+"""A first look at a file, in a child process: on damaged bytes HDF5 may crash, or never end, and its process with it."""
 
 import ctypes
 import faulthandler
@@ -16,19 +16,19 @@ from minimd.structure.quiet import quiet
 Found = TypeVar("Found")
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
-SECONDS, BYTES_PER_SECOND = 10, 10_000_000  # of processor time that a look may take; reading takes a hundredth of it
+SECONDS, BYTES_PER_SECOND = 10, 10_000_000  # of processor time that a look may take; reading needs a hundredth of it
 
 
 def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
-    """What a look at a file finds, or raises; made in a child process where the system can fork, else in this one.
+    """Return or raise what look() does; it is called in a child process if the system can fork, else in this one.
 
-    Raises OSError if the child crashes, or computes for longer than reading can take.
+    Raises OSError if the child crashes, or computes for longer than reading could take.
     """
     if not hasattr(os, "fork"):
         return look()
     parent, (listening, telling) = os.getpid(), os.pipe()
     try:
-        with quiet():  # Python warns of threads: h5py holds its lock in a fork
+        with quiet():  # Python warns of forks with threads; h5py holds its lock in a fork
             child = os.fork()
     except OSError:
         os.close(listening)
@@ -54,7 +54,7 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
 
 
 def _status_of(child: int) -> int:
-    """How a child has ended; 0 where nobody can know, because the process was told to ignore the ends of its children."""
+    """The exit status of a child; 0 if it is not known, because this process ignores the ends of its children."""
     try:
         return os.waitpid(child, 0)[1]
     except ChildProcessError:
@@ -62,7 +62,7 @@ def _status_of(child: int) -> int:
 
 
 def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> NoReturn:
-    """In the child: look, tell what was found or raised, and end without a word, whatever happens."""
+    """In the child: call look, send its result or error, and end without any output, whatever happens."""
     status = 1
     try:
         end_with(parent)
@@ -82,7 +82,7 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
 
 
 def end_with(parent: int, number: int = signal.SIGKILL) -> None:
-    """On Linux, get this signal when the parent dies: the locks that it held would live on in its child."""
+    """On Linux, let this process get the signal when its parent dies: otherwise the locks of the parent would live on in it."""
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(number))
@@ -91,8 +91,8 @@ def end_with(parent: int, number: int = signal.SIGKILL) -> None:
 
 
 def _limit(seconds: int) -> None:
-    """Let this process compute for so long, and leave no core file."""
-    import resource  # where there is no fork, there is no such module
+    """Limit the processor time of this process [s], and let it leave no core file."""
+    import resource  # a system without fork does not have this module
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     hard = resource.getrlimit(resource.RLIMIT_CPU)[1]

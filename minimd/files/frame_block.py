@@ -1,4 +1,4 @@
-"""Frames that wait for the disk, in memory that is used again and again: fresh memory costs more than what is done with it."""
+"""Frames that wait to be written, in memory that is reused: allocating new memory would take longer than copying the frames."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ BLOCK_BYTES, MOST_FRAMES = 32 * 1024**2, 4096
 class FrameBlock:
     """Entries of the series of a file, for some frames.
 
-    columns : of the file.  frame : one like those that will come.  n_frames : how many are there.
+    columns : of the file.  frame : an example of the frames to come.  n_frames : number of frames in the block.
     """
 
     def __init__(self, columns: list[Column], frame: Frame) -> None:
@@ -36,5 +36,5 @@ class FrameBlock:
         return {path: entries[: self.n_frames] for path, entries in self._entries.items()}
 
     def clear(self) -> None:
-        """Forget the frames."""
+        """Remove all frames."""
         self.n_frames = 0

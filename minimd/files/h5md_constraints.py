@@ -1,8 +1,8 @@
-"""Constraints in a minimd file: what a run holds fixed, and how far two such descriptions differ.
+"""Constraints in a minimd file: the atoms and lengths that a run holds fixed, and how those of file and simulation differ.
 
-minimd/constraints    pairs (K, 2), lengths (K,) as they are kept, with the attributes tolerance and solver; fixed (F,) atoms
+minimd/constraints    pairs (K, 2), their lengths (K,), with the attributes tolerance and solver; fixed (F,) atoms
 
-The group holds what there is of these, and is missing from the file of a run without constraints.
+A kind of constraint that the run does not have is left out; the file of a run without constraints has no such group.
 """
 
 from collections.abc import Sequence
@@ -41,9 +41,9 @@ def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
 
 
 def difference(file: Sequence[Constraint], simulation: Sequence[Constraint], positions: NDArray[np.float64]) -> str:
-    """What one holds and the other does not, in words; empty if they agree. Lengths agree within tolerance and rounding.
+    """The first difference between the constraints of file and simulation, in words; empty if they agree within tolerance and rounding.
 
-    positions : (N, 3) [length], in which lengths that were not given have been measured.
+    positions : (N, 3) [length]; the largest coordinate sets the rounding of lengths that were measured in positions.
     """
     theirs, ours = ([atom for one in both if isinstance(one, FixedAtoms) for atom in one.atoms.tolist()] for both in (file, simulation))
     if only := set(theirs) ^ set(ours):
@@ -71,6 +71,6 @@ def _difference_of_lengths(file: DistanceConstraints, simulation: DistanceConstr
 
 
 def _by_pair(constraints: DistanceConstraints) -> dict[tuple[int, int], float]:
-    """Lengths as they are kept, by pair, the lower atom first."""
+    """The length of each pair, the lower atom first."""
     lengths = [] if constraints.lengths is None else constraints.lengths.tolist()
     return {(i, j): length for (i, j), length in zip(np.sort(constraints.pairs, axis=1).tolist(), lengths, strict=True)}

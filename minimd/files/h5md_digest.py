@@ -1,6 +1,6 @@
-"""Checksums in a minimd file, which tell whether its numbers are those that were written.
+"""Checksums in a minimd file, which show whether its numbers are those that were written.
 
-minimd/blocks             (B, 2) a row for each block of frames: how many frames there were after it, and the CRC-32 of the block;
+minimd/blocks             (B, 2) a row for each block of frames: the number of frames up to its end, and the CRC-32 of the block;
                           the attribute series names the datasets that grow with the frames
 minimd/restart, ...       see h5md_restart
 minimd, attribute digest  the CRC-32 of everything that does not change: names, types, attributes, and arrays that do not grow
@@ -17,15 +17,15 @@ import numpy as np
 from minimd.files.h5md_restart import DIGEST, EARLIER, RESTART, SPARE, digest_of_array
 
 BLOCKS = "minimd/blocks"
-FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups of what does not change, apart from series and restarts
+FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups that, apart from series and restarts, do not change
 
 
 def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
-    """Append a row: so many frames are in the file, the last of them with these entries, by the paths of their series."""
+    """Append the row of a block: n_frames frames are now in the file; entries : of the frames of the block, by the paths of their series."""
     if BLOCKS not in h5:
         h5.create_dataset(BLOCKS, (0, 2), np.int64, maxshape=(None, 2), chunks=(64, 2)).attrs["series"] = sorted(entries)
     blocks = h5[BLOCKS]
-    row = int(np.searchsorted(blocks[:, 0], n_frames)) if len(blocks) else 0  # a block that is written again takes its place
+    row = int(np.searchsorted(blocks[:, 0], n_frames)) if len(blocks) else 0  # a block that is written again replaces its row
     blocks.resize(row + 1, axis=0)
     blocks[row] = n_frames, digest_of_block(entries)
 
@@ -39,7 +39,7 @@ def digest_of_block(entries: dict[str, np.ndarray]) -> int:
 
 
 def check_sizes(h5: h5py.File) -> None:
-    """Raise ValueError if a dataset claims to be larger than the file, before memory is asked for."""
+    """Raise ValueError if a dataset claims to be larger than the file, before memory is allocated for it."""
     n_bytes = h5.id.get_filesize()
 
     def check(name: str, item: h5py.HLObject) -> None:
@@ -50,7 +50,7 @@ def check_sizes(h5: h5py.File) -> None:
 
 
 def damaged_frames(h5: h5py.File) -> str:
-    """Which frames are not those that were written, in words; empty if all are."""
+    """The frames that are not as they were written, in words; empty if there are none."""
     series, first = {one: h5[one] for one in h5[BLOCKS].attrs["series"]}, 0
     lengths = {len(one) for one in series.values()}
     for last, digest in h5[BLOCKS][:].tolist():
@@ -61,7 +61,7 @@ def damaged_frames(h5: h5py.File) -> str:
 
 
 def drop_frames(h5: h5py.File, n_frames: int) -> None:
-    """Keep so many frames."""
+    """Keep the first n_frames frames, and remove the others."""
     blocks = h5[BLOCKS]
     series = {one: h5[one] for one in blocks.attrs["series"]}
     for one in series.values():
@@ -73,12 +73,12 @@ def drop_frames(h5: h5py.File, n_frames: int) -> None:
 
 
 def n_whole_frames(h5: h5py.File) -> int:
-    """How many frames are in the file."""
+    """The number of frames in the file that have a checksum."""
     return int(h5[BLOCKS][-1, 0]) if BLOCKS in h5 and len(h5[BLOCKS]) else 0
 
 
 def sign(h5: h5py.File) -> None:
-    """Store the digest of what does not change."""
+    """Store the digest of everything that does not change."""
     h5["minimd"].attrs[DIGEST] = np.uint32(_digest_of_description(h5))
 
 
@@ -95,12 +95,14 @@ def _digest_of_description(h5: h5py.File) -> int:
 
 
 def _description(h5: h5py.File) -> Iterator[bytes]:
-    """Names, attributes and contents, in order."""
-    items: dict[str, h5py.HLObject | None] = {}  # None for a further name of an item that was visited already
+    """Names, attributes and contents of everything that does not change, in order."""
+    items: dict[str, h5py.HLObject | None] = {}  # None for a second name of an item that is visited under another
     for group in FIXED:
         items[group] = h5[group]
         h5[group].visit_links(lambda name, group=group: items.update({f"{group}/{name}": None}))
-        h5[group].visititems(lambda name, item, group=group: items.update({f"{group}/{name}": item}))  # anything but None would end the visit
+        h5[group].visititems(
+            lambda name, item, group=group: items.update({f"{group}/{name}": item})
+        )  # visititems stops if the function returns anything but None
     for name, item in sorted(items.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
             continue

@@ -1,11 +1,11 @@
-"""Observers in a minimd file: what they were made with, their state at each restart, and their answers at the end of a run.
+"""Observers in a minimd file: their arguments, their state at each restart, and their results at the end of a run.
 
-minimd/observers/<name>             attributes kind and arguments (JSON); at the end of a run the answer: a dataset for each series, with its
-                                    standard error beside it, and single numbers as attributes, in the units of the simulation (attribute units)
-minimd/restart/observer.<name>.*    the arrays of its state, beside the restart that they belong to
+minimd/observers/<name>             attributes kind and arguments (JSON); at the end of a run the result: a dataset for each series and for its
+                                    standard error, and single numbers as attributes, in the units of the simulation (attribute units)
+minimd/restart/observer.<name>.*    the arrays of its state, together with the restart to which they belong
 
-H5MD has a place for averages that do not depend on time, as groups in observables. MDAnalysis' reader takes all that lies there for series with an
-entry for each frame, and refuses a file where that is not so: hence this place.
+H5MD keeps averages that do not depend on time as groups in observables. The reader of MDAnalysis takes everything there for series with an
+entry for each frame, and refuses a file in which that is not so. Therefore minimd keeps them in its own group.
 """
 
 import json
@@ -27,33 +27,36 @@ GROUP, MARK = "minimd/observers", "observer."
 
 
 def describe_observers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
-    """Write what they are made with, over what is there under their names."""
+    """Write the arguments of the observers, replacing those that the file has for the same names."""
     for one in observers:
         group = h5.require_group(f"{GROUP}/{one.name}")
         group.attrs.update({"kind": one.kind, "arguments": json.dumps(one.made_with())})
 
 
 def states_of(observers: Sequence[Accumulator]) -> dict[str, np.ndarray]:
-    """Arrays that are to be kept beside a restart."""
+    """The arrays of the observers' states, to be kept with a restart."""
     return {f"{MARK}{one.name}.{key}": np.asarray(array) for one in observers for key, array in one.state().items()}
 
 
 def restore_observers(h5: h5py.File, file: str | Path, observers: Sequence[Accumulator]) -> None:
-    """Give observers that have not looked yet the state of those of the file.
+    """Give observers that have not looked yet the state that the file holds for them.
 
-    Raises ValueError if one in the file with the same name was made with other arguments. Warns of those in the file that nobody goes on with.
+    Raises ValueError if the file holds an observer of the same name with other arguments. Warns of observers in the file that the run does not have.
     """
     known = h5.get(GROUP, {})
     states = _states(arrays_of_restart(h5)) if len(known) else {}
     for one in observers:
         if one.name in known:
             if (was := json.loads(known[one.name].attrs["arguments"])) != json.loads(json.dumps(one.made_with())):
-                raise ValueError(f"file {str(file)!r} holds {one.name} made with {was}; go on with the same arguments, or pass name= to it")
+                raise ValueError(
+                    f"file {str(file)!r} holds the observer {one.name} with the arguments {was}; use the same arguments, or pass another name="
+                )
             if not one.n_looks:
                 one.restore(states.get(one.name, {}))
     if left := set(known) - {one.name for one in observers}:
         warnings.warn(
-            f"file {str(file)!r} holds {listed(sorted(left))}, which this run does not go on with; pass observers=", stacklevel=outside_minimd()
+            f"file {str(file)!r} holds {listed(sorted(left))}, which this run does not go on with; to go on with them, pass observers=",
+            stacklevel=outside_minimd(),
         )
 
 
@@ -68,7 +71,7 @@ def _states(arrays: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
 
 
 def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
-    """Write the answers of those that have looked, over those that are there."""
+    """Write the results of the observers that have looked, in place of those in the file."""
     for one in observers:
         group = h5[f"{GROUP}/{one.name}"]
         for name in list(group):
@@ -78,11 +81,11 @@ def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
         result = one.result()
         group.attrs.update({"n_looks": one.n_looks, "last_step": one.last_step, "units": result.scene.units, **result.numbers()})
         for name, series in result.columns().items():
-            group[name.replace("/", "_")] = series  # a species may be called anything
+            group[name.replace("/", "_")] = series  # the name of a species may contain a slash, which HDF5 does not allow in names
 
 
 def observers_of(h5: h5py.File) -> dict[str, Accumulator]:
-    """The observers in a file that is open, by name, as they stood at its restart."""
+    """The observers in an open file, by name, in their state at the restart."""
     states, found = _states(arrays_of_restart(h5)) if GROUP in h5 else {}, {}
     for name, group in h5.get(GROUP, {}).items():
         arguments: dict[str, Any] = json.loads(group.attrs["arguments"])

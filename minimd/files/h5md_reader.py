@@ -1,4 +1,4 @@
-"""What a minimd file holds: record, restart and description, read back; see h5md_schema for the layout."""
+"""Reading a minimd file: record, restart and description; see h5md_schema for the layout."""
 
 import json
 from collections.abc import Iterator
@@ -33,16 +33,16 @@ from minimd.structure.units import SYSTEMS
 
 @dataclass(frozen=True, repr=False)
 class H5MDContents(Displayed):
-    """What a minimd file holds apart from its frames.
+    """The contents of a minimd file, apart from its frames.
 
     record : Record, one entry for each frame.  system : System at the restart, to the last bit, with the constraints of the run.
     restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
-    barostat : StochasticCellRescaling, or None.  too_long_a_step : as in a Report.
-    parameters : arguments that make the method again.  precision, skin : of the options.  potentials : in words.
+    barostat : StochasticCellRescaling, or None.  too_long_a_step : the warning of a Report that the time step is too long, or empty.
+    parameters : arguments with which the method can be made again.  precision, skin : of the options.  potentials : in words.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
-    observers : those of minimd.observers in the file, by name, as they stood at the restart.
-    repaired : a sentence, if the newest restart is damaged and this is the one before.
+    observers : of minimd.observers, by name, in their state at the restart.
+    repaired : a sentence if the newest restart is damaged and the one before it is used; else empty.
     """
 
     record: Record
@@ -81,15 +81,15 @@ class H5MDContents(Displayed):
         return rows + ([("repaired", self.repaired)] if self.repaired else [])
 
     def integrator(self) -> Splitting:
-        """The method with its time step.  Raises ValueError if it is not one of minimd."""
+        """The method with its time step.  Raises ValueError if it is not a method of minimd."""
         if self.method not in METHODS:
-            raise ValueError(f"the run was made with the method {self.method!r}, which is not one of minimd; pass one like it")
+            raise ValueError(f"the run was made with the method {self.method!r}, which minimd does not have; pass the method of that run")
         made: Any = METHODS[self.method](**self.parameters)
         return made
 
 
 def read_file(path: str | Path) -> H5MDContents:
-    """Record, restart and description of a minimd file, of which the checksums are right. Those of the frames are verify_frames'.
+    """Read record, restart and description of a minimd file. Checksums of description and restart are verified, those of frames in verify_frames.
 
     Raises FileNotFoundError, OSError as opened, and OSError if it is damaged.  ValueError if it is not HDF5, or not written by minimd.
     """
@@ -98,7 +98,7 @@ def read_file(path: str | Path) -> H5MDContents:
 
 
 def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
-    """Record, restart and description of a minimd file that is open; path is for messages.  Raises as read_file."""
+    """Record, restart and description of an open minimd file.  path : for messages.  Raises as read_file."""
     check_description(h5, path)
     with damage_told(path):
         n_frames, group = n_whole_frames(h5), h5["minimd"]
@@ -138,29 +138,29 @@ def frame_arrays(path: str | Path, frame: int) -> tuple[NDArray[np.float64], NDA
 
 
 def velocities_of(path: str | Path, n_frames: int) -> Iterator[NDArray[np.float64]]:
-    """Velocities of one frame after the other, (N, 3) float64.  Raises as opened."""
+    """The velocities of each frame in turn, (N, 3) float64.  Raises as opened."""
     with opened(path) as h5, damage_told(path):
         for frame in range(n_frames):
             yield h5[f"{TRAJECTORY}/velocity/value"][frame]
 
 
 def damage(path: str | Path) -> str:
-    """Which frames of a minimd file, or which of its restarts, are not those that were written, in words; empty if all are.
+    """The frames, or else the restart, of a minimd file that are not as they were written, in words; empty if there are none.
 
-    A child process reads the file first, and all of it: what survives this can be read here.  Raises as read_file.
+    The whole file is read in a child process, which damaged bytes may crash.  Raises as read_file.
     """
     frames, restart = looked_at(path, partial(_damage, path))
     return frames or restart
 
 
 def verify_frames(path: str | Path) -> None:
-    """Raise OSError unless all frames of a minimd file are those that were written; and as read_file."""
+    """Raise OSError unless all frames of a minimd file are as they were written.  Raises as read_file, too."""
     if which := looked_at(path, partial(_damage, path))[0]:
         raise OSError(f"file {str(path)!r} is damaged: {which} are not those that were written; copy it again, or run again")
 
 
 def _damage(path: str | Path) -> tuple[str, str]:
-    """Frames, and restarts."""
+    """The damaged frames and the damaged restart, in words; see damage."""
     with opened(path) as h5:
         check_description(h5, path)
         with damage_told(path):
@@ -169,7 +169,7 @@ def _damage(path: str | Path) -> tuple[str, str]:
 
 
 def check_description(h5: h5py.File, path: str | Path) -> None:
-    """Raise as read_file unless it is a file of minimd, and its description is the one that was written."""
+    """Raise as read_file unless the file was written by minimd, and its description is as it was written."""
     with damage_told(path):
         is_ours = "minimd" in h5
     if not is_ours:
@@ -182,7 +182,7 @@ def check_description(h5: h5py.File, path: str | Path) -> None:
 
 @contextmanager
 def damage_told(path: str | Path) -> Iterator[None]:
-    """Turn whatever goes wrong while a file is read into a sentence."""
+    """Turn any error in reading a file into an OSError with one sentence."""
     try:
         yield
     except MemoryError:

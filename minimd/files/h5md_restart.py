@@ -1,8 +1,8 @@
-"""The restart in a minimd file: all that the next steps depend on, to the last bit, with a checksum; and the restart before that.
+"""The restart in a minimd file: all that the next steps depend on, to the last bit, with a checksum; and the restart before it.
 
-minimd/restart, minimd/earlier_restart    the datasets and attributes that flattened names, n_frames in the file, and the digest of all of them
+minimd/restart, minimd/earlier_restart    the datasets and attributes of flattened(), the number n_frames of frames, and the digest of them all
 
-The older of the two is overwritten, then they change their names: if one is damaged, the run goes on from the other.
+The older of the two is overwritten, then the two exchange their names: if one is damaged, the run goes on from the other.
 """
 
 import zlib
@@ -23,7 +23,7 @@ DIGEST = "digest"
 
 
 def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """A checkpoint as named arrays and numbers. What it does not have is left out."""
+    """A checkpoint as named arrays and numbers. Arrays that it does not have are left out."""
     state, images = checkpoint.state, checkpoint.images
     arrays: dict[str, np.ndarray | None] = {"positions": state.positions, "velocities": state.velocities}
     if state.open_end is not None:
@@ -49,7 +49,7 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
 
 
 def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Checkpoint:
-    """The checkpoint that was flattened."""
+    """The checkpoint with these flattened arrays and numbers."""
     end = None
     if "open_velocities" in arrays:
         end = OpenEnd(arrays["open_velocities"], arrays.get("open_positions"), bool(numbers["drifts_next"]), float(numbers.get("open_work", 0.0)))
@@ -71,7 +71,7 @@ def _cell(arrays: dict[str, np.ndarray], name: str) -> Cell | None:
 
 
 def write_restart(h5: h5py.File, checkpoint: Checkpoint, n_frames: int, beside: dict[str, np.ndarray] | None = None) -> None:
-    """Make this the restart, and the one that was it the earlier one.  beside : arrays that are kept with it."""
+    """Write the newest restart; the one before becomes the earlier restart.  beside : arrays that are kept with it."""
     older = EARLIER if EARLIER in h5 else SPARE
     arrays, numbers = flattened(checkpoint)
     write_group(h5.require_group(older), arrays | (beside or {}), numbers | {"n_frames": n_frames})
@@ -83,9 +83,9 @@ def write_restart(h5: h5py.File, checkpoint: Checkpoint, n_frames: int, beside: 
 
 
 def read_restart(h5: h5py.File) -> tuple[Checkpoint, int, bool]:
-    """The restart, how many frames the file had then, and whether it is the earlier one, because the other is damaged.
+    """The newest restart that is intact, the number of frames in the file at that time, and whether it is the earlier restart.
 
-    Raises ValueError if no restart is whole.
+    Raises ValueError if both restarts are damaged.
     """
     for name in (RESTART, EARLIER):
         if (found := _whole(h5, name)) is not None:
@@ -94,27 +94,27 @@ def read_restart(h5: h5py.File) -> tuple[Checkpoint, int, bool]:
 
 
 def arrays_of_restart(h5: h5py.File) -> dict[str, np.ndarray]:
-    """All arrays of the restart that read_restart finds, those that are kept beside it among them; none if no restart is whole."""
+    """All arrays of the restart that read_restart finds, with those that are kept with it; none if both restarts are damaged."""
     name = next((name for name in (RESTART, EARLIER) if _whole(h5, name) is not None), None)
     return {} if name is None else read_group(h5[name])[0]
 
 
 def damaged_restart(h5: h5py.File) -> str:
-    """Which restart is damaged, in words; empty if none is. A file of one commit has no earlier one."""
+    """The damaged restart in words; empty if there is none. After a single commit a file has no earlier restart."""
     if _whole(h5, RESTART) is None:
         return "numbers of the newest restart"
     return "numbers of the restart before the newest" if EARLIER in h5 and _whole(h5, EARLIER) is None else ""
 
 
 def set_aside_damaged(h5: h5py.File) -> None:
-    """Rename the restarts that are damaged; nothing is written or freed where they claim to lie, which may belong to others."""
+    """Rename damaged restarts. They are not deleted: the bytes that they claim as theirs may belong to other data."""
     for name in (RESTART, EARLIER, SPARE):
         if h5.get(name, getlink=True) is not None and _whole(h5, name) is None:
             h5.move(name, next(free for k in count(1) if h5.get(free := f"{name}_damaged_{k}", getlink=True) is None))
 
 
 def _whole(h5: h5py.File, name: str) -> tuple[Checkpoint, int] | None:
-    """A restart, and how many frames the file had then; None if it is damaged."""
+    """A restart, and the number of frames in the file at that time; None if it is damaged."""
     try:
         arrays, numbers = read_group(h5[name])
         return unflattened(arrays, numbers), int(numbers["n_frames"])
@@ -125,7 +125,7 @@ def _whole(h5: h5py.File, name: str) -> tuple[Checkpoint, int] | None:
 
 
 def write_group(group: h5py.Group, arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> None:
-    """Write arrays and numbers into a group, over those that it holds, and their digest."""
+    """Write arrays, numbers and their digest into a group, in place of its contents."""
     for name in [name for name in group if name not in arrays]:
         del group[name]
     for name, array in arrays.items():
@@ -142,7 +142,7 @@ def write_group(group: h5py.Group, arrays: dict[str, np.ndarray], numbers: dict[
 
 
 def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """What write_group wrote.  Raises ValueError if it is not that."""
+    """Arrays and numbers as write_group wrote them.  Raises ValueError if their digest is wrong."""
     arrays, numbers = {name: group[name][()] for name in group}, dict(group.attrs)
     if digest_of(arrays, numbers) != numbers.pop(DIGEST, None):
         raise ValueError(f"{group.name} is damaged")
@@ -150,7 +150,7 @@ def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]
 
 
 def digest_of(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> int:
-    """CRC-32 of names, types and bytes."""
+    """CRC-32 of the names, types and bytes of arrays and numbers."""
     digest = 0
     for name in sorted(arrays):
         digest = digest_of_array(name, arrays[name], digest)
@@ -160,5 +160,5 @@ def digest_of(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> int:
 
 
 def digest_of_array(name: str, array: np.ndarray, digest: int = 0) -> int:
-    """CRC-32 of the name, type, shape and bytes of an array, behind those of a digest."""
+    """CRC-32 of the name, type, shape and bytes of an array, continuing a digest."""
     return zlib.crc32(np.ascontiguousarray(array).data, zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), digest))

@@ -1,14 +1,14 @@
-"""Where everything lies in a minimd file, laid out as H5MD.
+"""The layout of a minimd file, which follows H5MD.
 
     particles/trajectory    box/edges, position, velocity, force [Å, Å/ps, kJ/mol/Å; times in ps], species, mass
     connectivity/bonds      pairs of bonded atoms; likewise angles, dihedrals and impropers, if there are any
     observables/<name>      the numbers of the record, to the last bit, in the units of the simulation
-    observables/dt          the time between observations [ps], beside each frame: MDAnalysis looks nowhere else for it
-    minimd                  what H5MD has no place for: units, cell, pbc, timestep, method, constraints, exact times, restarts, digests
+    observables/dt          the time between observations [ps], for each frame: MDAnalysis looks for it only here
+    minimd                  data without a place in H5MD: units, cell, pbc, timestep, method, constraints, exact times, restarts, digests
 
-Reduced numbers are written unchanged under the same labels, because MDAnalysis refuses a file without units; the group
-minimd then says units = "LJ". MDAnalysis takes a box with edges for periodic in all directions and one without for open in all:
-edges are written where any direction is periodic and the cell has three independent vectors, pbc holds the truth.
+Numbers in reduced units are written unchanged with the same labels, because MDAnalysis refuses a file without units; the attribute
+units of the group minimd is then "LJ". For MDAnalysis a box with edges is periodic in all directions, and one without edges in none.
+Edges are written if any direction is periodic and the cell has three independent vectors; the attribute pbc says which are periodic.
 P. de Buyl, P. H. Colberg, F. Höfling, Comput. Phys. Commun. 185, 1546 (2014); H5MD 1.1.
 """
 
@@ -33,15 +33,15 @@ from minimd.structure.errors import sentence
 from minimd.structure.system import System
 
 CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own
-CHUNK_ROWS, FEW_ROWS = 512, 16  # at most; and of a file that expects few frames, at least: it may be appended to
-LARGEST_ENUMERATION = 1000  # labels that fit into the header of a dataset, 64 KiB
+CHUNK_ROWS, FEW_ROWS = 512, 16  # largest number of rows, and the smallest for a file with few frames, because more may be appended
+LARGEST_ENUMERATION = 1000  # so many labels fit into the header of a dataset, 64 KiB
 TRAJECTORY = "particles/trajectory"
 STEPS, TIMES = f"{TRAJECTORY}/position/step", f"{TRAJECTORY}/position/time"
 SPACING = "dt"  # the name in Timestep.data that MDAnalysis' Timestep.dt reads first; its H5MD reader fills data from observables
 
 
 class Column(NamedTuple):
-    """One series of the file: where it lies, in which unit (empty for a pure number, or one that minimd does not know), and its entry for a frame."""
+    """A series of the file: its path, its unit (empty for a pure number, or if it is not known), and the function for its entry for a frame."""
 
     path: str
     unit: str
@@ -49,7 +49,7 @@ class Column(NamedTuple):
 
 
 def columns(system: System, observables: list[str], store_forces: bool, spacing: float | None) -> list[Column]:
-    """All series of a file, positions last: their length is the number of frames to MDAnalysis.
+    """All series of a file, positions last: for MDAnalysis their length is the number of frames.
 
     spacing : time between observations [time]; None for a file that does not hold it.
     """
@@ -79,18 +79,18 @@ def observable(name: str, frame: Frame) -> Any:
 
 
 def has_edges(cell: Cell) -> bool:
-    """True if MDAnalysis can be told of this cell: something repeats, and three vectors span a volume."""
+    """True if MDAnalysis can hold this cell: some direction is periodic, and the three vectors span a volume."""
     return cell.is_periodic and np.linalg.matrix_rank(cell.vectors) == 3
 
 
 def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
-    """Entries that one chunk of a series holds; a chunk takes its full size on the disk.  n_frames : expected in the file, if that is known."""
+    """The number of entries in a chunk of a series; a chunk takes its full size on the disk.  n_frames : expected in the file, if known."""
     expected = CHUNK_ROWS if n_frames is None else max(FEW_ROWS, n_frames)
     return int(np.clip(CHUNK_BYTES // entry.nbytes, 1, min(CHUNK_ROWS, expected)))
 
 
 def series_of(h5: h5py.File, column: Column, like: np.ndarray, n_frames: int | None = None) -> h5py.Dataset:
-    """The series of a column, made empty if it is not there yet, for entries like this one; those of H5MD share one step and one time.
+    """The series of a column; if it does not exist, an empty one for entries like this one. Series of H5MD share one step and one time.
 
     n_frames : as for chunk_rows.
     """
@@ -106,7 +106,7 @@ def series_of(h5: h5py.File, column: Column, like: np.ndarray, n_frames: int | N
 
 
 def describe(h5: h5py.File, engine: Engine) -> None:
-    """Everything that does not change: who wrote the file, species, masses, bonds, cell, method, constraints."""
+    """Write everything that does not change: the program, species, masses, bonds, cell, method, constraints."""
     system = engine.system
     _describe_standard(h5, system)
     group = h5.create_group("minimd")
@@ -124,12 +124,12 @@ def describe(h5: h5py.File, engine: Engine) -> None:
 
 
 def potentials_in_words(potentials: Sequence[Any]) -> list[str]:
-    """The class of each, and the call that makes it again."""
+    """The class of each potential, and the call that makes it again."""
     return [f"{type(one).__name__}: {one!r}" for one in potentials]
 
 
 def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
-    """Those in a file beside others with which its run goes on, in words; empty if they are the same."""
+    """How the potentials in a file differ from those with which its run goes on, in words; empty if they are the same."""
     before, now = (sorted(re.sub(r" at 0x[0-9a-fA-F]+", "", one) for one in several) for several in (stored, potentials_in_words(potentials)))
     if before == now:
         return ""
@@ -138,19 +138,19 @@ def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
 
 
 def describe_method(group: h5py.Group, engine: Engine) -> None:
-    """Method and time step of the frames that come next, and the options with which they are computed."""
+    """Write method and time step of the frames that come next, and the options with which they are computed."""
     options = engine.interactions.options
     group.attrs.update({"method": engine.method.name, "conserves_momentum": engine.conserves_momentum})
     group.attrs.update({"precision": options.precision, "skin": np.nan if options.skin is None else options.skin})
     group.attrs["potentials"] = potentials_in_words(engine.interactions.potentials)
     group.attrs["too_long_a_step"] = too_long_a_step(engine) or ""
     group.attrs["barostat"] = "" if engine.barostat is None else json.dumps(engine.barostat.parameters)
-    group.attrs["parameters"] = json.dumps(engine.method.parameters)  # a seed may be larger than any number of HDF5
+    group.attrs["parameters"] = json.dumps(engine.method.parameters)  # a seed may be larger than the integers of HDF5
     group.attrs.update({name: value for name, value in engine.method.parameters.items() if isinstance(value, float)})
 
 
 def _describe_standard(h5: h5py.File, system: System) -> None:
-    """What H5MD has a place for."""
+    """Write the part of the description that H5MD defines."""
     h5.create_group("h5md").attrs["version"] = np.array([1, 1])
     h5.create_group("h5md/author").attrs["name"] = "N/A"
     h5.create_group("h5md/creator").attrs.update({"name": "minimd", "version": version("minimd")})
@@ -169,7 +169,7 @@ def _describe_standard(h5: h5py.File, system: System) -> None:
 
 
 def opened(path: str | Path) -> h5py.File:
-    """An HDF5 file, for reading. A write that was interrupted is finished first.
+    """Open an HDF5 file for reading. A commit that was interrupted is finished first.
 
     Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5.  OSError if it is damaged, or being written by a run.
     """

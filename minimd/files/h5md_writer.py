@@ -1,8 +1,8 @@
-"""One float64 file for a run: trajectory, observables and restart, laid out as H5MD; see h5md_schema.
+"""One float64 file for a run: trajectory, observables and restart, in the layout of H5MD; see h5md_schema.
 
-Frames are collected in memory for a second, or longer where bringing them to the disk takes more than 2 % of the time. Then they, and the state
-from which the run can go on, are brought to the disk in one commit of the journaled file: whenever the process is killed, the file holds the
-frames up to a commit, and the restart of that commit.
+Frames are collected in memory for a second, or longer if writing them would take more than 2 % of the time. Then the frames, and the state
+from which the run can go on, are written in one commit of the journaled file: whenever the process is killed, the file holds the frames up
+to a commit, and the restart of that commit.
 """
 
 import signal
@@ -33,7 +33,7 @@ from minimd.observers.accumulator import Accumulator
 from minimd.structure.checks import listed
 
 SECONDS_BETWEEN_FLUSHES = 1.0
-MOST_OFTEN = 50.0  # times as long as a flush takes, which then takes no more than 2 % of the time; sooner if there is no memory for more frames
+MOST_OFTEN = 50.0  # shortest time between flushes, in durations of a flush: 2 % of the time; less if the block of frames is full
 
 
 class H5MDWriter:
@@ -41,9 +41,9 @@ class H5MDWriter:
 
     Its restart is the state of the engine at the last flush, checkpoint or close.
 
-    claim : on the file.  engine : whose frames will come.  store_forces : also write forces.  every : steps between two frames.
-    n_frames : how many are expected, if that is known.
-    observers : of the run, whose state is kept with each restart, and whose answers with the end of the run.
+    claim : on the file.  engine : whose frames are written.  store_forces : also write forces.  every : steps between two frames.
+    n_frames : number of frames expected, None if it is not known.
+    observers : of the run; their state is kept with each restart, and their results are written at the end of the run.
 
     Raises OSError if the file cannot be created or has no room.
     """
@@ -56,7 +56,7 @@ class H5MDWriter:
     _n_expected: int | None = None
     _pending: FrameBlock | None
     _columns: list[layout.Column]
-    _every: int | None  # None where a file that is continued does not hold it
+    _every: int | None  # None for a continued file that does not hold it
 
     def __init__(
         self,
@@ -77,13 +77,16 @@ class H5MDWriter:
     def append_to(
         cls, file: str | Path, engine: Engine, store_forces: bool = False, every: int = 1, observers: Sequence[Accumulator] = ()
     ) -> "H5MDWriter":
-        """A writer that continues a file from its restart; frames behind the restart are dropped.
+        """A writer that continues a file from its restart; frames after the restart are removed.
 
-        Forces are written if the file has them. A frame at the step of the restart is not doubled. Observers that have not looked yet take the
-        state of those in the file with the same names.
 
-        Raises ValueError if the file holds another system or other constraints, no forces although store_forces, or if the simulation does not
-        stand at the step of the restart.  OSError if the file cannot be written, or is damaged.
+
+        Forces are written if the file has them. A frame at the step of the restart is not written twice. Observers that have not looked yet
+        take over the state of those in the file with the same names.
+
+        Raises ValueError if the file holds another system, other constraints, another barostat or other observables, if it has no forces
+        and store_forces asks for them, or if the simulation is not at the step of the restart.  OSError if the file cannot be written, or is
+        damaged.
         """
         claim, writer = _claimed(file), cls.__new__(cls)
         try:
@@ -100,7 +103,7 @@ class H5MDWriter:
         return writer
 
     def _continue(self, file: str | Path, every: int, observers: Sequence[Accumulator]) -> None:
-        """Take up the file where its restart is.  Raises as append_to."""
+        """Continue the file from its restart.  Raises as append_to."""
         contents = contents_of(self._h5, file)
         _check_continues(Path(file), contents, self._engine, self._store_forces)
         restore_observers(self._h5, file, observers)
@@ -112,17 +115,17 @@ class H5MDWriter:
             set_aside_damaged(self._h5)
             drop_frames(self._h5, self._n_frames)
             describe_observers(self._h5, observers)
-            if scene := self._engine.notes["scene"]:  # with which the run goes on
+            if scene := self._engine.notes["scene"]:  # the scene with which the run goes on
                 self._h5["minimd"].attrs.update({"scene": scene, "title": self._engine.notes["title"] or contents.title})
             self._describe_method()
 
     def write(self, frame: Frame) -> None:
-        """Take one frame, of the present step of the engine; a second one of the same step is passed over.
+        """Take one frame, of the present step of the engine; a second frame of the same step is ignored.
 
         Raises OSError if the file has no room or cannot be written; what it held before stays valid.  ValueError if it is closed.
         """
         if not self._h5:
-            raise ValueError(f"trajectory {self._claim.name!r} is closed; it takes no frame of step {frame.step}")
+            raise ValueError(f"trajectory {self._claim.name!r} is closed; it cannot take the frame of step {frame.step}")
         if frame.step == self._last_step:
             return
         if self._pending is None:
@@ -135,7 +138,7 @@ class H5MDWriter:
             self.checkpoint()
 
     def checkpoint(self) -> None:
-        """Bring all frames, and the present state of the engine as the restart, to the disk.  Raises OSError as write."""
+        """Write all frames, and the present state of the engine as the restart, to the disk.  Raises OSError as write."""
         pending = self._pending.entries() if self._pending else {}
         n_frames = self._n_frames + len(pending.get(layout.STEPS, ()))
         if not self._h5 or n_frames == 0:
@@ -156,9 +159,9 @@ class H5MDWriter:
         self._next_flush = now + max(SECONDS_BETWEEN_FLUSHES, MOST_OFTEN * (now - started))
 
     def close(self) -> None:
-        """Write what is left, make the present state of the engine the restart, and close the file; do nothing if it is closed or has failed.
+        """Write the remaining frames, the restart of the present state and results of observers; close the file. Nothing if it is closed or failed.
 
-        Raises OSError if what is left cannot be written.
+        Raises OSError if they cannot be written.
         """
         try:
             self.checkpoint()
@@ -174,21 +177,21 @@ class H5MDWriter:
         self._claim, self._engine, self._method, self._store_forces = claim, engine, engine.method, store_forces
         self._disk = JournaledFile(claim)
         self._h5 = h5py.File(self._disk, mode)
-        self._pending, self._n_frames = None, 0  # frames that are not yet in the file, and how many are
-        self._last_step, self._next_flush = -1, -np.inf  # that was taken; when [s]
+        self._pending, self._n_frames = None, 0  # frames that are not yet in the file, and the number of those that are
+        self._last_step, self._next_flush = -1, -np.inf  # step of the frame taken last; time of the next flush [s]
 
     def _add(self, pending: dict[str, np.ndarray], n_frames: int) -> None:
-        """The series and their digest, with the pending frames; done again after an error, it leaves the same."""
+        """Add the pending frames to the series, and their digest; repeated after an error, this gives the same file."""
         for column in self._columns:
             series = layout.series_of(self._h5, column, pending[column.path][0], self._n_expected)
             series.resize(n_frames, axis=0)
             series[self._n_frames :] = pending[column.path]
         add_block(self._h5, n_frames, pending)
         if self._n_frames == 0:
-            sign(self._h5)  # the series are there now
+            sign(self._h5)  # now that the series exist
 
     def _describe_method(self) -> None:
-        """It may have been replaced since the file was described."""
+        """Describe the method again: it may have been replaced."""
         layout.describe_method(self._h5["minimd"], self._engine)
         sign(self._h5)
         self._method = self._engine.method
@@ -199,21 +202,21 @@ class H5MDWriter:
 
     @contextmanager
     def _telling(self, what: str) -> Iterator[None]:
-        """Turn a failure into a sentence and give the file up; it is then as it was at the last commit."""
+        """Turn an error into one sentence and close the file, which then is as it was at the last commit."""
         try:
             yield
         except (OSError, RuntimeError) as error:
             self._pending = None
             self._give_up()
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-            raise OSError(f"trajectory {self._claim.name!r} could not {what}: {reason}; its {self._n_frames} frames before that are valid") from error
+            raise OSError(f"trajectory {self._claim.name!r} could not {what}: {reason}; the {self._n_frames} frames before it are valid") from error
 
     def _give_up(self) -> None:
         self._h5.close()
         self._disk.close()
 
     def _shut(self) -> None:
-        """Close the file: HDF5 writes its tables anew."""
+        """Close the file, for which HDF5 writes its tables, and commit them."""
         if not self._h5:
             return
         with self._telling("be closed"), uninterrupted():
@@ -227,7 +230,7 @@ class H5MDWriter:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Context that Ctrl-C does not leave in the middle; it is noticed at the end."""
+    """Context that Ctrl-C does not interrupt; it takes effect at the end."""
     if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -239,7 +242,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 def edit(path: str | Path, change: Any) -> None:
-    """Change a minimd file in one commit.  change : gets the h5py.File.
+    """Change a minimd file in one commit.  change : function that is called with the h5py.File.
 
     Raises as read_file, and OSError if a run is writing the file.
     """
@@ -256,7 +259,7 @@ def edit(path: str | Path, change: Any) -> None:
 
 
 def _claimed(path: str | Path) -> Claim:
-    """The claim on an HDF5 file that exists.  Raises as opened, and OSError if another run has it."""
+    """The claim on an HDF5 file that exists.  Raises as opened, and OSError if another run writes it."""
     layout.opened(path).close()
     try:
         return Claim(path, is_new=False)
@@ -279,33 +282,40 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
         if not is_same:
             raise ValueError(f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new file")
     if held := difference(theirs.constraints, engine.constraints, theirs.positions):
-        raise ValueError(f"trajectory {str(file)!r} holds a run with other constraints: {held}; go on with those of the file, or write to a new file")
+        raise ValueError(
+            f"trajectory {str(file)!r} holds a run with other constraints: {held}; use the constraints of the file, or write to a new file"
+        )
     if engine.step != contents.step:
-        raise ValueError(f"trajectory {str(file)!r} continues from step {contents.step}; the simulation stands at step {engine.step}")
+        raise ValueError(
+            f"trajectory {str(file)!r} continues from step {contents.step}, but the simulation is at step {engine.step}; take the state of the file "
+            "with minimd.Simulation.resume, or write to a new file"
+        )
     if engine.barostat != contents.barostat:
         raise ValueError(
-            f"trajectory {str(file)!r} holds a run with barostat {contents.barostat}; the simulation has {engine.barostat}: write to a new file"
+            f"trajectory {str(file)!r} holds a run with the barostat {contents.barostat}; the simulation has {engine.barostat}: write to a new file"
         )
     if engine.has_bath != ("conserved_energy" in contents.record):
         raise ValueError(
-            f"trajectory {str(file)!r} was written {'without' if engine.method.is_thermostat else 'with'} a thermostat, "
-            f"{engine.method.name} would continue it otherwise; write to a new file"
+            f"trajectory {str(file)!r} was written {'without' if engine.method.is_thermostat else 'with'} a thermostat; it cannot be continued "
+            f"with {engine.method.name}: write to a new file"
         )
     if set(wanted := extras_in(contents.record)) != set(engine.extra_observables):
-        raise ValueError(f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set them so, or write to a new file")
+        raise ValueError(f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set the same, or write to a new file")
     _check_same_observables(file, contents, recorded(engine))
     if store_forces and not contents.has_forces:
-        raise ValueError(f"trajectory {str(file)!r} was begun without forces; resume without storing them, or write to a new file")
+        raise ValueError(f"trajectory {str(file)!r} was begun without forces; continue it without store_forces, or write to a new file")
 
 
 def _check_same_observables(file: Path, contents: H5MDContents, ours: Sequence[str]) -> None:
-    """Raise ValueError unless a run records the observables that a file holds: their series are as long as that of the frames."""
+    """Raise ValueError unless the run records the observables in the file, because each of them has an entry for every frame."""
     theirs = [name for name in contents.record.names if name not in ("step", "time")]
     new, missing = ([name for name in one if name not in other] for one, other in ((ours, theirs), (theirs, ours)))
     if new:
         raise ValueError(
             f"trajectory {str(file)!r} was begun without {listed(new)}, which this run records: a file has the same observables in all frames; "
-            "append before registering others, or write to a new file"
+            "append before you register others, or write to a new file"
         )
     if missing:
-        raise ValueError(f"trajectory {str(file)!r} holds {listed(missing)}, which this run does not record: register it, or write to a new file")
+        raise ValueError(
+            f"trajectory {str(file)!r} holds {listed(missing)}, which this run does not record; register what is missing, or write to a new file"
+        )

@@ -1,15 +1,15 @@
-"""A file that changes in commits: each of them is on the disk whole or not at all, whenever the process is killed or the power fails.
+"""A file that changes in commits: each commit is on the disk as a whole or not at all, whenever the process is killed or the power fails.
 
 HDF5 updates its tables in place, one after the other; a process that dies in between leaves a file that cannot be opened. Here HDF5 writes
-into memory, and a commit brings that to the disk:
+into memory, and a commit writes this to the disk:
 
-    1  what lies behind the present end of the file, which nobody reads yet, is written
-    2  what replaces bytes of the file is written to a journal beside it, with a checksum
+    1  bytes beyond the present end of the file, which nobody reads yet, are written
+    2  bytes that will replace others in the file are written to a journal beside it, with a checksum
     3  these bytes are replaced
     4  the journal is removed
 
-A file with a whole journal is repaired by doing 3 and 4 again; a journal that is not whole is worth nothing, and the file is as it was. Nor is
-one that was made for another file: its witness is the checksum of the last bytes of the file, as they are when 3 is done.
+A file with a complete journal is repaired by doing 3 and 4 again. An incomplete journal is removed: the file is as it was. So is a journal of
+another file, which the witness in it shows: the checksum of the last bytes of the file as they are after 3.
 J. Gray, A. Reuter, Transaction Processing (1993), chapter 9.
 """
 
@@ -23,15 +23,15 @@ from pathlib import Path
 from minimd.files.claim import Claim, locked
 
 MAGIC = b"minimd journal 1\n"
-HEAD = struct.Struct("<qqII")  # size of the file afterwards, number of pieces, its witness, CRC-32 of these and of all that follows
+HEAD = struct.Struct("<qqII")  # size of the file after the commit, number of pieces, witness, CRC-32 of these and of all that follows
 WITNESS = 64 * 1024  # bytes
-PIECE = struct.Struct("<qq")  # where it goes, number of bytes
+PIECE = struct.Struct("<qq")  # place in the file, number of bytes
 
-Pieces = list[tuple[int, bytes]]  # place in the file and what comes there
+Pieces = list[tuple[int, bytes]]  # place in the file, and the new bytes
 
 
 class JournaledFile:
-    """What h5py needs of a file object, on a file that is claimed.  size : of the file as it will be after the next commit [B]."""
+    """A file object for h5py on a claimed file.  size : of the file after the next commit [B]."""
 
     def __init__(self, claim: Claim) -> None:
         self._claim, self._journal = claim, journal_of(claim.path)
@@ -39,8 +39,8 @@ class JournaledFile:
         if existing >= 0:
             _finish(self._journal, existing)
         self._committed = self.size = os.fstat(claim.descriptor).st_size
-        self._tail, self._n_tail = bytearray(), 0  # what lies behind the committed end: the first bytes of memory that is used again and again
-        self._pieces: Pieces = []  # what replaces committed bytes, in order
+        self._tail, self._n_tail = bytearray(), 0  # bytes beyond the committed end: the first ones in memory that is reused
+        self._pieces: Pieces = []  # replacements of committed bytes, in order
         self._at = 0
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
@@ -53,12 +53,12 @@ class JournaledFile:
         return self._at
 
     def read(self, n_bytes: int) -> bytes:
-        """Up to so many bytes from the present place on."""
+        """Up to n_bytes bytes from the present place on."""
         found = bytearray(n_bytes)
         return bytes(found[: self.readinto(memoryview(found))])
 
     def readinto(self, buffer: memoryview) -> int:
-        """Fill a buffer from the present place on; returns how many bytes there were."""
+        """Fill a buffer from the present place on; returns the number of bytes read."""
         view = memoryview(buffer).cast("B")
         start, end = self._at, max(self._at, min(self._at + len(view), self.size))
         found = bytearray(end - start)
@@ -75,7 +75,7 @@ class JournaledFile:
         return len(found)
 
     def write(self, data: bytes) -> int:
-        """Take bytes for the present place, in memory."""
+        """Write bytes at the present place, in memory; returns their number."""
         with memoryview(data).cast("B") as view:
             cut = max(0, min(len(view), self._committed - self._at))
             if cut:
@@ -94,18 +94,18 @@ class JournaledFile:
             return len(view)
 
     def truncate(self, size: int | None = None) -> int:
-        """Make this the end of the file."""
+        """Set the end of the file to size, or to the present place if it is None; returns the new size."""
         self.size = self._at if size is None else size
         self._n_tail = min(self._n_tail, max(0, self.size - self._committed))
         return self.size
 
     def flush(self) -> None:
-        """Nothing: what HDF5 has flushed waits for commit."""
+        """Do nothing: bytes that HDF5 flushes wait for commit."""
 
     def commit(self) -> None:
-        """Bring to the disk what was written since the last commit, all of it or nothing.
+        """Write to the disk what was written since the last commit, all of it or nothing.
 
-        Raises OSError if there is no room, or the file was removed, replaced or cut under the run; it is then as it was.
+        Raises OSError if there is no room, or the file was removed, replaced or shortened during the run; it is then as it was.
         """
         descriptor = self._claim.descriptor
         self._check()
@@ -126,12 +126,12 @@ class JournaledFile:
             _apply(descriptor, self.size, self._pieces)
             self._journal.unlink()
         if self._claim.place != self._claim.path:
-            self._journal.unlink(missing_ok=True)  # of a file that was there before
+            self._journal.unlink(missing_ok=True)  # of the file that is replaced
             self._claim.appear()
         self._committed, self._n_tail, self._pieces = self.size, 0, []
 
     def close(self) -> None:
-        """Give the file free, as it was at the last commit. A new file without a commit leaves nothing."""
+        """Release the file, as it was at the last commit. A new file without a commit is removed."""
         self._claim.release()
 
     def _check(self) -> None:
@@ -149,7 +149,7 @@ def journal_of(path: Path) -> Path:
 def repair(path: str | Path) -> bool:
     """Finish the last commit of a file, if it was interrupted; True if the file was changed.
 
-    Raises OSError if a run is writing the file, or this process may not.
+    Raises OSError if a run is writing the file, or this process is not allowed to.
     """
     place = Path(os.path.realpath(path))
     if not journal_of(place).exists() or not place.exists():
@@ -162,7 +162,7 @@ def repair(path: str | Path) -> bool:
 
 
 def _finish(journal: Path, descriptor: int) -> bool:
-    """Do what a journal says, if it is whole, and remove it; True if it was."""
+    """Carry out a journal if it is complete, and remove it; True if the file was changed."""
     try:
         found = _read_journal(journal, descriptor)
     except FileNotFoundError:
@@ -185,7 +185,7 @@ def _write_journal(path: Path, file: int, size: int, pieces: Pieces) -> None:
 
 
 def _read_journal(path: Path, file: int) -> tuple[int, Pieces] | None:
-    """Size and pieces; None if it is not whole, or not of this file."""
+    """Size and pieces in a journal; None if it is incomplete, or of another file."""
     text, start = path.read_bytes(), len(MAGIC) + HEAD.size
     if len(text) < start or not text.startswith(MAGIC):
         return None
@@ -206,7 +206,7 @@ def _checksum(head: tuple[int, ...], body: bytes) -> int:
 
 
 def _witness(file: int, size: int, pieces: Pieces) -> int:
-    """CRC-32 of the last bytes of a file, as they are when the pieces are in it; the same before, while and after they are written."""
+    """CRC-32 of the last bytes of a file with the pieces in it; the same before, while and after the pieces are written."""
     first = max(0, size - WITNESS)
     content = bytearray(_read_at(file, size - first, first).ljust(size - first, b"\0"))
     _lay_over(content, first, pieces)
@@ -214,7 +214,7 @@ def _witness(file: int, size: int, pieces: Pieces) -> int:
 
 
 def _lay_over(content: bytearray, first: int, pieces: Pieces) -> None:
-    """Replace what pieces replace in the bytes of a file from a place on."""
+    """Put the pieces into content, the bytes of a file from the place first on."""
     for place, piece in pieces:
         low, high = max(place, first), min(place + len(piece), first + len(content))
         if low < high:
@@ -236,7 +236,7 @@ def _write_all(descriptor: int, data: bytes | memoryview, place: int) -> None:
 
 
 def _read_at(descriptor: int, n_bytes: int, place: int) -> bytes:
-    """Up to so many bytes: the system gives 2 GB in a call at most."""
+    """Up to n_bytes bytes from a place on; a single call to the system reads at most 2 GB."""
     found = []
     while n_bytes > 0 and (part := _read_some(descriptor, n_bytes, place)):
         found.append(part)

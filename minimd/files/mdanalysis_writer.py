@@ -15,20 +15,22 @@ from minimd.files.turned_cell import cell_dimensions, turn_of
 from minimd.structure.console import outside_minimd
 from minimd.structure.quiet import quiet
 
-FORMATS = {".nc": "NCDF"}  # of suffixes that are not their name
-XTC_DECIMALS = 4  # of nm, one more than usual, because σ is written as 0.1 nm
-ROOM = 2**18  # B that must stay free beside a frame, for what C libraries buffer
+FORMATS = {".nc": "NCDF"}  # suffixes that are not the name of their format
+XTC_DECIMALS = 4  # of a nanometer, one more than usual, because σ = 1 of reduced units is written as 0.1 nm
+ROOM = 2**18  # bytes that must be free besides those of a frame, for the buffers of C libraries
 
 
 class MDAnalysisWriter:
     """Frames to .xtc, .dcd, .trr or .ncdf (.nc) through MDAnalysis: float32, positions unwrapped, Å and ps or reduced numbers.
 
-    A cell that MDAnalysis places otherwise is turned, with positions and velocities: see Turn.
+    A cell in an orientation that MDAnalysis does not hold is turned, with positions and velocities: see Turn.
 
-    TRR and NCDF hold velocities; XTC, rounded to 0.001 Å, and DCD do not. A DCD states the time between its frames at
-    its beginning, so that it is begun with the second frame.
 
-    claim : on the file, which appears with its first frame.
+
+    TRR and NCDF hold velocities; DCD and XTC, whose positions are rounded to 0.001 Å, do not. A DCD file states the time between
+    frames at its beginning; therefore it is begun when the second frame comes, or at the end of a run with one frame.
+
+    claim : on the file, which gets its name with its first frame.
 
     Raises OSError if the file cannot be written.
     """
@@ -41,11 +43,11 @@ class MDAnalysisWriter:
         self._cell = system.cell
         self._waiting: list[Frame] = []
         self._writer: Any = None
-        with quiet():  # MDAnalysis warns about what minimd files mean not to hold
+        with quiet():  # MDAnalysis warns of attributes that are missing on purpose
             self._universe = MDAnalysis.Universe.empty(len(system), trajectory=True, velocities=True)
         self._turn = turn_of(system.cell, self._angstrom)
         if self._turn is not None:
-            back = "; write .h5md too: it holds them as they are"
+            back = "; write an .h5md file too: it holds them unturned"
             warnings.warn(self._turn.in_words(f"trajectory {claim.name!r}", back), stacklevel=outside_minimd())
 
     def write(self, frame: Frame) -> None:
@@ -55,7 +57,7 @@ class MDAnalysisWriter:
             self._write_waiting()
 
     def checkpoint(self) -> None:
-        """Nothing: frames are written at once, and the format holds no restart."""
+        """Do nothing: frames are written at once, and these formats hold no restart."""
 
     def close(self) -> None:
         """Finish the file; do nothing if it has failed."""
@@ -70,7 +72,7 @@ class MDAnalysisWriter:
         for frame in waiting:
             try:
                 if disk_usage(self._claim.place.parent).free < frame.positions.nbytes + ROOM:
-                    raise OSError(ENOSPC, "no room on the disk")  # not every format notices that it could not write
+                    raise OSError(ENOSPC, "no room on the disk")  # not every format notices that writing failed
                 with quiet():
                     self._writer = self._writer or self._opened(waiting)
                     self._place(frame)

@@ -1,6 +1,6 @@
-"""A rehearsal before a file is continued: what a run will do with it, in the memory of a child process that may crash.
+"""A rehearsal before a file is continued: a child process, which may crash, does in memory what the run will do with the file.
 
-Damage that reading does not meet, such as a wrong count of links, can bring HDF5 down when it writes.
+Damage that is not noticed in reading, such as a wrong count of links, can crash HDF5 when it writes.
 """
 
 from functools import partial
@@ -16,12 +16,12 @@ from minimd.files.journaled_file import JournaledFile
 
 
 def rehearse(claim: Claim) -> None:
-    """Raise as read_file if a minimd file that is claimed cannot be continued. Nothing is written to the disk."""
+    """Raise as read_file if the claimed minimd file cannot be continued. Nothing is written to the disk."""
     looked_at(claim.path, partial(_continue_in_memory, claim))
 
 
 def _continue_in_memory(claim: Claim) -> None:
-    """Add the last frame once more, and two restarts; all of it ends with the process, because nothing is committed."""
+    """Add the last frame once more, and two restarts, in memory only: nothing is committed."""
     with h5py.File(JournaledFile(claim), "r+") as h5:
         contents_of(h5, claim.name)
     with damage_told(claim.name), h5py.File(JournaledFile(claim), "r+") as h5:

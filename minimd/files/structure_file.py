@@ -22,13 +22,13 @@ from minimd.structure.system import System
 from minimd.structure.units import ASE, LJ, UnitSystem
 
 LAMMPS = "lammps-data"
-SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".mol2": "MOL2", ".gsd": "GSD", ".txyz": "TXYZ"}  # formats that ASE does not know by them
+SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".mol2": "MOL2", ".gsd": "GSD", ".txyz": "TXYZ"}  # formats that ASE does not find by suffix
 XYZ = (".xyz", ".extxyz")
-NAMES_BONDS = ("PDB", "ENT")  # formats of which ASE reads the atoms, and MDAnalysis the bonds
-STATE_MASSES = ("DATA", "GSD")  # formats of MDAnalysis with masses of their own, in units of their own
-MASS_OF_ELEMENT = 1e-3  # relative: 12.0 and 16.0 are carbon and oxygen, 14.027 is no nitrogen but CH₂
-NOTHING: dict[str, Any] = dict.fromkeys(GROUPS)  # joins atoms
-NEAR = 2e-3  # Å, between the same positions read by ASE and by MDAnalysis
+NAMES_BONDS = ("PDB", "ENT")  # formats whose atoms are read by ASE, and whose bonds by MDAnalysis
+STATE_MASSES = ("DATA", "GSD")  # formats read by MDAnalysis that state masses, in their own units
+MASS_OF_ELEMENT = 1e-3  # relative: 12.0 and 16.0 are carbon and oxygen, but 14.027 is CH₂, not nitrogen
+NOTHING: dict[str, Any] = dict.fromkeys(GROUPS)  # no bonds, angles, dihedrals, impropers
+NEAR = 2e-3  # Å, largest difference of the same position read by ASE and by MDAnalysis
 
 
 def system_from_file(
@@ -44,19 +44,21 @@ def system_from_file(
 
     Parameters
     ----------
-    cell, pbc : instead of those of the file, as for System; with another cell the directions in which it is given are periodic.
-    format : ASE's name of the format ("lammps-data"), or one of MDAnalysis ("GRO"); the suffix and the content tell it if not given.
-    units : minimd.units.ASE, if not given; or minimd.units.LJ, whose numbers are taken as they stand. Masses are then those of the file where
-        it states them (LAMMPS data, GSD; files of ASE with masses, as minimd writes them), else 1; velocities likewise. Files that minimd has
-        written as .h5md state their units: these are taken, and no others.
-    bonds : "file" for those that the file names, with its angles and dihedrals; another file, such as a PSF, that names them; pairs;
-        or None for none, with a warning if the file names some.
 
-    Species of LAMMPS data are its types, unless its masses are those of as many chemical elements, to 0.1 %, and units are ASE's.
+
+    cell, pbc : in place of those of the file, as for System; if only cell is given, the directions with a vector are periodic.
+    format : ASE's name of the format ("lammps-data"), or MDAnalysis' name ("GRO"); if not given, suffix and content decide.
+    units : minimd.units.ASE if not given, or minimd.units.LJ, for which the numbers in the file are taken unchanged. With LJ, masses and
+        velocities are those of the file if it states masses (LAMMPS data, GSD; files of ASE with masses, as minimd writes them); else
+        masses are 1 and velocities 0. A file .h5md of minimd states its units, and is read in no others.
+    bonds : "file" for the bonds, angles and dihedrals in the file; the name of another file that holds them, such as a PSF; pairs of
+        atoms; or None for no bonds, with a warning if the file has some.
+
+    Species of LAMMPS data are its types, unless units are ASE's and the masses are those of as many chemical elements, to 0.1 %.
 
     Raises
     ------
-    ValueError : if a file does not exist, or cannot be read; whatever readers raise becomes one sentence. And as System does.
+    ValueError : if a file does not exist or cannot be read, with the reader's reason in one sentence; and as System.
     """
     path = Path(file)
     form = format or SUFFIXES.get(path.suffix.lower())
@@ -67,7 +69,7 @@ def system_from_file(
         raise ValueError(f"file {str(path)!r} states units = {source.units.name!r}; it cannot be read with units = {units and units.name!r}")
     if cell is not None or pbc is not None:
         placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
-        if isinstance(source, Atoms):  # lengths of constraints are then measured in this cell
+        if isinstance(source, Atoms):  # lengths of constraints are measured in the new cell
             source.cell[:], source.pbc = placed.vectors, placed.pbc
             system = _system(source, units or ASE, form)
         else:
@@ -75,14 +77,14 @@ def system_from_file(
     if bonds is not None and not isinstance(bonds, str | Path):
         return changed(system, **NOTHING | {"bonds": bonds})
     if bonds is None:
-        with suppress(ValueError):  # nobody has asked for them
+        with suppress(ValueError):  # bonds were not asked for, so that it does not matter if they cannot be read
             _tell_unused(path, _joined_in(path, form, source, system))
         return changed(system, **NOTHING)
     found = _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, len(system))
     for name, n_types in found.n_types.items():
         groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
         one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
-        words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not tell apart; give it {groups}, or arrays"
+        words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish; give it {groups}, or arrays of parameters"
         warnings.warn(words, stacklevel=outside_minimd())
     return changed(system, **found.groups)
 
@@ -94,7 +96,7 @@ def changed(system: System, **changes: Any) -> System:
 
 
 def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
-    """ASE's atoms; a universe where the format is one of MDAnalysis. Of LAMMPS data, which do not name their units, numbers as they stand for LJ."""
+    """The System in an .h5md file, a universe for a format of MDAnalysis, else ASE's atoms. With LJ, numbers of LAMMPS data are unchanged."""
     if form is not None and form not in ioformats:
         return _universe(path, form)
     if form is None and path.suffix.lower() == ".h5md":
@@ -107,12 +109,12 @@ def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
     if form == LAMMPS:
         _add_impropers(path, atoms)
     if "id" in atoms.arrays:
-        atoms.arrays["id"] = np.arange(1, len(atoms) + 1)  # nobody has cut or sorted them, whatever their numbers are
+        atoms.arrays["id"] = np.arange(1, len(atoms) + 1)  # these are all atoms of the file in its order, whatever ids they have there
     return atoms
 
 
 def _add_impropers(path: Path, atoms: Atoms) -> None:
-    """The impropers of LAMMPS data, which ASE does not read, beside its dihedrals, which it does: see structure.joined."""
+    """Add the impropers of LAMMPS data, which ASE does not read, in the form in which ASE adds dihedrals: see structure.joined."""
     from MDAnalysis.topology.LAMMPSParser import DATAParser
 
     with quiet(), DATAParser(str(path)) as parser:
@@ -151,7 +153,7 @@ def _system(source: Any, units: UnitSystem, form: str | None) -> System:
 
 
 def _are_elements(system: System, types: Iterable[str]) -> bool:
-    """Whether the types of LAMMPS data are as many chemical elements, with the masses of these: a group of atoms taken as one has another."""
+    """Whether the types of LAMMPS data are as many chemical elements, judged by their masses: that of a united atom such as CH₂ differs."""
     symbols = set(system.species_names)
     if "X" in symbols or len(symbols) < len(set(types)):
         return False
@@ -160,9 +162,9 @@ def _are_elements(system: System, types: Iterable[str]) -> bool:
 
 
 def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joined:
-    """The bonds in the file that was read; system : was made from it.
+    """The bonds in the file that was read.  system : made from it.
 
-    Raises ValueError if they cannot be read, or MDAnalysis reads the atoms in another order than ASE.
+    Raises ValueError if they cannot be read, or if MDAnalysis and ASE read the atoms in different orders.
     """
     if not isinstance(source, Atoms):
         return Joined(system.groups())
@@ -173,12 +175,12 @@ def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joi
         made = _universe(path, name)
         positions, found = np.asarray(made.atoms.positions, dtype=np.float64), _joined_of(made)
     if positions.shape != source.positions.shape or np.abs(positions - source.positions).max() > NEAR:
-        raise ValueError(f"file {str(path)!r} is read in another order by MDAnalysis than by ASE; list its bonds as pairs")
+        raise ValueError(f"file {str(path)!r} is read in different orders by ASE and by MDAnalysis, which reads its bonds; give the bonds as pairs")
     return found
 
 
 def _joined_beside(path: Path, n_atoms: int) -> Joined:
-    """The bonds in another file than that of the atoms.  Raises ValueError if it cannot be read, or has another number of atoms."""
+    """The bonds in a file other than that of the atoms.  Raises ValueError if it cannot be read, or has another number of atoms."""
     with _read_as(path, "bonds", None):
         if SUFFIXES.get(path.suffix.lower()) == LAMMPS:
             atoms = _source(path, LAMMPS, LJ)
@@ -187,13 +189,13 @@ def _joined_beside(path: Path, n_atoms: int) -> Joined:
             made = _universe(path, None, topology_only=True)
             n_there, found = len(made.atoms), _joined_of(made)
     if n_there != n_atoms:
-        raise ValueError(f"file {str(path)!r} names bonds of {n_there} atoms; the structure has {n_atoms}")
+        raise ValueError(f"file {str(path)!r} with the bonds has {n_there} atoms; the structure has {n_atoms}")
     return found
 
 
 def _joined_of(universe: Any) -> Joined:
     def indices(name: str, size: int) -> NDArray[np.int64]:
-        groups = getattr(universe, name, None)  # a universe has no attribute of what its file does not name
+        groups = getattr(universe, name, None)  # a universe lacks the attribute if its file has no such groups
         return np.asarray([] if groups is None else groups.indices, dtype=np.int64).reshape(-1, size)
 
     return Joined({name: indices(name, size) for name, size in GROUPS.items()})
@@ -202,7 +204,7 @@ def _joined_of(universe: Any) -> Joined:
 def _tell_unused(path: Path, found: Joined) -> None:
     if found:
         warnings.warn(
-            f'file {str(path)!r} names {found}, which are not used; take them with bonds = "file", in a scene under [structure], '
+            f'file {str(path)!r} has {found}, which are not used; use them with bonds = "file", in a scene under [structure], '
             "or leave them out with bonds = []",
             stacklevel=outside_minimd(),
         )
@@ -210,18 +212,18 @@ def _tell_unused(path: Path, found: Joined) -> None:
 
 @contextmanager
 def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
-    """Turn whatever a reader raises into a sentence."""
+    """Turn any error of a reader into a ValueError with one sentence."""
     if not path.is_file():
         raise ValueError(f"file {str(path)!r} does not exist")
     try:
         yield
     except Exception as error:
         if form is None and isinstance(error, StopIteration | UnknownFileTypeError):
-            reason = "its suffix and content tell no format; name it as format, such as 'lammps-data'"
+            reason = "its suffix and content do not show its format; give it as format, such as 'lammps-data'"
         elif isinstance(error, KeyError) and str(path.suffix).lower() in XYZ and (label := error.args[0]) not in atomic_numbers:
             reason = (
-                f"{label!r} is no chemical symbol, which ASE expects in this format; name the atoms X, and give their species to System or in the "
-                "scene under [structure], or write LAMMPS data, whose types may be anything"
+                f"{label!r} is not a chemical symbol, which ASE expects in this format; name the atoms X, and give their species to System or in the "
+                "scene under [structure], or write LAMMPS data, whose types may have any name"
             )
         else:
             reason = f"{type(error).__name__}: {' '.join(str(error).split()) or 'the reader gives no reason'}"
@@ -233,7 +235,7 @@ def atomic_mass(element: str) -> float:
 
     Raises
     ------
-    ValueError : if it is no chemical symbol.
+    ValueError : if it is not a chemical symbol.
     """
     if element not in atomic_numbers:
         raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {element!r}")

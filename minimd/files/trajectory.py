@@ -1,4 +1,4 @@
-"""Trajectory files: which writer a suffix means, and that all are closed whatever happens."""
+"""Trajectory files: the writer for each suffix, and a context that closes all files whatever happens."""
 
 import errno
 import os
@@ -22,13 +22,13 @@ class Writer(Protocol):
         """Append one frame."""
 
     def checkpoint(self) -> None:
-        """Bring to the disk what was taken, and, in a format that can hold it, the present state of the engine as a restart."""
+        """Write all frames taken so far and, in a format that can hold it, the present state of the engine as the restart."""
 
     def close(self) -> None:
-        """Finish the file; it is valid afterwards, however many frames it got."""
+        """Finish the file, which then is valid with any number of frames."""
 
 
-FORMATS = {  # suffix: module and class of its writer, loaded when needed, and the options that it takes beside claim and engine
+FORMATS = {  # suffix: module and class of its writer, imported when needed, and the options that it takes besides claim and engine
     ".h5md": ("minimd.files.h5md_writer", "H5MDWriter", ("store_forces", "every", "observers", "n_frames")),
     **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())),
     **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter", ("store_forces",))),
@@ -47,13 +47,13 @@ def open_trajectories(
     n_steps: int | None = None,
     observers: Sequence[Accumulator] = (),
 ) -> Iterator[list[Writer]]:
-    """Writers for some files, all checked before the first is opened, all closed at the end; if one cannot be opened, none is left.
+    """Writers for several files: all are checked before the first is opened, and closed at the end; if one cannot be opened, none is left behind.
 
-    every : steps between two frames.  n_steps : of the run, if that is known.
-    observers : whose state and answers files hold that can; those that have not looked yet go on from there.
-    Raises ValueError for a suffix that no writer knows, a file that is named twice, or one that cannot be appended to.  FileExistsError for a
-    file that exists, unless overwrite.  FileNotFoundError, PermissionError for a folder that does not exist or cannot be written.
-    OSError if another run writes the file, or it is no regular file.
+    every : steps between two frames.  n_steps : of the run, None if it is not known.
+    observers : .h5md files hold their state and results; with append, those that have not looked yet go on from their state in the file.
+    Raises ValueError for a suffix without a writer, a file that is named twice, is not a regular file, or cannot be appended to.
+    FileExistsError for a file that exists, unless overwrite.  FileNotFoundError, PermissionError for a folder that does not exist or cannot
+    be written.  OSError if another run writes the file.
     """
     several = named_files("trajectory", paths)
     _check_are_different(several)
@@ -89,20 +89,20 @@ def _continued(file: Path, engine: Engine, options: dict[str, Any]) -> Writer:
 
 def _appendable(file: Path) -> Path:
     if file.suffix.lower() != ".h5md":
-        raise ValueError(f"only .h5md files can be appended to, because they hold the state from which to go on; the file is {str(file)!r}")
+        raise ValueError(f"only .h5md files can be appended to, because they hold the state from which a run goes on; the file is {str(file)!r}")
     return file
 
 
 def _check_are_different(paths: Sequence[Path]) -> None:
-    """Raise ValueError if two paths lead to one file."""
+    """Raise ValueError if two paths lead to the same file."""
     seen: dict[str, Path] = {}
     for path in paths:
         if (first := seen.setdefault(os.path.realpath(path), path)) is not path:
-            raise ValueError(f"each trajectory must be a file of its own; {str(first)!r} and {str(path)!r} are the same: name it once")
+            raise ValueError(f"each trajectory must be a file of its own; {str(first)!r} and {str(path)!r} are the same file: name it once")
 
 
 def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
-    """The paths of one file or of several.  Raises TypeError for what is no path; name is that of the argument."""
+    """The paths of one file or several.  name : of the argument, for messages.  Raises TypeError for anything that is not a path."""
     several = [paths] if isinstance(paths, str | Path) else paths
     if not isinstance(several, list | tuple) or not all(isinstance(path, str | Path) and Path(path).name for path in several):
         raise TypeError(f"{name} must be the path of a file, or a list of paths; {name} = {shown(paths)}")
@@ -115,7 +115,7 @@ def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
 
 
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
-    """The path, if a new file with one of the suffixes can be written there; nothing is left by trying.
+    """The path, if a new file with one of the suffixes can be written there; no file is created.
 
     Raises as open_trajectories.
     """
@@ -127,7 +127,7 @@ def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] 
     if not file.absolute().parent.is_dir():
         raise FileNotFoundError(f"output folder {str(file.absolute().parent)!r} does not exist; make it first")
     if file.exists() and not file.is_file():
-        raise ValueError(f"output {str(file)!r} must be a regular file, which it is not; choose another name")
+        raise ValueError(f"output {str(file)!r} must be a regular file, but it is a folder or a device; choose another name")
     if not os.access(file if file.exists() else file.absolute().parent, os.W_OK):
         raise PermissionError(f"output {str(file)!r} cannot be written: {os.strerror(errno.EACCES)}")
     return file

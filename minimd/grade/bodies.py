@@ -1,4 +1,4 @@
-"""Laws of forces on many atoms: −∇U, action and reaction, exchange, rotation, translation, nearest images, and sums over pairs."""
+"""Laws for the forces on many atoms: −∇U, action and reaction, exchange, rotation, translation, nearest images, and sums over pairs."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from minimd.grade.findings import Finding, coefficient
 from minimd.grade.force_calling import Array, StudentForce
 
-SPACING, JITTER = 1.25, 0.12  # of the atoms of the test, in σ: no two nearer than 0.9
-TRIALS = 30  # configurations, of which the one is taken whose pairs stay away from the cutoff
-CUTOFF = 2.5  # σ: the likeliest one
+SPACING, JITTER = 1.25, 0.12  # of the atoms in the test [σ]: no two are closer than 1.0
+TRIALS = 30  # configurations; the one whose pairs stay farthest from the cutoff is used
+CUTOFF = 2.5  # σ: the most common cutoff
 DELTA = 5e-4
 ROUNDING = 1e-9
 PROBE = 1.25  # distance of two atoms across a boundary
-LONGEST = 40.0  # as far as a period is looked for
+LONGEST = 40.0  # largest distance at which a period is searched
 WHERE = np.array([0.31, 0.47, 0.23])
-ALONG = {1: np.array([1.0]), 2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}  # of pairs, by the number of dimensions
+ALONG = {1: np.array([1.0]), 2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}  # direction of a pair, by the number of dimensions
 AXES = "xyz"
 
 
 class Bodies:
-    """A student's forces on a configuration. faults : sentences, known after findings()."""
+    """A student's forces on a configuration. faults : sentences, complete after findings()."""
 
     def __init__(self, force: StudentForce, lengths: Array | None, cutoff: float | None, given: Array | None) -> None:
         self.force, self.d = force, force.dimensions
@@ -30,7 +30,7 @@ class Bodies:
         self.along, self.cutoff = ALONG[self.d], cutoff or CUTOFF
         self.x = given if given is not None else self._cluster()
         self.faults: list[str] = []
-        self.multiple = 1.0  # of −∇U that the forces are
+        self.multiple = 1.0  # the forces are this multiple of −∇U
         self.takes_pairs, self.is_broken = self._takes(2), False
         self.is_field = self._takes(1) and bool(np.abs(self.f(self.pair(PROBE)[:1])).max() > 0.0)
 
@@ -43,7 +43,7 @@ class Bodies:
         return float(np.asarray(self.force(x, len(x))[1]))
 
     def pair(self, r: float) -> Array:
-        """Two atoms at a distance, inside the cell."""
+        """Two atoms at distance r, inside the cell."""
         start = WHERE[: self.d] if self.lengths is None else WHERE[: self.d] * 0.3 * self.lengths / self.lengths.max()
         return np.array([start, start + r * self.along])
 
@@ -58,7 +58,7 @@ class Bodies:
         return self.u(self.pair(r))
 
     def period(self) -> float | None:
-        """The edge of a cell that the function knows, along x: the distance at which the force of a pair comes back; None if there is none."""
+        """The edge along x of a cell inside the function: the distance after which the force of a pair repeats; None if it does not."""
         if not self.takes_pairs:
             return None
         distances = np.arange(3.0, LONGEST, 0.25)
@@ -81,7 +81,7 @@ class Bodies:
         return edge if abs(at(edge + 1.5) - first) < 0.05 * abs(first) else None
 
     def cube(self, farthest: float) -> float | None:
-        """Half the edge of the cube in which pairs feel each other; None if it is no cube, or without end."""
+        """Half the edge of the cube in which pairs interact; None if the region is not a cube, or has no end."""
         if self.d == 1:
             return None
         start, unit, largest = WHERE[: self.d], np.eye(self.d)[0], float(self.along.max())
@@ -100,12 +100,12 @@ class Bodies:
         return low if feels(0.99 * low / largest, self.along) and not feels(1.01 * low / largest, self.along) else None
 
     def findings(self) -> list[Finding]:
-        """All laws."""
+        """Test all laws."""
         forces = self.f(self.x)
         if not np.isfinite(forces).all():
             self.is_broken = True
             self.faults.append(f"the forces of {len(self.x)} atoms are not finite: an atom meets itself (i = j, r = 0), or two atoms coincide")
-            return [Finding("finite", False, f"{np.count_nonzero(~np.isfinite(forces))} numbers are not")]
+            return [Finding("finite", False, f"{np.count_nonzero(~np.isfinite(forces))} components of forces are not finite")]
         scale = float(np.abs(forces).max()) or 1.0
         if self.is_field:
             return [Finding("external field", None, "a single atom feels a force"), *self._gradient(forces, scale), self._exchange(forces, scale)]
@@ -120,7 +120,7 @@ class Bodies:
             return False
 
     def _cluster(self) -> Array:
-        """Atoms near a simple cubic lattice; in a cell, around one of its corners."""
+        """Atoms near the sites of a simple cubic lattice; in a cell, around one of its corners."""
         sides = np.full(self.d, {1: 6, 2: 3, 3: 2}[self.d])
         if self.lengths is not None:
             sides = np.clip((self.lengths / SPACING).astype(int), 1, {1: 6, 2: 4, 3: 3}[self.d])
@@ -130,7 +130,7 @@ class Bodies:
         return x + 0.5 if self.lengths is None else np.mod(x - SPACING + 0.3, self.lengths)
 
     def _margin(self, x: Array) -> float:
-        """How near a pair comes to the cutoff, or to half the cell along an axis: there forces may jump."""
+        """The smallest distance of any pair from the cutoff, or from half the cell along an axis, where forces may jump."""
         first, second = np.triu_indices(len(x), 1)
         apart, margins = np.abs(x[first] - x[second]), [1.0]
         if self.lengths is not None:
@@ -148,14 +148,14 @@ class Bodies:
                 who = "first" if sizes[1] < sizes[0] else "second"
                 hint = "" if self.lengths is None else "; or the nearest image is taken with floor in place of round"
                 self.faults.append(
-                    f"only one of the two atoms of a pair gets the force, the {who} one: subtract from the other what is added to one{hint}"
+                    f"only one of the two atoms of a pair gets the force, the {who} one: what is added to one must be subtracted from the other{hint}"
                 )
             elif np.allclose(one, two, rtol=1e-9):
                 self.faults.append("both atoms of a pair get the same force: the second one needs the opposite sign")
         return Finding("sum of forces", off < ROUNDING, f"|Σ F| is {off:.1e} of the largest force", off)
 
     def _gradient(self, forces: Array, scale: float) -> list[Finding]:
-        """F against −∇U; without an energy, whether F can be a gradient at all: ∂F_i/∂x_j = ∂F_j/∂x_i."""
+        """Compare F with −∇U; without an energy, test whether F can be a gradient at all: ∂F_i/∂x_j = ∂F_j/∂x_i."""
         n = self.x.size
         units = np.eye(n).reshape(n, *self.x.shape) * DELTA
         weights = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
@@ -166,7 +166,7 @@ class Bodies:
             off = float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
             if off >= 1e-4:
                 self.faults.append(
-                    f"the forces are no gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {off:.1%}; the energy cannot be conserved"
+                    f"the forces are not the gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {off:.1%}; no energy can be conserved"
                 )
             return [Finding("a gradient", off < 1e-4, f"∂F_i/∂x_j − ∂F_j/∂x_i is {off:.1e} of the largest element", off)]
         slopes = (
@@ -187,24 +187,26 @@ class Bodies:
             self.faults.append(f"the forces depend on the numbering of the atoms, by {off:.1%}: the double loop leaves out pairs, or forces "
                                f"are overwritten "
                                "(=) where they should be added (+=)")  # fmt: skip
-        return Finding("exchange", off < ROUNDING, f"renumbered atoms have forces that differ by {off:.1e}", off)
+        return Finding("exchange", off < ROUNDING, f"forces of renumbered atoms differ by {off:.1e}", off)
 
     def _translation(self, forces: Array, scale: float) -> Finding:
-        shifts = np.array([[0.013, -0.007, 0.021], [0.002, 0.001, 0.003]])[:, : self.d]  # the smaller of two: no pair may cross a cutoff that jumps
+        shifts = np.array([[0.013, -0.007, 0.021], [0.002, 0.001, 0.003]])[
+            :, : self.d
+        ]  # the smaller difference counts: the other shift may take a pair across a jump
         off = min(float(np.abs(self.f(self.x + shift) - forces).max()) / scale for shift in shifts)
-        return Finding("translation", off < 1e-8, f"shifted atoms have forces that differ by {off:.1e}", off)
+        return Finding("translation", off < 1e-8, f"forces of shifted atoms differ by {off:.1e}", off)
 
     def _rotation(self, forces: Array, scale: float) -> Finding:
         turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
         off = float(np.abs(self.f(self.x @ turn) - forces @ turn).max()) / scale
         if off > 1e-8:
             self.faults.append(
-                f"the forces are not turned with the atoms: they differ by {off:.1%}. A component is missing, or r is not √(x² + y² + z²)"
+                f"the forces do not turn with the atoms: they differ by {off:.1%}. A component is missing, or r is not √(x² + y² + z²)"
             )
-        return Finding("rotation", off < 1e-8, f"turned atoms have forces that differ by {off:.1e}", off)
+        return Finding("rotation", off < 1e-8, f"forces of turned atoms differ by {off:.1e}", off)
 
     def _images(self, forces: Array, scale: float) -> list[Finding]:
-        """Nearest images across each face, in both directions, and atoms in other cells."""
+        """Test nearest images across each face, in both directions, and atoms in other cells."""
         lengths = np.asarray(self.lengths)
         answers: list[Finding] = []
         missing: list[tuple[int, int]] = []
@@ -219,23 +221,25 @@ class Bodies:
                 if off > 1e-8:
                     (missing if np.abs(across).max() < 0.2 * np.abs(inside).max() else wrong).append((axis, sign))
             if self._wraps_positions(lengths):
-                self.faults.append("positions are wrapped into the cell, but differences are not: a pair at a face of the wrapped cell does not feel "
-                                   "each other, in neither direction; take dx − L · round(dx/L) of the differences")  # fmt: skip
-                return [Finding("nearest image", False, "pairs apart by less than half the cell do not feel each other at half of it")]
+                self.faults.append("positions are wrapped into the cell, but differences are not: two atoms on both sides of a face of the "
+                                   "wrapped cell do not interact; use dx − L · round(dx/L) for the differences")  # fmt: skip
+                return [Finding("nearest image", False, "pairs closer than half the cell do not interact across the middle of the cell")]
             n_bad = len(missing) + len(wrong)
-            words = "pairs across all faces feel each other as inside" if not n_bad else f"pairs across {n_bad} of {2 * self.d} faces do not"
+            words = (
+                "pairs across all faces interact as inside" if not n_bad else f"pairs across {n_bad} of {2 * self.d} faces do not interact as inside"
+            )
             answers.append(Finding("nearest image", not n_bad, words, float(n_bad)))
             if n_bad:
                 self._tell_images(missing, wrong)
         random = np.random.default_rng(6).integers(-1, 2, self.x.shape)
         off = float(np.abs(self.f(self.x + random * lengths) - forces).max()) / scale
-        answers.append(Finding("periodic", off < 1e-8, f"atoms moved by whole cells have forces that differ by {off:.1e}", off))
+        answers.append(Finding("periodic", off < 1e-8, f"forces of atoms moved by whole cells differ by {off:.1e}", off))
         if off > 1e-8 and not missing and not wrong:
-            self.faults.append(f"atoms outside the cell have other forces (by {off:.1%}): subtract L · round(dx/L), which holds for any distance")
+            self.faults.append(f"forces on atoms outside the cell differ, by {off:.1%}: subtract L · round(dx/L), which is right for any distance")
         return answers
 
     def _wraps_positions(self, lengths: Array) -> bool:
-        """Whether pairs are felt near the origin and across it, but not across half the cell."""
+        """Whether pairs interact near the origin and across it, but not across the middle of the cell."""
         for axis in range(self.d):
             unit = np.eye(self.d)[axis]
             if lengths[axis] < 4.0 * PROBE:
@@ -254,14 +258,16 @@ class Bodies:
         where = "along " + ", ".join(AXES[axis] for axis in axes)
         verb = "is missing" if missing else "is wrong"
         if len(bad) == 2 * self.d:
-            self.faults.append(f"minimum image {verb}: atoms on both sides of a face of the cell do not feel each other; take dx − L · round(dx/L)")
+            self.faults.append(
+                f"minimum image {verb}: atoms on both sides of a face of the cell do not interact as neighbors; use dx − L · round(dx/L)"
+            )
         elif len(axes) < self.d and len(bad) == 2 * len(axes):
-            self.faults.append(f"minimum image {verb} {where}: it is there for the other axes")
+            self.faults.append(f"minimum image {verb} {where}, but right for the other axes")
         else:
-            self.faults.append(f"minimum image {verb} in one direction {where}: dx > L/2 is treated and dx < −L/2 is not, or the other way round")
+            self.faults.append(f"minimum image {verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated")
 
     def _sum(self, forces: Array, scale: float) -> Finding:
-        """The forces as a sum over pairs of what two atoms alone feel."""
+        """Compare the forces with the sum, over pairs, of the forces on two atoms alone."""
         n = len(self.x)
         parts = np.zeros((n, n, self.d))
         for i in range(n):
@@ -274,22 +280,22 @@ class Bodies:
             single = np.array([np.abs(forces[i] - parts[i]).max(axis=1)[np.arange(n) != i].min() for i in range(n)]).max() / scale
             last = float(np.abs(forces[-1]).max()) / scale
             if single < 1e-8:
-                self.faults.append("each atom feels one other atom only: its force is overwritten (=) in the loop where it should be added (+=)")
+                self.faults.append("each atom feels only one other atom: its force is overwritten (=) in the loop where it should be added (+=)")
             elif min(lower, upper) < 1e-8:
-                self.faults.append("each atom feels only those with a higher, or a lower, number")
+                self.faults.append("each atom feels only the atoms with a higher number, or only those with a lower number")
             elif last < 1e-12 and n > 2:
-                self.faults.append(f"atom {n - 1}, the last, feels nothing: look at the bounds of the loop")
+                self.faults.append(f"atom {n - 1}, the last, feels no force: check the bounds of the loop")
             else:
                 return self._other_sum(parts.sum(axis=1), forces, off)
-        return Finding("sum over pairs", off < 1e-8, f"F − Σ of pairs alone is {off:.1e} of the largest force", off)
+        return Finding("sum over pairs", off < 1e-8, f"F − Σ of single pairs is {off:.1e} of the largest force", off)
 
     def _other_sum(self, pairs: Array, forces: Array, off: float) -> Finding:
-        """Forces that are not the sum of those of pairs: a multiple of it, which is a fault, or many-body forces, which need not be one."""
+        """Forces that are not the sum over pairs: either a multiple of it, which is a fault, or many-body forces, which may be right."""
         c, n = float(np.sum(forces * pairs) / np.sum(pairs * pairs)), len(forces)
         if float(np.abs(forces - c * pairs).max()) < 1e-8 * float(np.abs(forces).max()):
             self.faults.append(f"the forces of {n} atoms are {coefficient(c)} times the sum of those of pairs: they are divided or "
                                f"multiplied by a number "
                                "of atoms or pairs")  # fmt: skip
-            return Finding("sum over pairs", False, f"F = {coefficient(c)} × Σ of pairs alone", c)
+            return Finding("sum over pairs", False, f"F = {coefficient(c)} × Σ of single pairs", c)
         passed = False if self.faults else None
-        return Finding("sum over pairs", passed, f"F − Σ of pairs alone is {off:.1e} of the largest force: many-body forces, or pairs left out", off)
+        return Finding("sum over pairs", passed, f"F − Σ of single pairs is {off:.1e} of the largest force: many-body forces, or pairs left out", off)

@@ -1,14 +1,14 @@
-"""How a student's step is called: its parameters are known by their names, and what it answers by its shape.
+"""How a student's step is called: its parameters are recognized by their names, and its results by their shapes.
 
     x, r, q, pos, positions …           positions                  v, vel, velocities …      velocities;  p, momenta: momenta
     force, forces, f, compute_forces    a function of positions    acceleration, acc, a      the same, divided by the masses
     m, mass, masses                     masses                     dt, h, timestep           time step
     x_old, x_prev …                     positions a step ago       v_half …                  velocities half a step ago
-    state, y                            [x, v] as one              n_steps                   one step: the end of a path is taken
+    state, y                            [x, v] in one              n_steps                   number of steps, 1: the last row of a path is used
 
-Names that say nothing take the places that are left in step(x, v, force, m, dt). Coordinates are tried as (N, 3), (N,) and one
-number; masses as (N,), (N, 1) and one number; force(x) answers with F, with (F, U) or with (U, F). The first manner in which the step
-answers with finite positions and velocities counts.
+Parameters with other names take the free places in step(x, v, force, m, dt), in this order. Coordinates are tried as (N, 3), (N, 2), (N,)
+and one number; masses as (N,), (N, 1) and one number; force(x) returns F, (F, U) or (U, F). The step is called in the first manner in which
+it returns without an error.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 from minimd.grade.problems import SHAPES, Array, Problem, problem
 
 PLACES = ("x", "v", "force", "m", "dt")
-NAMES = {  # whole names, in small letters without underscores; what begins or contains a word is below
+NAMES = {  # whole names, in lower case and without underscores; patterns are below
     "x": ["x", "r", "q", "pos", "xyz", "rs", "xs", "qs", "x0", "r0", "q0", "xn", "rn", "qn"],
     "v": ["v", "vel", "vs", "v0", "vn", "u", "xdot", "qdot", "rdot"],
     "p": ["p", "mom", "ps", "p0", "pn"],
@@ -36,7 +36,7 @@ NAMES = {  # whole names, in small letters without underscores; what begins or c
     "box": ["l", "box", "boxlength", "boxsize", "lbox", "cell"],
 }
 STEPS, STATE = r"^(n|nt|n_?steps?|num_?steps|steps|n_?iter\w*)$", r"^(state|y|s|z|xv|phase\w*|rv)$"
-PATTERNS = (  # in this order
+PATTERNS = (  # the first that fits counts
     ("old", r"^(x|r|q|pos\w*)_*(old|prev\w*|last|before|minus|m1?)$"),
     ("old", r"^(old|prev\w*|last)_*(x|r|q|pos\w*)$"),
     ("half", r"^(v|vel\w*)_*(half|mid\w*|h)$"),
@@ -58,13 +58,13 @@ IS_BEFORE = r"old|prev|last|before|minus|m1"
 KNOWN = "pos, vel, frc, forces, compute_forces, acc, mass, h, timestep, p, x_old, v_half"
 FORCES = ("force", "acceleration", "gradient")
 ANSWERS = ("F", "(F, U)", "(U, F)")
-FAR = 1e6  # edge of a box that is handed to a step that asks for one
-TINY = 1e-6  # time step with which the order of what is answered is told
+FAR = 1e6  # edge of the box for a step that has such a parameter
+TINY = 1e-6  # time step of the first call, which shows whether x or v is returned first
 
 
 class Manner(NamedTuple):
-    """roles : of the parameters, in their order; "known force" is the force at x as an array, "before force" that a step ago.
-    masses, answers : see the module."""
+    """roles : of the parameters, in their order; "known force" is the force at x as an array, "before force" the one a step earlier.
+    masses, answers : how masses are given, and what force(x) returns; see the module."""
 
     roles: tuple[str, ...]
     names: tuple[str, ...]
@@ -73,14 +73,14 @@ class Manner(NamedTuple):
     answers: str
 
     def told(self, name: str) -> str:
-        """The call in words."""
+        """The call as text."""
         shapes = {(5, 3): "(N, 3)", (5, 2): "(N, 2)", (5,): "(N,)", (): "one number"}
         kinds = {"x": shapes[self.shape], "m": self.masses, **dict.fromkeys(FORCES, f"a function: {self.answers}")}
         return f"{name}({', '.join(f'{one}: {kinds[role]}' if role in kinds else one for one, role in zip(self.names, self.roles, strict=True))})"
 
 
 def role_of(name: str) -> str:
-    """What a parameter is, by its name; empty if the name does not say."""
+    """The role of a parameter with this name; empty if the name is not known."""
     plain = name.lower().replace("Δ", "d").strip("_")
     for role, names in NAMES.items():
         if plain.replace("_", "") in names:
@@ -89,9 +89,9 @@ def role_of(name: str) -> str:
 
 
 def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
-    """Names and roles of the parameters of a step; optional ones that say nothing are left out.
+    """Names and roles of the parameters of a step; optional parameters with unknown names are left out.
 
-    Raises TypeError for what is no function, or takes neither velocities nor a time step.
+    Raises TypeError for anything that is not a function, and for parameters that do not make a step.
     """
     try:
         parameters = list(inspect.signature(function).parameters.values())
@@ -99,10 +99,10 @@ def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
         raise TypeError(f"step must be a function, such as step(x, v, force, m, dt); got {function!r}") from None
     if parameters and parameters[0].name == "self":
         raise TypeError(
-            "step is a method without its object, its first parameter is self: hand over that of an object, as md.grade(Simulation().step)"
+            "step is a method without its object (its first parameter is self): pass the method of an object, as in md.grade(Simulation().step)"
         )
     pairs = [(one.name, role_of(one.name), one.default is one.empty) for one in parameters if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)]
-    if not any(role in FORCES for _, role, _ in pairs):  # a step with a force of its own keeps its own mass
+    if not any(role in FORCES for _, role, _ in pairs):  # a step with its own force keeps its own mass
         pairs = [pair for pair in pairs if pair[1] != "m" or pair[2]]
     pairs = [pair for pair in pairs if pair[1] or pair[2]]
     names, roles = [name for name, _, _ in pairs], [role for _, role, _ in pairs]
@@ -114,14 +114,15 @@ def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
     if "dt" not in roles or not ("state" in roles or ({"v", "p", "half", "old"} & set(roles) and "x" in roles)) or "" in roles:
         told = ", ".join(names)
         unknown = [name for name in names if not role_of(name)]
-        nobody = f"; nobody can tell by its name what {' and '.join(unknown)} is" if unknown else ""
+        nobody = f"; the meaning of {' and '.join(unknown)} cannot be seen from the name" if unknown else ""
         raise TypeError(f"a step takes positions, velocities, a force function, masses and a time step, as step(x, v, force, m, dt); "
-                        f"the parameters of this one are ({told}){nobody}. Give them these names, m may be left out; known are {KNOWN}")  # fmt: skip
+                        f"the parameters of this one are ({told}){nobody}. Give them these names (m may be left out); "
+                        f"also known are {KNOWN}")  # fmt: skip
     return names, roles
 
 
 def manners(function: Callable[..., Any]) -> Iterator[Manner]:
-    """The ways in which a step may be called, the likeliest first."""
+    """The manners in which a step may be called, the most likely first."""
     names, roles = roles_of(function)
     forces = [k for k, role in enumerate(roles) if role in FORCES]
     if len(forces) > 1:
@@ -142,47 +143,47 @@ def manners(function: Callable[..., Any]) -> Iterator[Manner]:
 class StudentStep:
     """A student's step as a map of (x, v) to (x, v).
 
-    n_evaluations : how often it asked for the force.  third : the force it handed back with the last answer, or None.
-    swapped, in_place, is_procedure : whether it answers with v first; whether it changes its arguments; whether x and v both.
+    n_evaluations : how often it called the force function.  third : the force that it returned last as its third result, or None.
+    swapped, in_place, is_procedure : whether it returns v first; whether it changes x or v in place; whether it changes both.
     """
 
     def __init__(self, function: Callable[..., Any], manner: Manner) -> None:
         self.function, self.manner = function, manner
         self.n_evaluations, self.n_steps = 0, 1
-        self.path: list[Array] = []  # rows of positions and of velocities of a function that makes a path
+        self.path: list[Array] = []  # positions and velocities of all steps, from a function that returns a path
         self.third: Array | None = None
         self.swapped = self.in_place = self.is_procedure = False
-        self.stiffness = 0.0  # of the oscillator that a step brings with it that is given no force
+        self.stiffness = 0.0  # of the oscillator inside a step that takes no force function
 
     def find_own_force(self) -> None:
-        """Know the spring of a step that is given no force.  Raises TypeError if its force is not −k x."""
+        """Find the spring inside a step that takes no force function.  Raises TypeError if its force is not −k x."""
         self.stiffness = 1.0
         where = self.problem(0)
         rate = self(where, where.x, 0.0 * where.v, TINY)[1] / TINY
         k = -float(np.sum(rate * where.x) / np.sum(where.x**2))
         if not k > 0.0 or np.abs(rate + k * where.x).max() > 1e-4 * max(k, 1.0):
-            raise TypeError("the step takes no force function, and its own force is not that of a spring, −k x: hand the force over as an argument, "
+            raise TypeError("the step takes no force function, and its own force is not that of a spring, −k x: make the force function an argument, "
                             "as step(x, v, force, m, dt)")  # fmt: skip
         self.stiffness = round(k, 5)
 
     @property
     def has_masses(self) -> bool:
-        """Whether masses are handed over."""
+        """Whether the step takes masses."""
         return "m" in self.manner.roles
 
     @property
     def is_given_forces(self) -> bool:
-        """Whether the step gets a force from outside."""
+        """Whether the step takes a force or a force function."""
         return any(set(role.split()) & set(FORCES) for role in self.manner.roles)
 
     def problem(self, seed: int, stiffness: float = 0.0) -> Problem:
-        """A state in the shape of the step; masses are 1 if it takes none and is not given accelerations."""
+        """A state in the shape of the step; masses are 1 if the step takes neither masses nor accelerations."""
         one = problem(self.manner.shape, seed, self.manner.masses == "one number", stiffness=stiffness or self.stiffness)
         scaled = self.has_masses or any("acceleration" in role for role in self.manner.roles)
         return one if scaled else one._replace(m=np.ones_like(one.m))
 
     def __call__(self, where: Problem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
-        """One step.  Raises what the function raises, and ValueError for answers that are no x and v."""
+        """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
         roles, single = self.manner.roles, x.ndim == 0
         half = v - 0.5 * h * where.force(x) / where.mass if {"half", "old"} & set(roles) else v
         given = [self._argument(role, where, x, v, half, h) for role in roles]
@@ -196,9 +197,9 @@ class StudentStep:
         changed = [not single and not np.array_equal(given[k], before[k]) for k in (of_x, of_v)]
         self.in_place |= any(changed)
         if answer is None and not self.in_place:
-            raise ValueError("the step returns None and leaves x and v as they were; return x, v")
+            raise ValueError("the step returns None and does not change x and v; it must return x, v")
         self.is_procedure |= all(changed)
-        if answer is None or (self.is_procedure and not isinstance(answer, (tuple, list, dict))):  # in place; what is returned may be the force
+        if answer is None or (self.is_procedure and not isinstance(answer, (tuple, list, dict))):  # changed in place; the result may be the force
             answer = (given[of_x], given[of_v], *([] if answer is None else [answer]))
         new = self._parts(answer, x.shape)
         if "old" in roles:
@@ -234,8 +235,8 @@ class StudentStep:
             self.n_evaluations += 1
             x = np.array(x, dtype=float)
             if x.size != where.x.size:
-                raise TypeError(f"the step hands numbers of shape {x.shape} to its force, positions have {where.x.shape}; f(y, t) of a whole "
-                                "state, as SciPy takes it, cannot be graded: write step(x, v, force, m, dt)")  # fmt: skip
+                raise TypeError(f"the step calls its force with numbers of shape {x.shape}, but positions have shape {where.x.shape}; f(y, t) of "
+                                "a whole state, as for SciPy, cannot be graded: write step(x, v, force, m, dt)")  # fmt: skip
             scaled = self._scaled(role, where, where.force(x))
             answer: Any = float(scaled) if x.ndim == 0 else scaled
             energy = where.potential(x) if self.manner.answers != "F" else 0.0
@@ -244,7 +245,7 @@ class StudentStep:
         return force
 
     def _of_state(self, answer: Any, given: list[Any], shape: tuple[int, ...]) -> tuple[Array, Array]:
-        """x and v of a step that takes and returns both as one."""
+        """x and v of a step that takes and returns both in one array or list."""
         x, v = self._parts(given if answer is None else answer, shape)[:2]
         return x, v
 
@@ -257,19 +258,19 @@ class StudentStep:
                 raise ValueError(f"the step must return x and v; it returned {type(answer).__name__}")
             answer = (answer,)
         parts = [np.array(part, dtype=float) for part in answer]
-        if "steps" in self.manner.roles:  # a path: its end
+        if "steps" in self.manner.roles:  # a path: its last row
             self.path = [part for part in parts if part.ndim == len(shape) + 1 and part.shape[1:] == shape]
             parts = [part[-1] if part.ndim == len(shape) + 1 and part.shape[1:] == shape else part for part in parts]
         for name, part in zip(("x", "v"), parts, strict=False):
             if part.shape != shape:
-                raise ValueError(f"the step must return {name} in the shape {shape} in which it got it; it returned {part.shape}")
+                raise ValueError(f"the step must return {name} in the shape {shape} of its argument; it returned shape {part.shape}")
         if len(parts) < 2 - ("old" in self.manner.roles):
-            raise ValueError(f"the step must return x and v; it returned {len(parts)} part")
+            raise ValueError(f"the step must return x and v; it returned only {len(parts)} of them")
         self.third = parts[2] if len(parts) > 2 and parts[2].shape == shape else None
         return parts
 
     def _from_recursion(self, where: Problem, new: list[Array], x: Array, v: Array, h: float) -> tuple[Array, Array]:
-        """Velocities of a step that takes two positions: its own if it answers with them, else those at half steps and half a kick."""
+        """x and v of a step that takes two positions: v as returned, else the velocity at the half step plus half a kick."""
         x1 = new[0]
         own = next((part for part in new[1:3] if not np.array_equal(part, x)), None)
         if own is not None and np.abs(own - v).max() < np.abs(own - x).max():
@@ -280,7 +281,7 @@ class StudentStep:
 def understood(function: Callable[..., Any]) -> StudentStep:
     """The step, called in the first manner that works.
 
-    Raises TypeError for what takes other arguments, ValueError for steps that fail in every manner: with the first error and its call.
+    Raises TypeError for other arguments, and ValueError for a step that fails in every manner, with the first error and its call.
     """
     first: tuple[str, str] | None = None
     cause: Exception | None = None
@@ -303,4 +304,4 @@ def understood(function: Callable[..., Any]) -> StudentStep:
         return step
     if first is None:
         raise TypeError("the step cannot be called")
-    raise ValueError(f"the step could not be called as {first[0]}, nor in any other manner: {first[1]}") from cause
+    raise ValueError(f"the step failed when it was called as {first[0]}, and in every other manner: {first[1]}") from cause

@@ -1,10 +1,10 @@
-"""The first terms of a step in powers of Δt, and what each wrong coefficient means.
+"""The first terms of a step in powers of Δt, and the meaning of each wrong coefficient.
 
     x₁ = x + Δt v + ½ Δt² F/m + …              v₁ = v + Δt F/m + ½ Δt² J v + …         J v = d/dt F/m along v
 
-The terms are measured by extrapolation to Δt = 0 and written as combinations of v, F/m, J v and of what faults bring in: F and F/m²,
-where a division by m is missing or made twice. Methods of order 2 have both coefficients ½. A step of order 1 has others, and they say
-which force and which velocity it used.
+The terms are measured by extrapolation to Δt = 0 and written as combinations of v, F/m, J v, and of terms that come from faults, such as F
+and F/m², if a division by m is missing or made twice. For methods of order 2 both coefficients of Δt² are ½. A step of order 1 has other
+coefficients, which show the force and the velocity that it used.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from minimd.grade.findings import coefficient, is_near
 from minimd.grade.problems import Array, Problem
 
 Map = Callable[[Problem, Array, Array, float], tuple[Array, Array]]
-SPACING, N_STEPS = 0.01, 8  # time steps from which is extrapolated: SPACING · 1 … N_STEPS
+SPACING, N_STEPS = 0.01, 8  # time steps for the extrapolation: SPACING · 1 … N_STEPS
 SMALL = 1e-5  # coefficients below it are zero
-UNEXPLAINED = 1e-4  # relative rest of a term beyond which it is no combination of the known ones
-DIFFERENCE = 1e-3  # of x along v, for J v
+UNEXPLAINED = 1e-4  # a term with a larger relative rest is not a combination of the known terms
+DIFFERENCE = 1e-3  # of x along v, for the derivative J v
 
 SECOND_ORDER = {  # coefficients of Δt² F/m in x, and of Δt² J v in v, times two
     (0, 0): "explicit Euler: positions move with the old velocity and velocities with the old force; order 1, the energy grows. Kick first, "
@@ -33,18 +33,17 @@ SECOND_ORDER = {  # coefficients of Δt² F/m in x, and of Δt² J v in v, times
     (1, 0): "the second half kick uses the old force F(x(t)): the force must be computed again after the positions have moved; order 1",
     (1, 2): "your half step uses the new force twice: velocities are kicked by dt F(x(t+dt))/m, without the old force F(x(t)). Keep a copy of the "
     "old force before it is computed again; order 1",
-    (2, 1): "positions move by dt² F/m, twice the ½ dt² F/m that they should: the factor ½ is missing, or the first kick lasts a whole step",
+    (2, 1): "positions move by dt² F/m in place of ½ dt² F/m: the factor ½ is missing, or the first kick is that of a whole step",
     (0, 1): "positions move with the old velocity, x += dt v(t): the term ½ dt² F/m is missing (the drift must use the velocity at half a step)",
-    (1, 0.5): "the second half kick uses the force at the positions of half the step, F(x + dt/2 v), before the drift ends: it must be computed "
-    "at the new positions; order 1",
-    (2, 2): "the new force and the new velocity stand where their means with the old ones should, as in an implicit Euler step: order 1",
+    (1, 0.5): "the second half kick uses the force at the middle of the drift, F(x + dt/2 v): it must be computed at the new positions; order 1",
+    (2, 2): "the new force and the new velocity are used where their means with the old ones are needed, as in an implicit Euler step: order 1",
 }
 
 
 class Expansion(NamedTuple):
     """Coefficients by power of Δt and by term, of positions and of velocities.
 
-    rests : relative norms of what no term explains.  places : which atoms and axes are off, in words, by part and power; "" if all are.
+    rests : relative norms of what no term explains.  places : the atoms or axes that are wrong, in words, by part and power; "" if all are.
     """
 
     x: tuple[dict[str, float], ...]
@@ -67,7 +66,7 @@ def series(step: Map, where: Problem) -> tuple[Array, Array]:
 
 
 def terms(where: Problem) -> dict[str, Array]:
-    """What the series may be made of."""
+    """The terms of which the series may consist."""
     ahead, behind = (where.force(where.x + side * where.v) for side in (DIFFERENCE, -DIFFERENCE))
     further, back = (where.force(where.x + 2 * side * where.v) for side in (DIFFERENCE, -DIFFERENCE))
     turning = (8.0 * (ahead - behind) - (further - back)) / (12.0 * DIFFERENCE)
@@ -77,7 +76,7 @@ def terms(where: Problem) -> dict[str, Array]:
 
 
 def expansion(step: Map, problems: list[Problem], has_masses: bool) -> Expansion:
-    """Measured on several states at once, so that no two terms are alike."""
+    """The expansion of a step, measured on several states at once, so that no two terms are alike."""
     measured = [series(step, where) for where in problems]
     names = ["v", "F/m", *(["F", "F/m²", "mF"] if has_masses else []), "x"]
     known = [terms(where) for where in problems]
@@ -86,13 +85,13 @@ def expansion(step: Map, problems: list[Problem], has_masses: bool) -> Expansion
     for of_velocity in (0, 1):
         for power in range(3):
             basis = [*names, *(["Jv", *(["mJv"] if has_masses else [])] if power == 2 else [])]
-            if problems[0].stiffness:  # there x, F/m and J v, v are alike
+            if problems[0].stiffness:  # for a spring, x and F/m are proportional, and so are v and J v
                 basis = ["Jv" if of_velocity and power == 2 else "v", "F/m"]
             target = np.concatenate([np.ravel(one[of_velocity][power]) for one in measured])
             matrix = np.array([np.concatenate([np.ravel(one[name]) for one in known]) for name in basis]).T
             found = np.linalg.lstsq(matrix, target, rcond=None)[0]
             rest = float(np.linalg.norm(target - matrix @ found) / max(np.linalg.norm(target), 0.1 * np.sqrt(target.size)))
-            small = SMALL * max(1.0, float(np.abs(found).max())) ** 3  # large terms leave more rounding
+            small = SMALL * max(1.0, float(np.abs(found).max())) ** 3  # the larger the terms, the larger their rounding
             answers[of_velocity].append({name: float(c) for name, c in zip(basis, found, strict=True) if abs(c) > small})
             rests[of_velocity].append(rest)
     expected = [("", "v", "F/m"), ("", "F/m", "Jv")]
@@ -110,7 +109,7 @@ def expansion(step: Map, problems: list[Problem], has_masses: bool) -> Expansion
 
 
 def _places(off: Array, right: Array) -> str:
-    """Where a term is not what it should be: atoms or axes, if they are not all; empty otherwise."""
+    """The atoms or axes for which a term is wrong, in words; empty if it is wrong for all or for none."""
     if off.ndim == 0:
         return ""
     bad = np.abs(off) > 1e-4 * max(1.0, float(np.abs(right).max()))
@@ -121,7 +120,7 @@ def _places(off: Array, right: Array) -> str:
 
 
 def _one_mass(change: Array, force: Array, where: Problem) -> str:
-    """Whether all atoms are divided by the mass of one of them, or by the mean."""
+    """A sentence if all forces are divided by the same mass, such as that of one atom or the mean; else empty."""
     if where.m.ndim == 0 or np.ptp(where.m) == 0.0:
         return ""
     flat, forces = change.reshape(len(where.m), -1), force.reshape(len(where.m), -1)
@@ -130,13 +129,17 @@ def _one_mass(change: Array, force: Array, where: Problem) -> str:
         return ""
     means = {"the mean mass": where.m.mean(), "the sum of all masses": where.m.sum(), **{f"the mass of atom {k}": m for k, m in enumerate(where.m)}}
     return next(
-        (f"; all forces are divided by {name}, not each by the mass of its atom" for name, m in means.items() if is_near(float(ratio[0] * m), 1.0)),
+        (
+            f"; all forces are divided by {name}, instead of each by the mass of its atom"
+            for name, m in means.items()
+            if is_near(float(ratio[0] * m), 1.0)
+        ),
         "",
     )
 
 
 def explained(found: Expansion) -> list[str]:
-    """The faults that the first two powers show, in words; empty for what looks like a method of order 2."""
+    """The faults that the powers up to Δt² show, in words; empty for a method that seems to have order 2."""
     if faults := _jumps(found):
         return faults
     parts = list(zip(("positions", "velocities"), ("dx/dt = v", "dv/dt = F/m"), found.rests, found.places, strict=True))
@@ -158,23 +161,27 @@ def _jumps(found: Expansion) -> list[str]:
     x, v = found.x[0], found.v[0]
     for part, rest in zip(("positions", "velocities"), found.rests, strict=True):
         if rest[0] > UNEXPLAINED:
-            return [f"{part} jump in each step, however short it is: something is set, wrapped or rescaled in the step"]
+            return [f"{part} jump in each step, even in the shortest one: they are set, wrapped or rescaled in the step"]
     if "v" in x:
-        faults.append(f"the drift lacks dt: positions change by {coefficient(x['v'])} v however short the step")
+        faults.append(f"the drift lacks dt: positions change by {coefficient(x['v'])} v in each step, even in the shortest one")
     if {"F/m", "F"} & set(x):
         faults.append("positions change by a multiple of the force that does not shrink with dt")
     if "F/m" in v or "F" in v or "F/m²" in v:
         mass = "" if "F/m" in v else " (and 1/m)" if "F" in v else " (and is divided by m twice)"
-        faults.append(f"the kick lacks dt{mass}: velocities change by a multiple of the force however short the step")
+        faults.append(f"the kick lacks dt{mass}: velocities change by a multiple of the force in each step, even in the shortest one")
     if "v" in v and is_near(v["v"], 1.0):
-        faults.append("velocities are doubled in each step, however short: is it (x_new − x_old)/dt where (x_new − x_old)/(2 dt) belongs?")
+        faults.append(
+            "velocities are doubled in each step, even in the shortest one: are they (x_new − x_old)/dt where (x_new − x_old)/(2 dt) is needed?"
+        )
     elif "v" in v:
-        faults.append(f"velocities are multiplied by {1.0 + v['v']:.4g} in each step, however short: a thermostat or a rescaling stands in the step")
+        faults.append(
+            f"velocities are multiplied by {1.0 + v['v']:.4g} in each step, even in the shortest one: the step contains a thermostat or a rescaling"
+        )
     return faults
 
 
 def _first_power_of_x(c: dict[str, float], next_c: dict[str, float]) -> list[str]:
-    """Coefficients of Δt in x: v alone, with 1."""
+    """Faults in the terms of Δt in x, which should be v with the coefficient 1, and no others."""
     faults = []
     drift = c.get("v", 0.0)
     if is_near(drift, 0.0):
@@ -193,12 +200,12 @@ def _first_power_of_x(c: dict[str, float], next_c: dict[str, float]) -> list[str
 
 
 def _first_power_of_v(c: dict[str, float], next_c: dict[str, float]) -> list[str]:
-    """Coefficients of Δt in v: F/m alone, with 1."""
+    """Faults in the terms of Δt in v, which should be F/m with the coefficient 1, and no others."""
     faults = []
     kick, bare, twice, friction, times = (c.get(name, 0.0) for name in ("F/m", "F", "F/m²", "v", "mF"))
     if friction:
         word = "friction" if friction < 0.0 else "a drive"
-        faults.append(f"velocities change by {coefficient(friction)} dt v beside the kick: {word}, or a thermostat that is hidden in the step")
+        faults.append(f"velocities change by {coefficient(friction)} dt v in addition to the kick: {word}, or a thermostat hidden in the step")
     if bare and twice == 0.0:
         part = "the kick lacks 1/m" if not kick else f"1/m is missing in a part of the kick: {coefficient(kick)} dt F/m + {coefficient(bare)} dt F"
         faults.append(part + (f", and is {coefficient(bare)} of it" if not kick and not is_near(bare, 1.0) else ""))
@@ -215,13 +222,15 @@ def _first_power_of_v(c: dict[str, float], next_c: dict[str, float]) -> list[str
     elif total < 0.0:
         faults.append(f"the kick has the wrong sign: velocities change by {coefficient(total)} dt F/m; F = −∇U is a force, not a gradient")
     elif is_near(total, 0.5) and is_near(next_c.get("F/m", 0.0), 0.5):
-        faults.append("one half kick is multiplied by dt twice: ½ dt² F/m is added to the velocities (a dv that has its dt already, times dt)")
+        faults.append(
+            "one half kick is multiplied by dt twice: ½ dt² F/m is added to the velocities (a dv that already contains dt is multiplied by dt)"
+        )
     elif is_near(total, 0.5):
         faults.append("only half of the kick is made: velocities change by ½ dt F/m. One of the two half kicks is missing, or the velocity that is "
                       "returned is that at half a step")  # fmt: skip
     elif not is_near(total, 1.0):
         faults.append(f"the kicks of a step add up to {coefficient(total)} dt F/m, not to dt F/m: they are {_multiple(total)} times too large"
-                      + {1.5: ": one half kick lasts a whole step", 2.0: ": each half kick lasts a whole step, or a factor ½ is "
+                      + {1.5: ": one half kick is that of a whole step", 2.0: ": each half kick is that of a whole step, or a factor ½ is "
                                                                          "missing"}.get(round(total, 6), ""))  # fmt: skip
     if "x" in c:
         faults.append(f"velocities change by {coefficient(c['x'])} dt x, a force that is not the one that was given")
@@ -234,7 +243,7 @@ def _multiple(value: float) -> str:
 
 
 def _second_power(found: Expansion) -> list[str]:
-    """Coefficients of Δt²: ½ F/m in x, ½ J v in v."""
+    """Faults in the terms of Δt², which should be ½ F/m in x and ½ J v in v."""
     x, v, faults = found.x[2], found.v[2], []
     a, b = (c.get("F/m", 0.0) for c in (x, v))
     total = a + x.get("F", 0.0) + x.get("F/m²", 0.0) + x.get("mF", 0.0)
@@ -253,7 +262,7 @@ def _second_power(found: Expansion) -> list[str]:
     extra = {name: c for name, c in v.items() if name in ("v", "F/m", "F", "F/m²", "x")}
     for name, c in extra.items():
         faults.append(f"velocities change by {coefficient(c)} dt² {name}: "
-                      + ("a power of dt too many in a part of the kick" if name.startswith("F") else "it belongs to no method"))  # fmt: skip
+                      + ("a part of the kick has one power of dt too many" if name.startswith("F") else "it belongs to no method"))  # fmt: skip
     pair = 2.0 * total, 2.0 * turning
     for (c, d), sentence in SECOND_ORDER.items():
         if is_near(pair[0], c) and is_near(pair[1], d):

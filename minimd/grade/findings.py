@@ -1,4 +1,4 @@
-"""What a grade says: findings with a tick, a cross or a question mark, the faults in words, and a verdict."""
+"""The contents of a grade: findings with a tick, a cross or a question mark, the faults in words, and a verdict."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from fractions import Fraction
 from minimd.structure.display import Displayed, Rows
 
 TICKS = {True: "✓", False: "✗", None: "?"}
-EXACT = 1e-5  # coefficients that agree within it are taken for the same number
-DENOMINATOR = 24  # largest of a coefficient that is shown as a fraction
+EXACT = 1e-5  # coefficients that differ by less are taken as equal
+DENOMINATOR = 24  # the largest in fractions for coefficients
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,8 @@ class Finding:
 
     Attributes
     ----------
-    name : of the law.  passed : True, False, or None where it is for the reader to judge.  words : what was measured.
-    value : the figure behind the words, dimensionless unless the words name its unit; NaN if there is none.
+    name : of the law.  passed : True, False, or None if the reader has to judge.  words : what was measured.
+    value : the measured number, dimensionless unless the words give a unit; NaN if there is none.
     """
 
     name: str
@@ -31,12 +31,12 @@ class Finding:
 
 @dataclass(frozen=True)
 class Grade(Displayed):
-    """What a student's function keeps, what it does not, and why. print() shows a table.
+    """The laws that a student's function obeys and those that it does not, with the reasons. print() shows a table.
 
     Attributes
     ----------
-    function : how it was called.  findings : the laws that were tested, each with its figure.
-    faults : what is wrong, one sentence each, the most telling first; empty if nothing was found.
+    function : how it was called.  findings : the laws that were tested, each with the measured number.
+    faults : what is wrong, one sentence each, the most important first; empty if nothing was found.
     method : name of the method or law that was recognized; empty if none was.
     """
 
@@ -48,11 +48,11 @@ class Grade(Displayed):
 
     @property
     def passed(self) -> bool:
-        """Whether every law that was tested holds and no fault was named."""
+        """Whether every tested law holds and no fault was found."""
         return not self.faults and all(finding.passed is not False for finding in self.findings)
 
     def __iter__(self) -> Iterator[Finding]:
-        """The findings, one after another."""
+        """The findings, in their order."""
         return iter(self.findings)
 
     def __getitem__(self, name: str) -> Finding:
@@ -64,13 +64,13 @@ class Grade(Displayed):
 
     @property
     def verdict(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         if self.passed:
             return "nothing wrong was found"
         failed = [finding.name for finding in self.findings if finding.passed is False]
         n = len(self.faults)
-        kept = f"not kept: {', '.join(failed)}" if failed else "all laws that were tested hold"
-        return f"{n} fault{'s' * (n != 1)} named; {kept}" if n else kept
+        kept = f"laws that do not hold: {', '.join(failed)}" if failed else "all laws that were tested hold"
+        return f"{n} fault{'s' * (n != 1)} found; {kept}" if n else kept
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -83,7 +83,7 @@ class Grade(Displayed):
 
 
 def coefficient(value: float) -> str:
-    """A number as a fraction, such as 1/2, if it is one; else with four digits."""
+    """A number as a simple fraction, such as 1/2, if it equals one; else with four digits."""
     near = Fraction(value).limit_denominator(DENOMINATOR)
     return str(near) if abs(value - near) < EXACT * max(1.0, abs(value)) else f"{value:.4g}"
 

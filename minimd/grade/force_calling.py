@@ -1,11 +1,11 @@
-"""How a student's force function is called, and what it is: forces of all atoms, a law of the distance, or the force of one pair.
+"""How a student's force function is called, and its kind: forces on all atoms, a law of the distance, or the force of one pair.
 
     force(positions)                 (N, 3) -> (N, 3), or with the energy: (F, U), (U, F)          forces
     force(positions, box, cutoff)    the same, with an edge and a cutoff                            forces
     force(r), law(r2)                numbers -> numbers, or (u, f)                                  law of the distance
     force(rij), force(ri, rj)        (3,) -> (3,)                                                  force of a pair
 
-What a function is, is seen from what it does with arrays: a law treats each element alone.
+The kind follows from the names of the parameters, and from what the function does with arrays: a law treats each element separately.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ SQUARED = r"^(r2|rsq|r_?sq\w*|d2|dist2|r_squared|rr)$"
 DISTANCE = r"^(r|d|dist\w*|rij|r_ij|s)$"
 SEPARATION = r"^(rij|r_ij|dr|d|dx|rvec|r_vec|vec\w*|delta|disp\w*|sep\w*|r12|r)$"
 ONE_OF_TWO = r"^(r|x|q|p|pos\w*|atom|vec)?_?(i|j|1|2|a|b)$"
-START = 1.1  # σ: a distance at which trials are made
+START = 1.1  # σ: the distance in trial calls
 
 
 def option_of(name: str) -> str:
-    """Which option a parameter is, by its name; empty if it is none."""
+    """The option that a parameter with this name stands for; empty if there is none."""
     return next((option for option, pattern in OPTIONS.items() if re.search(pattern, name.lower())), "")
 
 
 class StudentForce:
     """A student's force function, called in the manner that works.
 
-    kind : one of KINDS.  is_squared : whether the law takes r².  has_energy : whether it answers with an energy too.
-    options : values for the parameters beside the positions.  takes_box : whether one of them is the cell.
+    kind : one of KINDS.  is_squared : whether the law takes r².  has_energy : whether it also returns an energy.
+    options : values for the parameters other than the positions.  takes_box : whether one of them is the cell.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], kind: str | None, positions: Array | None) -> None:
@@ -55,16 +55,16 @@ class StudentForce:
         needed = [one.name for one in parameters if one.default is one.empty and one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
         optional = [one.name for one in parameters if one.default is not one.empty]
         if not needed:
-            raise TypeError(f"{self.name} takes no positions; a force function is called as forces(positions)")
+            raise TypeError(f"{self.name} has no parameter for the positions; a force function is called as forces(positions)")
         if needed[0] == "self":
-            raise TypeError(f"{self.name} is a method without its object: hand over that of an object, as md.grade(Model().{self.name})")
+            raise TypeError(f"{self.name} is a method without its object: pass the method of an object, as in md.grade(Model().{self.name})")
         self.names, self.defaults = needed, {one.name: one.default for one in parameters if one.default is not one.empty}
         self.is_of_two = len(needed) > 1 and all(re.search(ONE_OF_TWO, name.lower()) for name in needed[:2])
         self.extra = [option_of(name) for name in needed[1 + self.is_of_two :]]
         if unknown := [name for name, option in zip(needed[1 + self.is_of_two :], self.extra, strict=True) if option not in options]:
-            raise TypeError(f"{self.name} takes ({', '.join(needed)}), and nobody says what {unknown[0]} is; call it through a function of "
-                            f"positions alone, "
-                            f"such as lambda x: {self.name}(x, …), or name cell and cutoff")  # fmt: skip
+            raise TypeError(f"{self.name} takes ({', '.join(needed)}), and the meaning of {unknown[0]} is not known; pass a function of "
+                            f"positions only, "
+                            f"such as lambda x: {self.name}(x, …), or pass cell= and cutoff=")  # fmt: skip
         named = {one: option_of(one) for one in optional if option_of(one) in options and option_of(one) in ("box", "cutoff")}
         self.options, self.named = options, {name: options[option] for name, option in named.items() if options[f"{option} given"]}
         self.takes_box = "box" in self.extra or "box" in [option_of(name) for name in self.named]
@@ -77,7 +77,7 @@ class StudentForce:
         self._look_in(positions)
 
     def __call__(self, x: Any, n: int = 2) -> tuple[Array, float | Array]:
-        """F and U (NaN if it gives none); x in the shape of the kind: (N, 3), a distance, or a vector."""
+        """F and U (NaN if there is none).  x : in the shape of the kind: (N, 3), a distance, or a vector."""
         extra = [n if option == "n" else self.options[option] for option in self.extra]
         first = np.array(x, dtype=float)
         before = first.copy()
@@ -102,7 +102,7 @@ class StudentForce:
         try:
             if re.search(DISTANCE, name) and self._is_of_each(trial):
                 return "law"
-        except Exception:  # whatever a student's function raises: then it is no function of positions, or wants one number
+        except Exception:  # a student's function may raise anything; then it is not a function of positions, or needs a single number
             if re.search(DISTANCE, name) and self._works(START):
                 return "law"
         if re.search(SEPARATION, name) and name != "r" and self._works(np.array([START, 0.2, 0.1]), (3,)):
@@ -117,7 +117,7 @@ class StudentForce:
             return False
 
     def _is_of_each(self, x: Array) -> bool:
-        """Whether an element of the answer depends on one element of the argument alone."""
+        """Whether an element of the result depends on one element of the argument only."""
         extra = [len(x) if option == "n" else self.options[option] for option in self.extra]
         with np.errstate(all="ignore"):
             first = self.function(x.copy(), *extra, **self.named)
@@ -130,7 +130,7 @@ class StudentForce:
         return bool(np.count_nonzero(np.abs(first - second) > 1e-12) <= 1)
 
     def _look_in(self, positions: Array | None) -> None:
-        """In three dimensions, else in two."""
+        """Try a call in three dimensions, then in two."""
         try:
             self._look(positions)
         except ValueError:
@@ -145,7 +145,7 @@ class StudentForce:
             raise
 
     def _look(self, positions: Array | None) -> None:
-        """Where the energy stands in the answer.  Raises ValueError for answers of other shapes."""
+        """Find the place of the energy in the result.  Raises ValueError for results of other shapes."""
         trial: Any = {"law": START**2 if self.is_squared else START, "pair": np.array([START, 0.2, 0.1])}.get(self.kind)
         if trial is None:
             trial = np.array([[1.0, 1.0, 1.0], [2.1, 1.2, 1.1], [1.1, 2.3, 1.2]])[:, : self.dimensions] if positions is None else np.array(positions)
@@ -157,7 +157,9 @@ class StudentForce:
             with np.errstate(all="ignore"):
                 answer = self.function(*arguments, *extra, **self.named)
         except Exception as error:
-            raise ValueError(f"{called} raised {type(error).__name__}: {error}; if it needs another number of atoms, name positions=") from error
+            raise ValueError(
+                f"{called} raised {type(error).__name__}: {error}; if it needs another number of atoms, give their positions="
+            ) from error
         if answer is None:
             raise ValueError(f"{called} returned None; it must return the forces, or forces and energy")
         if isinstance(answer, tuple) or (isinstance(answer, list) and shape == ()):
@@ -167,15 +169,15 @@ class StudentForce:
             elif shape in shapes:
                 self.has_energy, self.energy_first = len(answer) > 1 and () in shapes, shapes[0] != shape
             else:
-                raise ValueError(f"{called} returned parts of shapes {shapes}; forces have the shape of the positions, {shape}")
+                raise ValueError(f"{called} returned parts of shapes {shapes}; forces must have the shape of the positions, {shape}")
         elif np.shape(answer) != shape:
-            raise ValueError(f"{called} returned {np.shape(answer)}; forces have the shape of the positions, {shape}. If it is written for a fixed "
-                             "number of atoms, name positions= of these")  # fmt: skip
+            raise ValueError(f"{called} returned shape {np.shape(answer)}; forces must have the shape of the positions, {shape}. If it is written "
+                             "for a fixed number of atoms, give their positions=")  # fmt: skip
         if self.kind == "law" and isinstance(answer, (tuple, list)):
             self.energy_first = self._energy_is_first()
 
     def _energy_is_first(self) -> bool:
-        """Of two numbers the energy is the one whose slope is like the other one."""
+        """Whether the first of two numbers is the energy: the slope of the energy is proportional to the other one."""
         self.energy_first = True
 
         def off(first: bool) -> float:
@@ -190,7 +192,7 @@ class StudentForce:
 
 
 def checked_positions(positions: Any) -> Array | None:
-    """(N, 3) positions of the user.  Raises ValueError for others."""
+    """The user's positions as an (N, 3) array.  Raises ValueError for another shape or numbers that are not finite."""
     if positions is None:
         return None
     array = np.array(positions, dtype=float)
@@ -200,12 +202,12 @@ def checked_positions(positions: Any) -> Array | None:
 
 
 def edges(cell: float | Sequence[float] | None) -> Array | None:
-    """(3,) edges of a rectangular cell.  Raises ValueError for others."""
+    """The edges (3,) of a rectangular cell.  Raises ValueError for any other cell."""
     if cell is None:
         return None
     array = np.array(cell, dtype=float)
     if array.shape == (3, 3) and not np.any(array - np.diag(np.diagonal(array))):
         array = np.diagonal(array).copy()
     if array.shape not in ((), (3,)) or not (np.isfinite(array).all() and (array > 0.0).all()):
-        raise ValueError(f"cell must be the edge of a cube, or three edges; got {cell!r}")
+        raise ValueError(f"cell must be the edge of a cube, or three edges, positive and finite; got {cell!r}")
     return np.broadcast_to(array, (3,)).copy()

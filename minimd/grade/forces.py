@@ -1,4 +1,4 @@
-"""The grade of a force function: a gradient, pairwise, symmetric, periodic, cut where it should be, and equal to minimd's own."""
+"""The grade of a force function: whether forces are a gradient, pairwise, symmetric, periodic, cut off correctly, and equal to minimd's."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from minimd.grade.profile import (
     slope_of,
 )
 
-BOX, CUTOFF = 12.0, 2.5  # σ: what a function gets that asks for them and is told nothing
-POINTS = 40  # distances at which laws are compared
+BOX, CUTOFF = 12.0, 2.5  # σ: cell and cutoff for a function that takes them, if the user gives none
+POINTS = 40  # number of distances at which laws are compared
 
 
 def grade_forces(
@@ -54,7 +54,7 @@ def grade_forces(
         cutoff = cutoff or CUTOFF
     told = (
         f"{force.name}({', '.join(force.names)}): "
-        + {"forces": "forces of all atoms", "law": "a law of the distance", "pair": "the force of a pair"}[force.kind]
+        + {"forces": "forces on all atoms", "law": "a law of the distance", "pair": "the force of a pair"}[force.kind]
     )
     told += " and the energy" if force.has_energy else ""
     with np.errstate(all="ignore"):
@@ -68,7 +68,7 @@ Answer = tuple[list[Finding], list[str], str, list[str]]
 
 
 def _of_a_law(force: StudentForce, potential: Any, lengths: Array | None, cutoff: float | None, given: Array | None) -> Answer:
-    """A law f(r) or a vector law F(r_ij)."""
+    """Grade a law f(r) or the force F(r_ij) of a pair."""
     findings, faults, remarks = [], [], []
 
     def at(r: float) -> tuple[float, float]:
@@ -96,7 +96,7 @@ def _of_a_law(force: StudentForce, potential: Any, lengths: Array | None, cutoff
 
 
 def _of_parameters(force: StudentForce, x: Array, pair: Law | None, cutoff: float | None, findings: list[Finding], faults: list[str]) -> list[str]:
-    """Faults, with those of the function's own parameters before others that say less; its own ε and σ are not judged as ε = σ = 1."""
+    """The faults, those of the function's parameters first, in place of less exact ones; its own ε and σ are not judged as ε = σ = 1."""
     wrong = without_effect(force, x)
     if pair is not None:
         places = places_of_epsilon_and_sigma(force, pair, np.linspace(NEAREST + 0.05, min(0.9 * (cutoff or 2.5), 2.2), POINTS))
@@ -109,7 +109,7 @@ def _of_parameters(force: StudentForce, x: Array, pair: Law | None, cutoff: floa
 
 
 def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None, farthest: float, is_law: bool = False) -> Answer:
-    """What the force of a pair against the distance shows. f : > 0 for repulsion."""
+    """Grade the force of a pair as a function of the distance.  f : > 0 for repulsion."""
     findings: list[Finding] = []
     faults: list[str] = []
     remarks: list[str] = []
@@ -125,14 +125,14 @@ def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None
         pair = ratio_of(values, slopes, r)
         words, fault = related(pair, "−du/dr", is_law)
         if is_law and pair is not None and pair[1] == -1.0:
-            remarks.append("the law returns f = −u′(r)/r, as minimd's laws do: it is to be multiplied by the vector r_ij")
+            remarks.append("the law returns f = −u′(r)/r, as minimd's laws do: multiply it by the vector r_ij")
             values, f = values * r, (lambda f: lambda x: f(x) * x)(f)
         findings.append(Finding("force = −∇U", pair is not None and not fault, words, float("nan") if pair is None else pair[0]))
         faults += [fault] if fault else []
         faults += _apart(values, r, u) if pair is None else []
     law, own = "", powers_of(values, r)
     if own is not None and own.exponents == (1,) and len(own.coefficients) == 1 and potential is None and u is None and not is_law:
-        remarks.append("the force of a pair falls as r^−1. If q²/r² is meant, a factor 1/r is missing: q² r_ij/r³, not q² r_ij/r²")
+        remarks.append("the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r is missing: q² r_ij/r³, not q² r_ij/r²")
         findings.append(Finding("powers of r", None, f"F = {own}"))
     elif own is not None:
         law, suspected = lennard_jones_fault(own)
@@ -143,7 +143,7 @@ def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None
         known = np.array([reference(potential, float(x)) for x in r])
         pair = ratio_of(values, known, r)
         if is_law and pair is not None and pair[1] == -1.0:
-            remarks.append("the law returns f/r: it is to be multiplied by the vector r_ij")
+            remarks.append("the law returns f/r: multiply it by the vector r_ij")
             pair = pair[0], 0.0
         words, fault = related(pair, "minimd's force")
         off = float(np.abs(values - known).max() / np.abs(known).max())
@@ -155,7 +155,7 @@ def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None
     elif len(values) and values[0] < 0.0 and not faults:
         findings.append(Finding("sign", None, f"attractive at r = {r[0]:.2f}: {values[0]:.3g}", float(values[0])))
     more, wrong = cutoff_findings(f, u, cutoff, farthest)
-    if getattr(potential, "truncation", "") == "truncated":  # minimd's own energy jumps likewise, by the user's wish
+    if getattr(potential, "truncation", "") == "truncated":  # the energy of minimd's potential jumps, too, as the user has chosen
         more = [replace(finding, passed=None) if finding.name == "energy continuous" and not finding.passed else finding for finding in more]
         wrong = [fault for fault in wrong if "the energy jumps" not in fault]
     return findings + more, faults + wrong, law, remarks
@@ -165,14 +165,16 @@ SAME_FORCE = 1e-9
 
 
 def _apart(values: Array, r: Array, u: Law) -> list[str]:
-    """Which power of r of the force is wrong, where the energy is a sum of powers."""
+    """The wrong powers of r in the force, if energy and force are sums of powers."""
     energy, force = powers_of(np.array([u(float(x)) for x in r]), r), powers_of(values, r)
     if energy is None or force is None:
-        return ["the force is not minus the slope of the energy: it is no multiple of it"]
+        return ["the force is not minus the slope of the energy, nor a multiple of it"]
     right = {n + 1: n * c for n, c in zip(energy.exponents, energy.coefficients, strict=True)}
     have = dict(zip(force.exponents, force.coefficients, strict=True))
-    parts = [f"{have[n]:.6g} r^−{n} where {right[n]:.6g} r^−{n} belongs" for n in have if n in right and not np.isclose(have[n], right[n], rtol=1e-5)]
-    parts += [f"r^−{n} has no place in it" for n in have if n not in right] + [
+    parts = [
+        f"{have[n]:.6g} r^−{n} where {right[n]:.6g} r^−{n} is needed" for n in have if n in right and not np.isclose(have[n], right[n], rtol=1e-5)
+    ]
+    parts += [f"r^−{n} does not belong in it" for n in have if n not in right] + [
         f"{c:.6g} r^−{n} is missing" for n, c in right.items() if n not in have
     ]
     return [f"the force is not minus the slope of the energy, u = {energy}: wrong exponent or coefficient: {', '.join(parts)}"]
@@ -184,7 +186,7 @@ def reference(potential: Any, r: float) -> float:
 
 
 def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
-    """minimd's forces and energy. Bonds that name no pairs are between the two atoms, if there are two.  Raises ValueError if there are more."""
+    """minimd's forces and energy. Bonds without pairs join the two atoms if there are two.  Raises ValueError if there are more."""
     from minimd.forces.evaluation import evaluate
     from minimd.potentials.bonded import BondPotential
     from minimd.structure.system import System
@@ -192,18 +194,18 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
     bonds = None
     if isinstance(potential, BondPotential) and potential.pairs is None:
         if len(x) != 2:
-            raise ValueError(f"{potential!r} does not say which of the {len(x)} atoms are bonded: give it pairs=[[0, 1]] and the like, or "
+            raise ValueError(f"{potential!r} does not say which of the {len(x)} atoms are bonded: give it pairs, such as pairs=[[0, 1]], or "
                              "positions= of two atoms")  # fmt: skip
         bonds = [[0, 1]]
     return evaluate(System(x, cell=lengths, bonds=bonds), potential)
 
 
 def _of_bodies(force: StudentForce, potential: Any, lengths: Array | None, cutoff: float | None, given: Array | None) -> Answer:
-    """Forces of all atoms."""
+    """Grade forces on all atoms."""
     bodies = Bodies(force, lengths, cutoff, given)
     remarks = []
     if lengths is None and not bodies.is_field and (edge := bodies.period()) is not None:
-        remarks.append(f"the forces are periodic, with {edge:.6g} along x: taken for the edge of the cell")
+        remarks.append(f"the forces are periodic along x with the period {edge:.6g}, which is taken as the edge of a cubic cell")
         bodies = Bodies(force, lengths := np.full(3, edge), cutoff, given)
     findings, faults, law = bodies.findings(), list(bodies.faults), ""
     if bodies.takes_pairs and not (bodies.is_broken or bodies.is_field):
@@ -214,7 +216,7 @@ def _of_bodies(force: StudentForce, potential: Any, lengths: Array | None, cutof
         law = more[2]
         remarks += more[3] if bodies.d == 3 else []
         if (cube := bodies.cube(farthest)) is not None:
-            faults = [f"the cutoff acts on the components, not on the distance: pairs within a cube of half the edge {cube:.4g} are taken. "
+            faults = [f"the cutoff acts on the components, not on the distance: pairs in a cube with half the edge {cube:.4g} interact. "
                       "Compare dx² + dy² + dz² with the square of the cutoff", *[s for s in faults if "is not applied" not in s]]  # fmt: skip
     if not bodies.is_broken:
         pair = bodies.of_a_pair if bodies.takes_pairs and not bodies.is_field else None
@@ -231,14 +233,14 @@ def _of_bodies(force: StudentForce, potential: Any, lengths: Array | None, cutof
 
 
 def _at_half_the_cell(bodies: Bodies, edge: float) -> Finding:
-    """The force of a pair at half the cell, where the nearest image changes: it must have ended by then."""
+    """The force of a pair at half the cell, where the nearest image changes; it should be zero there."""
     rest = abs(bodies.of_a_pair(0.4999 * edge))
-    words = "the force has ended there" if rest == 0.0 else f"the force is still {rest:.2g}, and jumps where the nearest image changes: take a cutoff"
+    words = "the force is zero there" if rest == 0.0 else f"the force is still {rest:.2g}, and jumps where the nearest image changes: use a cutoff"
     return Finding("at half the cell", True if rest == 0.0 else None, words, rest)
 
 
 def _beside(bodies: Bodies, potential: Any, lengths: Array | None) -> tuple[Finding, list[str]]:
-    """All forces of a configuration beside minimd's."""
+    """Compare all forces of a configuration with minimd's."""
     own, x = bodies.f(bodies.x), np.pad(bodies.x, ((0, 0), (0, 3 - bodies.d)))
     answer = evaluated(x, potential, lengths)
     known = answer.forces[:, : bodies.d]
@@ -252,6 +254,6 @@ def _beside(bodies: Bodies, potential: Any, lengths: Array | None) -> tuple[Find
     energy = float(np.asarray(bodies.u(bodies.x)))
     if bodies.force.has_energy and not np.isclose(energy, answer.potential_energy, rtol=1e-9):
         fault.append(
-            f"the energy of {len(own)} atoms is {energy:.8g}, minimd's {answer.potential_energy:.8g}: {energy / answer.potential_energy:.4g} times it"
+            f"the energy of {len(own)} atoms is {energy:.8g}, {energy / answer.potential_energy:.4g} times minimd's, {answer.potential_energy:.8g}"
         )
     return Finding("all atoms as minimd's", off < SAME_FORCE, words, off), fault

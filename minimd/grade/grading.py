@@ -1,4 +1,4 @@
-"""The face: one function that grades a step or a force function."""
+"""md.grade, the function that grades a step or a force function."""
 
 from __future__ import annotations
 
@@ -26,36 +26,38 @@ def grade(
     order: int = 2,
     kind: str | None = None,
 ) -> Grade:
-    """Say what a step or a force function of one's own keeps, and what is wrong with it, by how much.
+    """Test your own step or force function: which laws it obeys, what is wrong with it, and by how much.
 
     A function with a time step and velocities among its parameters is graded as a step, any other as forces.
 
-    step(x, v, force, m, dt) -> x, v. Parameters are known by their names, in any order (see below), and m may be left out. It may return x
-    and v, or change them in place, and is called with coordinates of shape (N, 3), (N,) or one number, whichever works; force is a function
-    of positions. Measured are order, reversibility, symplectic form, volume, momenta, drift and oscillation of the energy, and what it keeps
-    of a harmonic oscillator. The first terms of its expansion in dt, and a table of known methods, say what is wrong.
+    A step is a function step(x, v, force, m, dt) -> x, v. Parameters are recognized by their names, in any order (see below), and m may be
+    left out. It may return x and v, or change them in place. It is called with coordinates of shape (N, 3), (N, 2), (N,) or one number, the
+    first that works; force is a function of positions. These are measured: order, reversibility, symplectic form, volume, momenta, drift
+    and oscillation of the energy, and the constant of a harmonic oscillator. The first terms of its expansion in dt, and a table of known
+    methods, show what is wrong.
 
-    forces(positions) -> F or (F, U). Or a law f(r), law(r2) -> (u, f), or the force of a pair f(r_ij). Measured are F = −∇U, sum of forces,
-    exchange, rotation, translation, nearest images, powers of r, cutoff and continuity; and the difference from a potential of minimd.
+    Forces are a function forces(positions) -> F or (F, U), a law f(r) or law(r2) -> (u, f), or the force of a pair f(r_ij). These are
+    measured: F = −∇U, sum of forces, exchange, rotation, translation, nearest images, powers of r, cutoff and continuity, and the difference
+    from a potential of minimd.
 
     Parameters
     ----------
     function : the step or the force function; names of parameters: x r q pos positions, v vel velocities, force forces f compute_forces,
         acceleration a (force over mass), m mass masses, dt h timestep, p momenta; x_old x_prev for a recursion of two positions; v_half for
         velocities half a step earlier.
-    potential : of minimd, such as LennardJones(1.0, 1.0, 2.5), with which forces are compared.
-    cell : edge of the cubic cell, or three edges, in which forces are periodic [length].  cutoff : beyond which they vanish [length].
-    positions : (N, 3), for a force function that is written for these atoms alone [length].
-    order : that a step should have.  kind : "step", "forces", "law" or "pair", where it is not clear.
+    potential : a potential of minimd with which forces are compared, such as LennardJones(1.0, 1.0, 2.5).
+    cell : edge of the cubic cell, or three edges, if forces are periodic [length].  cutoff : distance beyond which forces are zero [length].
+    positions : (N, 3), for a force function that is written for these atoms only [length].
+    order : expected order of a step.  kind : "step", "forces", "law" or "pair", if the names of the parameters do not show it.
 
     Returns
     -------
-    Grade : print it, or show it in a notebook; grade.faults are the sentences, grade["order"].value is a figure, grade.passed the verdict.
+    Grade : print it, or show it in a notebook; grade.faults are sentences, grade["order"].value is a number, grade.passed is True if all is right.
 
     Raises
     ------
-    TypeError : for what is no function, or takes arguments that nobody can name.
-    ValueError : if it fails when it is called, or returns None or another shape, with the call and the error; for options out of range.
+    TypeError : for anything that is not a function, or for parameters whose meaning is not known.
+    ValueError : if the function raises an error, or returns None or another shape, with the call and the error; for options out of range.
     """
     kinds = ("step", *KINDS)
     if kind is not None and kind not in kinds:
@@ -71,7 +73,7 @@ def grade(
 
 
 def _is_step(function: Callable[..., Any]) -> bool:
-    """Whether velocities or a time step are among the parameters, or there are as many as only a step has."""
+    """Whether a time step is among the parameters, or velocities with at least two other parameters."""
     try:
         names = list(inspect.signature(function).parameters)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""Faults of a step that no expansion shows: velocities cut off at a limit, paths whose rows are all one array."""
+"""Faults of a step that the expansion in dt does not show: velocities cut off at a limit, paths whose rows are all the same array."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from minimd.grade.calling import StudentStep
 from minimd.grade.problems import Problem
 
-SHORT = 1e-7  # a time step in which nothing should change
+SHORT = 1e-7  # a time step so short that nothing should change
 CHANGED = 1e-4
-FASTER = (1.0, 30.0)  # factors of the velocities with which a limit is looked for
+FASTER = (1.0, 30.0)  # factors by which velocities are multiplied to find a limit
 
 
 def clipped(step: StudentStep, where: Problem) -> list[str]:
-    """A limit of the velocities, of their components or of speeds: what is above it comes down to it, what is below stays."""
+    """A limit of the components of velocities, or of speeds: larger values are reduced to it, smaller ones do not change."""
     if where.x.ndim == 0:
         return []
     for faster in FASTER:
@@ -34,7 +34,7 @@ def _speeds(v: np.ndarray) -> np.ndarray:
 
 
 def same_rows(step: StudentStep, where: Problem) -> list[str]:
-    """A path whose rows are all alike: one array was put into it again and again."""
+    """A path whose rows are all alike, because the same array was appended again and again."""
     if "steps" not in step.manner.roles:
         return []
     step.n_steps = 3
@@ -44,7 +44,5 @@ def same_rows(step: StudentStep, where: Problem) -> list[str]:
         step.n_steps = 1
     for part in step.path[:1]:
         if len(part) > 2 and np.array_equal(part[0], part[-1]) and np.array_equal(part[1], part[-1]):
-            return [
-                "all rows of the path are alike: the array is changed in place after it was put into the list. Append a copy, as xs.append(x.copy())"
-            ]
+            return ["all rows of the path are alike: the array is changed in place after it was appended. Append a copy, as in xs.append(x.copy())"]
     return []

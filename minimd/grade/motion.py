@@ -1,4 +1,4 @@
-"""Laws of a step, measured on a few particles: order, way back, symplectic form, momenta, energy, the oscillator, the price."""
+"""Laws for a step, measured on a few particles: order, reversibility, symplectic form, momenta, energy, the oscillator, the cost."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from minimd.grade.calling import StudentStep
 from minimd.grade.findings import Finding
 from minimd.grade.problems import Array, Problem
 
-DURATION, COARSEST = 0.8, 8  # time over which errors are compared, and steps in it
+DURATION, COARSEST = 0.8, 8  # time after which errors are compared, and the smallest number of steps in it
 HALVINGS = 4
-ORDER_OFF = 0.25  # a slope this near to a whole number is that order
-BACK = 10  # steps there and back
-LONG, LONG_STEP = 1000, 0.05  # steps of the run for the energy, and their length
+ORDER_OFF = 0.25  # largest difference between the measured slope and the order
+BACK = 10  # steps forwards, and as many backwards
+LONG, LONG_STEP = 1000, 0.05  # number of steps of the run for the energy, and their length
 BLOCKS, SIGNIFICANT = 10, 4.0
 DELTA = 2e-3  # of differences of order 6
 STENCIL = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
 TOO_LARGE = 1e6
-EXACTLY = 1e-13  # oscillations of the energy below it, relative to the kinetic energy, are rounding
-FARTHEST = 6.0  # ω dt up to which a limit of stability is looked for
+EXACTLY = 1e-13  # smaller oscillations of the energy, relative to the kinetic energy, are rounding
+FARTHEST = 6.0  # largest ω dt at which a limit of stability is searched
 
 
 def _run(step: StudentStep, where: Problem, h: float, n: int) -> tuple[Array, Array]:
@@ -31,7 +31,7 @@ def _run(step: StudentStep, where: Problem, h: float, n: int) -> tuple[Array, Ar
 
 
 def order_of(step: StudentStep, where: Problem, expected: int) -> Finding:
-    """Slope of the error after a fixed time against the time step."""
+    """The order: the slope, in a logarithmic plot, of the error after a fixed time against the time step."""
     x, v = where.flow(DURATION)
     counts = COARSEST * 2 ** np.arange(HALVINGS)
     errors = []
@@ -39,25 +39,25 @@ def order_of(step: StudentStep, where: Problem, expected: int) -> Finding:
         xn, vn = _run(step, where, DURATION / n, int(n))
         errors.append(float(np.sqrt(np.sum((xn - x) ** 2) + np.sum((vn - v) ** 2))))
     if not np.isfinite(errors).all():
-        return Finding("order", False, "the path leaves all bounds", float("nan"))
+        return Finding("order", False, "the path is unbounded: positions or velocities are not finite", float("nan"))
     kept = [k for k in range(HALVINGS) if errors[k] > 1e-11] or [0, 1]
     kept = kept[-3:] if len(kept) > 2 else [0, 1]
     slope = float(-np.polyfit(np.log(counts[kept]), np.log(np.maximum([errors[k] for k in kept], 1e-300)), 1)[0])
     if slope < ORDER_OFF:
-        words = f"0: the error does not shrink with dt, it stays at {errors[-1]:.2g}; the step does not solve Newton's equation"
+        words = f"0: the error does not decrease with dt, it remains {errors[-1]:.2g}; the step does not solve Newton's equation"
         return Finding("order", False, words, slope)
     words = f"{slope:.2f} measured, {expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, dt = {DURATION / counts[-1]:g}"
     return Finding("order", slope > expected - ORDER_OFF, words, slope)
 
 
 def reversal(step: StudentStep, where: Problem, noise: float) -> Finding:
-    """Some steps, velocities turned, as many steps: distance from the start, beside the way that was gone."""
+    """Some steps, velocities reversed, as many steps again: the distance from the start, compared with the length of the way."""
     x, v = _run(step, where, 0.05, BACK)
     way = float(np.abs(x - where.x).max())
     x, v = _run(step, where._replace(x=x, v=-v), 0.05, BACK)
     off = float(max(np.abs(x - where.x).max(), np.abs(v + where.v).max()))
     ok = off < max(1e-11, 100.0 * noise) * max(1.0, way)
-    return Finding("reversible", ok, f"{BACK} steps and back end {off:.1e} from the start, after a way of {way:.2g}", off)
+    return Finding("reversible", ok, f"after {BACK} steps and as many back, the distance from the start is {off:.1e}; the way was {way:.2g}", off)
 
 
 def jacobian(step: StudentStep, where: Problem, h: float) -> Array:
@@ -90,7 +90,7 @@ def symplecticity(step: StudentStep, where: Problem, noise: float) -> list[Findi
 
 
 def momenta(step: StudentStep, where: Problem, noise: float) -> list[Finding]:
-    """Linear and angular momentum over some steps, of problems that conserve them."""
+    """Changes of linear and angular momentum in some steps, for problems that conserve them."""
     if where.x.ndim == 0 or where.stiffness:
         return []
     x, v = _run(step, where, 0.05, 20)
@@ -108,14 +108,14 @@ def momenta(step: StudentStep, where: Problem, noise: float) -> list[Finding]:
 
 
 def energy(step: StudentStep, where: Problem) -> Finding:
-    """Drift of the total energy over a long run, and its fluctuation, beside the mean kinetic energy."""
+    """Drift and oscillation of the total energy in a long run, compared with the mean kinetic energy."""
     x, v, energies, kinetic = where.x, where.v, [], []
     for _ in range(LONG):
         x, v = step(where, x, v, LONG_STEP)
         energies.append(where.energy(x, v))
         kinetic.append(energies[-1] - where.potential(x))
         if not np.isfinite(energies[-1]) or abs(energies[-1]) > TOO_LARGE:
-            return Finding("energy", False, f"grows without bound: beyond {TOO_LARGE:g} after {len(energies)} steps of {LONG_STEP:g}", np.inf)
+            return Finding("energy", False, f"grows without bound: it is beyond {TOO_LARGE:g} after {len(energies)} steps of {LONG_STEP:g}", np.inf)
     series, k = np.array(energies), float(np.mean(kinetic))
     means = series.reshape(BLOCKS, -1).mean(axis=1)
     slope, rest = np.polyfit(np.arange(BLOCKS), means, 1)[0] * BLOCKS / LONG, 0.0
@@ -125,13 +125,15 @@ def energy(step: StudentStep, where: Problem) -> Finding:
     verb = ("grows" if slope > 0 else "falls") + f" by {abs(slope) / k:.1e} of the kinetic energy per step" if drifts else "does not drift"
     oscillation = float(np.std(series - np.polyval(np.polyfit(np.arange(LONG), series, 1), np.arange(LONG)))) / k
     if oscillation < EXACTLY:
-        return Finding("energy", False, f"kept to rounding, {oscillation:.1e} of the kinetic energy: no explicit step does this by itself", 0.0)
+        return Finding(
+            "energy", False, f"constant to rounding, {oscillation:.1e} of the kinetic energy: no explicit step has this property by itself", 0.0
+        )
     words = f"{verb}; it oscillates by {oscillation:.1e} (dt = {LONG_STEP:g})"
     return Finding("energy", not drifts, words, float(slope) / k)
 
 
 def oscillator(step: StudentStep) -> Finding:
-    """The step on x″ = −x, a matrix: its determinant, the quadratic form that it keeps, and the longest stable step."""
+    """The step as a matrix, for x″ = −x: its determinant, the quadratic form that it conserves, and the longest stable step."""
     omega = np.sqrt(step.stiffness or 1.0)
     where = step.problem(1, stiffness=float(omega**2))
     where = where._replace(m=np.ones_like(where.m))
@@ -148,14 +150,14 @@ def oscillator(step: StudentStep) -> Finding:
     if not np.isfinite(off) or abs(off) > 1e-7:
         verb = "grows" if off > 0.0 else "falls"
         return Finding(
-            "oscillator", False, f"no quadratic constant: at ω dt = {h:g} the energy {verb} by the factor {1.0 + off:.4g} in each step", off
+            "oscillator", False, f"no quadratic form is conserved: at ω dt = {h:g} the energy {verb} by the factor {1.0 + off:.4g} in each step", off
         )
     skew = (m[1, 1] - m[0, 0]) / m[0, 1]
     mixed = "" if abs(skew) < 1e-9 else f" {'+' if skew > 0 else '−'} {abs(skew):.4g} ω x v"
     limit = stable_up_to(lambda one: abs(float(np.trace(matrix(one)))) <= 2.0 + 1e-9)
     stiffness = -m[1, 0] / m[0, 1]
     constant = f"v² {'+' if stiffness > 0.0 else '−'} {abs(stiffness):.6g} ω² x²{mixed}"
-    return Finding("oscillator", limit > 0.0, f"at ω dt = {h:g} keeps {constant}; stable up to ω dt = {limit:.2f}", limit)
+    return Finding("oscillator", limit > 0.0, f"at ω dt = {h:g} it conserves {constant}; stable up to ω dt = {limit:.2f}", limit)
 
 
 def stable_up_to(is_stable: Callable[[float], bool]) -> float:
@@ -172,12 +174,12 @@ def stable_up_to(is_stable: Callable[[float], bool]) -> float:
 
 
 def cost(step: StudentStep, where: Problem) -> Finding:
-    """Force evaluations in one step."""
+    """The number of force evaluations in one step."""
     if not step.is_given_forces:
         return Finding("cost", None, "not counted: the step computes its force itself")
     step.n_evaluations = 0
     step(where, where.x, where.v, 0.05)
     n, more = step.n_evaluations, ""
     if n == 2:
-        more = "; one would do, if the force at the end of a step is kept for the next"
+        more = "; one is enough if the force at the end of a step is kept for the next step"
     return Finding("cost", None if n != 1 else True, f"{n} force evaluation{'s' * (n != 1)} per step{more}", float(n))

@@ -1,10 +1,10 @@
-"""The problem on which a student's step is tried: few particles in smooth, anharmonic forces, in as many dimensions as the step wants.
+"""The problem on which a student's step is tested: a few particles with smooth, anharmonic forces, in the dimensions of the step.
 
     N particles     U = Σ_{i<j} ½ k r² + ¼ g r⁴          invariant under translation, rotation and exchange
-    one number      U = ½ k q² + ¼ g q⁴
+    one number      U = ½ k q² + ¼ g q⁴, k = 1, g = 0.3
 
-Reduced units; frequencies are about 1, masses are all different. Polynomials have neither cutoff nor singularity, so that what is
-measured is the fault of the step. The same in all dimensions, also for coordinates of shape (N,).
+Units are reduced; frequencies are about 1, and all masses differ. Polynomials have neither cutoff nor singularity: errors that are measured
+come from the step. The formula is the same in all dimensions, also for coordinates of shape (N,).
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-STIFFNESS, QUARTIC = 0.25, 0.06  # k and g
+STIFFNESS, QUARTIC = 0.25, 0.06  # k and g for N particles
 MASSES = np.array([1.0, 1.7, 0.6, 2.3, 1.2])
 SHAPES: tuple[tuple[int, ...], ...] = ((5, 3), (5, 2), (5,), ())
 
 
 class Problem(NamedTuple):
-    """Positions x and velocities v of one shape, (N, d), (N,) or (), and masses of shape (N,) or ()."""
+    """Positions x and velocities v of the same shape, (N, d), (N,) or (), and masses of shape (N,) or ()."""
 
     x: Array
     v: Array
     m: Array
-    stiffness: float = 0.0  # of springs to the origin, in place of everything else, if it is not zero
+    stiffness: float = 0.0  # if it is not zero: of springs to the origin, which replace all other forces
 
     def force(self, x: Array) -> Array:
         """−∇U, in the shape of x."""
@@ -40,7 +40,7 @@ class Problem(NamedTuple):
         return np.asarray(-((STIFFNESS + QUARTIC * r2) * apart).sum(axis=1)).reshape(x.shape)
 
     def potential(self, x: Array) -> float:
-        """U."""
+        """The potential energy U."""
         if self.stiffness:
             return float(0.5 * self.stiffness * np.sum(x * x))
         if self.x.ndim == 0:
@@ -51,7 +51,7 @@ class Problem(NamedTuple):
 
     @property
     def mass(self) -> Array:
-        """Masses, one for each coordinate, as an array that can be multiplied with x."""
+        """Masses in a shape that can be multiplied with x."""
         return self.m.reshape(self.m.shape + (1,) * (self.x.ndim - self.m.ndim))
 
     def energy(self, x: Array, v: Array) -> float:
@@ -73,7 +73,7 @@ class Problem(NamedTuple):
 
 
 def problem(shape: tuple[int, ...], seed: int, same_mass: bool = False, **changes: Any) -> Problem:
-    """A random state.  same_mass : one mass for all particles, another for each seed."""
+    """A random state.  same_mass : the same mass for all particles; it depends on the seed."""
     random = np.random.default_rng(seed)
     x, v = random.uniform(0.5, 2.5, shape), random.normal(0.0, 0.6, shape)
     masses = MASSES[seed % 5] * np.ones(shape[:1]) if same_mass or not shape else np.roll(MASSES, seed)[: shape[0]]

@@ -1,6 +1,6 @@
-"""The force of one pair against the distance: its powers of r, its factor beside a known law, its sign, its cutoff.
+"""The force of one pair as a function of the distance: its powers of r, its ratio to a known law, its sign, its cutoff.
 
-f > 0 is repulsion. A law that is given as f/r, as minimd's own laws are, is told by comparing it with the energy.
+f > 0 is repulsion. Whether a law returns f/r, as minimd's laws do, is found by comparing it with the energy.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from minimd.grade.findings import Finding, coefficient, is_near
 from minimd.grade.force_calling import Array
 
 POWERS = range(1, 21)
-FITTED = 1e-7  # relative rest of a fit of powers that counts as exact
-SAME = 1e-5  # relative differences of forces that count as none; those of the energy are found by differences
+FITTED = 1e-7  # largest relative rest of a fit of powers that is exact
+SAME = 1e-5  # largest relative difference of equal forces; slopes of the energy come from finite differences
 NEAREST, FARTHEST = 0.85, 6.0  # σ
 GRID = 500
 DELTA = 2e-4
@@ -25,7 +25,7 @@ Law = Callable[[float], float]
 
 
 class Jump(NamedTuple):
-    """A step of f or u: where, and the values on both sides."""
+    """A jump of f or u: its place, and the values on both sides."""
 
     r: float
     below: float
@@ -33,12 +33,12 @@ class Jump(NamedTuple):
 
     @property
     def height(self) -> float:
-        """Size of the step."""
+        """The size of the jump, with its sign."""
         return self.above - self.below
 
 
 class Powers(NamedTuple):
-    """Σ c r^−n, and a constant, that is exactly a function on a range of distances."""
+    """A function that is exactly Σ c r^−n, perhaps with a constant, on a range of distances."""
 
     exponents: tuple[int, ...]
     coefficients: tuple[float, ...]
@@ -52,7 +52,7 @@ class Powers(NamedTuple):
 
 
 def powers_of(values: Array, r: Array) -> Powers | None:
-    """One or two inverse powers of r, with a constant where one is needed; None if no such sum fits."""
+    """One or two inverse powers of r, with a constant if needed; None if no such sum fits."""
     scale = np.abs(values)
     if not (scale > 0.0).any() or not np.isfinite(values).all():
         return None
@@ -77,7 +77,7 @@ def slope_of(u: Law, r: float) -> float:
 
 
 def ratio_of(f: Array, g: Array, r: Array) -> tuple[float, float] | None:
-    """c and k if f = c rᵏ g, from the points where both are large; None if they are not in such a relation."""
+    """c and k if f = c rᵏ g, from the points where both are large; None if there is no such relation."""
     large = (np.abs(g) > 1e-3 * np.median(np.abs(g))) & (np.abs(f) > 0.0) & np.isfinite(f) & np.isfinite(g)
     if large.sum() < 5:
         return None
@@ -91,7 +91,7 @@ def ratio_of(f: Array, g: Array, r: Array) -> tuple[float, float] | None:
 
 
 def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) -> tuple[str, str]:
-    """What f = c rᵏ g means: the words for a finding, and the fault (empty if it is none). is_law : whether f may be given as f/r."""
+    """The meaning of f = c rᵏ g: words for a finding, and the fault (empty if there is none).  is_law : whether f may be f/r."""
     if pair is None:
         return f"not {other}, nor a multiple of it", ""
     c, k = pair
@@ -99,13 +99,13 @@ def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) 
     words = f"F = {other}" if (is_near(c, 1.0) and k == 0.0) else f"F = {coefficient(c)}{power} × ({other})"
     faults = []
     if c < 0.0:
-        faults.append(f"the force has the wrong sign: it is {coefficient(c)} times {other}, so that atoms which should repel attract each other")
+        faults.append(f"the force has the wrong sign: it is {coefficient(c)} times {other}, so atoms that should repel each other attract each other")
     if k == 1.0 and is_law:
         faults.append(f"the force has one power of r too many: a factor 1/r is missing in {other}")
     elif k == 1.0:
-        faults.append("the factor 1/r is missing: du/dr is multiplied by the vector r_ij, where du/dr / r (or the unit vector) is needed")
+        faults.append("the factor 1/r is missing: du/dr is multiplied by the vector r_ij, but du/dr / r (or the unit vector) is needed")
     elif k == -1.0 and not is_law:
-        faults.append("a factor 1/r too many: the force is divided by r twice")
+        faults.append("there is a factor 1/r too many: the force is divided by r twice")
     elif k not in (0.0, -1.0):
         faults.append(f"the force has {coefficient(abs(k))} power{'s' * (abs(k) != 1)} of r too {'many' if k > 0 else 'few'}")
     size = abs(c)
@@ -119,7 +119,7 @@ def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) 
 
 
 def jumps(law: Law, r: Array) -> list[Jump]:
-    """Where a function of r steps: neighbors on the grid that differ by more than a smooth function would, made exact by bisection."""
+    """The jumps of a function of r: between grid points that differ by more than a smooth function would; refined by bisection."""
     values = np.array([law(float(one)) for one in r])
     scale = np.abs(values[r >= 1.0]).max() if (r >= 1.0).any() else np.abs(values).max()
     found: list[Jump] = []
@@ -141,7 +141,7 @@ def jumps(law: Law, r: Array) -> list[Jump]:
 
 
 def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
-    """What two powers say about a force that is meant as −du/dr of Lennard-Jones, 48 r^−13 − 24 r^−7 with ε = σ = 1."""
+    """Name and faults of a force of two powers that should be −du/dr of Lennard-Jones, 48 r^−13 − 24 r^−7 with ε = σ = 1."""
     n, c = f.exponents, f.coefficients
     if len(n) != 2:
         return "", []
@@ -157,30 +157,32 @@ def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
         if c[0] < 0.0:
             faults.append(f"the force has the wrong sign: F = {f} attracts at short distances; F = −du/dr = 48ε σ¹²/r¹³ − 24ε σ⁶/r⁷")
         if is_near(abs(c[0]), 24.0) and is_near(abs(c[1]), 24.0):
-            faults.append("the repulsive term has 24 where 48 = 4 · 12 belongs: 48 r^−13 − 24 r^−7 with ε = σ = 1, a factor 2 is missing")
+            faults.append("the repulsive term has 24 where 48 = 4 · 12 is needed: 48 r^−13 − 24 r^−7 with ε = σ = 1; a factor 2 is missing")
         elif is_near(sigma6, 1.0) and not is_near(epsilon, 1.0):
             faults.append(f"with ε = σ = 1 the force is {coefficient(epsilon)} times 48 r^−13 − 24 r^−7, as for ε = {coefficient(epsilon)}: "
                           + ("pairs are counted twice, or a factor ½ is missing" if is_near(epsilon, 2.0) else
                              "a factor 2 is missing" if is_near(epsilon, 0.5) else "a factor is wrong, unless this ε is meant"))  # fmt: skip
         elif sum((is_near(abs(c[0]), 48.0), is_near(abs(c[1]), 24.0))) == 1:
             which, size, right = ("attractive", abs(c[1]), 24) if is_near(abs(c[0]), 48.0) else ("repulsive", abs(c[0]), 48)
-            faults.append(f"with ε = σ = 1 the {which} term has {size:.6g} where {right} belongs: 48 r^−13 − 24 r^−7")
+            faults.append(f"with ε = σ = 1 the {which} term has {size:.6g} where {right} is needed: 48 r^−13 − 24 r^−7")
         return name, faults
     told = f"F = {f}; −du/dr of Lennard-Jones has r^−13 and r^−7"
     if n == (14, 8):
-        return "Lennard-Jones, divided by r", [f"{told}: a factor 1/r too many. f/r belongs to the vector r_ij, not to the unit vector"]
+        return "Lennard-Jones, divided by r", [
+            f"{told}: there is a factor 1/r too many. f/r is multiplied by the vector r_ij, not by the unit vector"
+        ]
     if n == (12, 6):
-        return "Lennard-Jones, times r", [f"{told}: the factor 1/r is missing, these are the exponents of the energy (du/dr is multiplied "
+        return "Lennard-Jones, times r", [f"{told}: the factor 1/r is missing; these are the exponents of the energy (du/dr is multiplied "
                                           f"by the vector r_ij, "
                                           "which brings another r)"]  # fmt: skip
     if 13 in n or 7 in n or (5 <= n[1] <= 9 and 11 <= n[0] <= 15):
-        wrong = [f"r^−{have} where r^−{right} belongs" for have, right in zip(n, (13, 7), strict=True) if have != right]
+        wrong = [f"r^−{have} where r^−{right} is needed" for have, right in zip(n, (13, 7), strict=True) if have != right]
         return "Lennard-Jones, with other exponents", [f"wrong exponent: {', '.join(wrong)} ({told})"]
     return "", []
 
 
 def _other_cutoff(seen: list[Jump], cutoff: float | None) -> list[str]:
-    """A force that ends elsewhere than at the cutoff, as where r² is compared with it."""
+    """The fault of a force that ends before the cutoff, for example because r² is compared with it."""
     ends = [one.r for one in seen if one.above == 0.0]
     if not ends:
         return []
@@ -194,14 +196,14 @@ def _other_cutoff(seen: list[Jump], cutoff: float | None) -> list[str]:
 
 
 def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float) -> tuple[list[Finding], list[str]]:
-    """Whether force and energy end at the cutoff, and how; if no cutoff is named, the one that is seen."""
+    """Whether the force ends at the cutoff, and whether force and energy are continuous; without a cutoff, where they jump."""
     r = np.linspace(NEAREST, farthest, GRID)
     steps = [("force", jumps(f, r))] + ([("energy", jumps(u, r))] if u is not None else [])
     findings, faults = [], []
     if cutoff is not None and cutoff < farthest:
         beyond = float(np.abs([f(x) for x in np.linspace(1.001 * cutoff, farthest, 20)]).max())
         kept = beyond == 0.0
-        findings.append(Finding("cutoff", kept, f"largest force beyond r = {cutoff:g}: {beyond:.2g}", beyond))
+        findings.append(Finding("cutoff", kept, f"the largest force beyond r = {cutoff:g} is {beyond:.2g}", beyond))
         if not kept:
             seen = [one.r for one in steps[0][1] if one.above == 0.0]
             where = f"; the force ends at {seen[0]:.6g} instead" if seen else ""

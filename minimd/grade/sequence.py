@@ -1,7 +1,7 @@
-"""The kicks and drifts of a step, read from what it does: their weights, and a known method from which one of them differs.
+"""The kicks and drifts of a step, found from its results: their weights, and a known method with nearly the same weights.
 
-    without forces the positions at which the force is asked for are x + c_k Δt v: the drifts are c_k − c_{k−1}
-    with a force in the k-th answer alone, velocities change by b_k Δt F/m: the kicks are b_k
+    without forces, the force is evaluated at the positions x + c_k Δt v: the drifts are c_k − c_{k−1}
+    if only the k-th evaluation returns a force, velocities change by b_k Δt F/m: the kicks are b_k
 
 A step is a sequence of them if positions then change by b_k (c_end − c_k) Δt² F/m.
 """
@@ -17,31 +17,31 @@ from minimd.grade.findings import coefficient
 from minimd.grade.problems import Array, Problem
 
 ROUNDING = 1e-9
-FEW = 3  # evaluations from which on more than order 2 is expected
+FEW = 3  # a step with so many evaluations or more should have an order above 2
 
 
 class Recorded(Problem):
-    """A problem that notes where its force is asked for, and answers once."""
+    """A problem that records where its force is evaluated, and returns a force only once."""
 
     places: list[Array]
     only: int
     answer: Array
 
     def force(self, x: Array) -> Array:
-        """The answer if this is the call numbered only, else zero."""
+        """The force in the call with the number `only`, else zero."""
         self.places.append(np.array(x))
         return self.answer if len(self.places) - 1 == self.only else np.zeros_like(self.answer)
 
 
 def recorded(where: Problem, only: int) -> Any:
-    """The problem with one answer."""
+    """The problem with a force in the call with the number `only` (−1 for none)."""
     one = Recorded(*where)
     one.places, one.only, one.answer = [], only, np.asarray(where.force(where.x))
     return one
 
 
 def substeps_of(step: StudentStep, where: Problem, h: float = 0.1) -> list[tuple[str, float]] | None:
-    """("kick" or "drift", weight) in turn, neighbors of one kind added; None for a step that is no such sequence."""
+    """("kick" or "drift", weight) in turn, neighbors of the same kind added; None for a step that is not such a sequence."""
     if any(role.split()[0] in ("known", "before", "half", "old") for role in step.manner.roles):
         return None
     free = recorded(where, -1)
@@ -72,7 +72,7 @@ def substeps_of(step: StudentStep, where: Problem, h: float = 0.1) -> list[tuple
 
 
 def merged(parts: list[tuple[str, float]]) -> list[tuple[str, float]]:
-    """Neighbors of one kind added up."""
+    """The substeps with neighbors of the same kind added."""
     answer: list[tuple[str, float]] = []
     for kind, weight in parts:
         if answer and answer[-1][0] == kind:
@@ -83,12 +83,12 @@ def merged(parts: list[tuple[str, float]]) -> list[tuple[str, float]]:
 
 
 def told(parts: list[tuple[str, float]]) -> str:
-    """In words."""
+    """The substeps in words."""
     return ", ".join(f"{kind} {coefficient(weight)}" for kind, weight in parts)
 
 
 def nearest_method(parts: list[tuple[str, float]]) -> str:
-    """The splitting of minimd with the same substeps but few other weights, as a fault; empty if there is none near."""
+    """A fault if a splitting of minimd has the same substeps and at most half of the weights differ; else empty."""
     from minimd.integrators.methods import SPLITTINGS
     from minimd.integrators.splitting.substeps import Kick
 
@@ -101,6 +101,6 @@ def nearest_method(parts: list[tuple[str, float]]) -> str:
         wrong = [k for k, ((_, own), (_, right)) in enumerate(zip(parts, known, strict=True)) if abs(own - right) > 1e-7]
         if 0 < len(wrong) <= fewest:
             fewest = len(wrong)
-            places = ", ".join(f"substep {k + 1}, a {parts[k][0]}, is {parts[k][1]:.10g} where {known[k][1]:.10g} belongs" for k in wrong)
+            places = ", ".join(f"substep {k + 1}, a {parts[k][0]}, is {parts[k][1]:.10g} where {known[k][1]:.10g} is needed" for k in wrong)
             best = f"nearly {name}, but {places}"
     return best

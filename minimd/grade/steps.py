@@ -1,4 +1,4 @@
-"""The grade of a step: its order, its symmetries, what it conserves, and what its first terms say about its faults."""
+"""The grade of a step: its order, its symmetries, the quantities that it conserves, and the faults that its first terms show."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from minimd.grade.problems import Problem
 from minimd.grade.sequence import FEW, nearest_method, substeps_of, told
 from minimd.grade.variants import NOT_SYMPLECTIC, recognized
 
-ROUNDING = 1e-9  # relative differences below it are rounding
-SINGLE = 1e-8  # noise of a step above it: float32
-STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}  # by the shape of x: as many as tell all terms apart
+ROUNDING = 1e-9  # smaller relative differences are rounding
+SINGLE = 1e-8  # a step with more noise uses float32
+STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}  # by the shape of x: the number of states needed to distinguish all terms
 
 
 def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
@@ -35,7 +35,7 @@ def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
         noise = noise_of(step, problems[0])
         findings = [order_of(step, problems[0], order), reversal(step, problems[0], noise), *symplecticity(step, problems[0], noise)]
         if any(role.startswith("before") for role in step.manner.roles):
-            remarks.append("a step that takes the force of the step before is no map of x and v: it is not judged as one")
+            remarks.append("a step that takes the force of the previous step is not a map of x and v, and is not judged as one")
             findings[1:] = [replace(finding, passed=None) for finding in findings[1:]]
         findings += [*momenta(step, problems[0], noise), energy(step, problems[0]), oscillator(step), cost(step, problems[0])]
         method, wrong = recognized(step(problems[0], problems[0].x, problems[0].v, 0.1), problems[0], 0.1, max(ROUNDING, 10.0 * noise))
@@ -54,22 +54,22 @@ def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
 
 
 def _as_runge_kutta(findings: list[Finding]) -> tuple[Finding, ...]:
-    """Findings of a right Runge-Kutta method that was asked for: what no such method keeps is no fault of this one."""
+    """Findings of a correct Runge-Kutta method, if its order was given: laws that no such method obeys do not count as faults."""
     return tuple(replace(finding, passed=None) if finding.passed is False else finding for finding in findings)
 
 
 def findings_of(findings: list[Finding], name: str) -> Finding:
-    """The one of this name."""
+    """The finding with this name."""
     return next(finding for finding in findings if finding.name == name)
 
 
 def _hidden(step: StudentStep, where: Problem) -> list[str]:
-    """What makes the step no function of x and v: noise, memory."""
+    """The reason why the step is not a function of x and v, such as noise or memory; empty if it is one."""
     first = step(where, where.x, where.v, 0.1)
     step.n_evaluations = 0
     second = step(where, where.x, where.v, 0.1)
     if step.n_evaluations == 0 and any(role in FORCES for role in step.manner.roles):
-        return ["the step does not compute the force: it asked for it in its first call, or never, and goes on with what it got then"]
+        return ["the step does not compute the force: it called the force function in its first call, or never, and keeps using that result"]
     off = max(float(np.abs(a - b).max()) for a, b in zip(first, second, strict=True))
     if off == 0.0:
         return []
@@ -80,7 +80,7 @@ def _hidden(step: StudentStep, where: Problem) -> list[str]:
         ends.append(step(where, where.x, where.v, 0.1))
     np.random.set_state(state)
     if all(np.array_equal(a, b) for a, b in zip(*ends, strict=True)):
-        return [f"the step draws random numbers: two steps from the same state differ by {off:.1e}. A thermostat stands in the step"]
+        return [f"the step draws random numbers: two steps from the same state differ by {off:.1e}. The step contains a thermostat"]
     return [f"two steps from the same x and v differ by {off:.1e}: the step draws random numbers, or remembers earlier calls, such as a force "
             "that is kept outside. What a step needs must be among its arguments"]  # fmt: skip
 
@@ -88,15 +88,15 @@ def _hidden(step: StudentStep, where: Problem) -> list[str]:
 def _remarks(step: StudentStep, where: Problem) -> list[str]:
     remarks = []
     if step.swapped:
-        remarks.append("the step returns v before x; x, v is the usual order")
+        remarks.append("the step returns v before x; the usual order is x, v")
     if step.in_place:
-        remarks.append("the step changes the arrays that it is given; whoever keeps the old ones must copy them")
+        remarks.append("the step changes the arrays that it is given; copy them before if you need the old ones")
     if step.manner.masses == "(N, 1)":
-        remarks.append("masses of shape (N,) do not work in it; it was given (N, 1)")
+        remarks.append("it does not work with masses of shape (N,); it was called with shape (N, 1)")
     if "half" in step.manner.roles:
         remarks.append("velocities are at half steps: half a kick was made before and after")
     if "old" in step.manner.roles:
-        remarks.append("a recursion of two positions; velocities are (x₁ − x₀)/dt + ½ dt F/m")
+        remarks.append("the step is a recursion of two positions; velocities are (x₁ − x₀)/dt + ½ dt F/m")
     return remarks
 
 
@@ -109,7 +109,7 @@ def noise_of(step: StudentStep, where: Problem) -> float:
 def _faults(step: StudentStep, problems: list[Problem], noise: float) -> list[str]:
     faults = same_rows(step, problems[0])
     if noise > SINGLE:
-        faults.append(f"the step rounds to {noise:.0e} of the coordinates: float32 stands somewhere in it, where float64 rounds to 1e-16")
+        faults.append(f"the step rounds to {noise:.0e} of the coordinates: it uses float32 somewhere; float64 rounds to 1e-16")
     faults += _left_out(step, problems) or (_wrapped(step, problems[0]) if not faults else []) or _thermostat(step, problems)
     faults += clipped(step, problems[0]) if not faults else []
     if not faults:
@@ -126,7 +126,7 @@ def expand(step: StudentStep, problems: list[Problem]) -> Expansion:
 
 
 def _left_out(step: StudentStep, problems: list[Problem]) -> list[str]:
-    """Atoms or axes that are not moved, or not kicked."""
+    """Faults for atoms or axes that are not moved, or not kicked."""
     faults: list[str] = []
     if problems[0].x.ndim == 0:
         return faults
@@ -139,13 +139,13 @@ def _left_out(step: StudentStep, problems: list[Problem]) -> list[str]:
             alone: Any = [] if still.ndim <= axis and what == "axis" else np.flatnonzero(still.all(axis=axis) if still.ndim > 1 else still)
             if len(alone) and (what == "atom" or still.ndim > 1):
                 last = ", the last," if what == "atom" and list(alone) == [len(still) - 1] else ""
-                faults.append(f"{what} {', '.join(map(str, alone))}{last} is not {verb}: look at the bounds of the loop, such as range(N − 1)")
+                faults.append(f"{what} {', '.join(map(str, alone))}{last} is not {verb}: check the bounds of the loop, such as range(N − 1)")
                 break
     return faults
 
 
 def _wrapped(step: StudentStep, where: Problem) -> list[str]:
-    """Positions that are moved by whole cells, told by starts farther and farther away; the forces here know no cell."""
+    """The fault of positions that are wrapped, found by starts farther and farther away; the forces of the test have no cell."""
     if where.x.ndim == 0 or where.stiffness:
         return []
     new, _ = step(where, where.x, where.v, 0.02)
@@ -155,14 +155,14 @@ def _wrapped(step: StudentStep, where: Problem) -> list[str]:
             jump = np.abs(far - shift - new)
             if jump.max() > 1e-6:
                 cell = f"{jump[jump > 1e-6].min():.6g}"
-                return [f"atoms that are {distance:g} farther away are moved by {cell} more: positions are wrapped into a box of this edge "
+                return [f"atoms that start {distance:g} farther away are moved by {cell} more: positions are wrapped into a box with this edge "
                         f"inside the "
-                        "step, or it depends on where the origin is. Wrap what is written, not what is integrated"]  # fmt: skip
+                        "step, or it depends on the place of the origin. Wrap positions that are written, not those that are integrated"]  # fmt: skip
     return []
 
 
 def _thermostat(step: StudentStep, problems: list[Problem]) -> list[str]:
-    """Velocities that are rescaled, at once or at a rate, by a factor that depends on the state; or freed of the motion of the whole."""
+    """The fault of velocities that are rescaled, at once or at a rate that depends on the state, or whose mean motion is removed."""
     where = problems[0]
     if where.x.ndim == 0:
         return []
@@ -170,13 +170,13 @@ def _thermostat(step: StudentStep, problems: list[Problem]) -> list[str]:
     changes = [step(one, one.x, one.v, h)[1] - one.v for one in problems]
     if np.abs(changes[0]).max() > 1e-4:
         if np.abs(changes[0] - changes[0].mean(axis=0)).max() < 1e-5:
-            return ["the motion of the whole is taken away in each step: all velocities change by the same vector. Do this once, at the start"]
+            return ["the mean motion is removed in each step: all velocities change by the same vector. Do this only once, at the start"]
         factors = [float(np.sum(change * one.v) / np.sum(one.v**2)) for change, one in zip(changes, problems, strict=True)]
         rests = [np.abs(change - c * one.v).max() for change, c, one in zip(changes, factors, problems, strict=True)]
         if max(rests) < 1e-5 and np.ptp(factors) > 1e-4:
             told = ", ".join(f"{1.0 + c:.4g}" for c in factors[:3])
-            return [f"velocities are multiplied by {told}, … in each step, however short it is: they are rescaled to a temperature, a thermostat "
-                    "stands in the step"]  # fmt: skip
+            return [f"velocities are multiplied by {told}, … in each step, even in the shortest one: they are rescaled to a temperature, the step "
+                    "contains a thermostat"]  # fmt: skip
         return []
     rates = []
     for change, one in zip(changes, problems, strict=True):
@@ -189,12 +189,13 @@ def _thermostat(step: StudentStep, problems: list[Problem]) -> list[str]:
         return []
     told = ", ".join(f"{rate:.3g}" for rate in rates[:3])
     return [
-        f"velocities change by {told}, … dt v beside the kick, a rate that depends on the state: a thermostat such as Berendsen's stands in the step"
+        f"velocities change by {told}, … dt v in addition to the kick, at a rate that depends on the state: "
+        "the step contains a thermostat such as Berendsen's"
     ]
 
 
 def _handed_on(step: StudentStep, where: Problem) -> list[str]:
-    """Whether the force that a step hands back is that at the new positions."""
+    """A fault if the force that a step returns is not the one at the new positions."""
     x, _ = step(where, where.x, where.v, 0.1)
     role = next(role.split()[1] for role in step.manner.roles if role.startswith("known"))
     right = {"force": where.force(x), "acceleration": where.force(x) / where.mass, "gradient": -where.force(x)}[role]
@@ -208,12 +209,12 @@ def _handed_on(step: StudentStep, where: Problem) -> list[str]:
 
 
 def _is_plain(parts: list[tuple[str, float]]) -> bool:
-    """Whether these are the substeps of a method of order 2 or 1, of which the first terms say enough."""
+    """Whether these are the substeps of a method of order 1 or 2, whose faults the first terms show."""
     return sum(kind == "kick" for kind, _ in parts) < FEW
 
 
 def _of_substeps(parts: list[tuple[str, float]], findings: list[Finding], order: int) -> list[str]:
-    """A sequence of many kicks whose order is 2 at most: the weights of a method of higher order are wrong."""
+    """The fault of a sequence of three kicks or more whose order is no higher than expected: weights are wrong."""
     kicks, reached = sum(kind == "kick" for kind, _ in parts), findings[0].value
     if kicks < FEW or reached > max(order, 2) + 0.5:
         return []
@@ -222,12 +223,12 @@ def _of_substeps(parts: list[tuple[str, float]], findings: list[Finding], order:
         f": {near}" if near else "; print(md.integrators.METHODS) lists those that have more, and md.integrators.CandyRozmus4.substeps their weights"
     )
     return [
-        f"{kicks} kicks in a step and no more than order {reached:.1f}: the weights of the substeps are not those of a method of higher order{near}"
+        f"{kicks} kicks in a step, but no more than order {reached:.1f}: the weights of the substeps are not those of a method of higher order{near}"
     ]
 
 
 def _structural(findings: list[Finding], step: StudentStep) -> list[str]:
-    """Sentences for laws that fail though the first terms are right."""
+    """Sentences for laws that fail although the first terms are right."""
     failed = {finding.name: finding for finding in findings if finding.passed is False}
     faults = []
     if "energy" in failed and failed["energy"].value == 0.0:

@@ -1,7 +1,7 @@
-"""Methods, right and wrong, that a step is compared with to rounding: the table that gives a step its name.
+"""Methods, right and wrong, with which a step is compared to rounding: the table from which a step gets its name.
 
-A row is a name and a step made of pieces: a(x) is F/m at x. Steps that are sequences of kicks and drifts come from minimd's own table
-of splittings. To add one, add a row.
+A row is a name and a step; a(x) is F/m at x. Steps that are sequences of kicks and drifts come from minimd's own table of splittings. To add
+a method, add a row.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from minimd.grade.problems import Array, Problem
 
 Acceleration = Callable[[Array], Array]
 Row = Callable[[Array, Array, Acceleration, float], tuple[Array, Array]]
-NOT_SYMPLECTIC = "a Runge-Kutta method: not symplectic, its energy drifts however high the order"
+NOT_SYMPLECTIC = "a Runge-Kutta method: it is not symplectic, its energy drifts at any order"
 CLASSICAL = [1 / 6, 1 / 3, 1 / 3, 1 / 6]  # weights of RK4
 
 
 def explicit_euler(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, Array]:
-    """All from the old state."""
+    """Explicit Euler: positions and velocities change with the old velocity and the old force."""
     return x + h * v, v + h * a(x)
 
 
@@ -37,12 +37,12 @@ def runge_kutta(x: Array, v: Array, a: Acceleration, h: float, stages: list[list
 
 
 def taylor(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, Array]:
-    """The parabola with the old force for positions and velocities."""
+    """A parabola: positions and velocities change with the old force."""
     return x + h * v + 0.5 * h * h * a(x), v + h * a(x)
 
 
 def one_after_another(kicks: tuple[float, float]) -> Row:
-    """Each atom is moved before the force on the next one is computed: kick, drift, kick, with weights of the kicks."""
+    """Each atom is moved before the force on the next one is computed: kick, drift, kick.  kicks : their weights."""
 
     def step(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, Array]:
         x, v = x.copy(), v.copy()
@@ -56,12 +56,12 @@ def one_after_another(kicks: tuple[float, float]) -> Row:
 
 
 def tableau(stages: list[list[float]], weights: list[float]) -> Row:
-    """A row of the table."""
+    """A Runge-Kutta method as a row of the table."""
     return lambda x, v, a, h: runge_kutta(x, v, a, h, stages, weights)
 
 
 def drift_with_new_force(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, Array]:
-    """Velocity Verlet that keeps no old force."""
+    """Velocity Verlet with the new force only in the velocities."""
     x1 = x + h * v + 0.5 * h * h * a(x)
     return x1, v + h * a(x1)
 
@@ -72,7 +72,7 @@ def mixed_drift(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, A
     return x1, v + 0.5 * h * (a(x) + a(x1))
 
 
-VARIANTS: dict[str, tuple[Row, str]] = {  # name: the step, and what is wrong with it; "" if nothing is
+VARIANTS: dict[str, tuple[Row, str]] = {  # name: the step, and what is wrong with it (empty if nothing is, or if the expansion says it)
     "explicit Euler": (explicit_euler, ""),
     "Taylor's parabola with the old force": (taylor, ""),
     "velocity Verlet with the new force alone": (drift_with_new_force, ""),
@@ -85,23 +85,23 @@ VARIANTS: dict[str, tuple[Row, str]] = {  # name: the step, and what is wrong wi
     "RK4, the 3/8 rule": (tableau([[], [1 / 3], [-1 / 3, 1.0], [1.0, -1.0, 1.0]], [1 / 8, 3 / 8, 3 / 8, 1 / 8]), NOT_SYMPLECTIC),
     "nearly RK4: k1 for k2": (
         tableau([[], [0.5], [0.5], [0.0, 0.0, 1.0]], CLASSICAL),
-        "looks like RK4 with a wrong third stage: it uses k1 where k2 belongs, k3 = f(y + dt/2 k2); order 2, not 4",
+        "looks like RK4 with a wrong third stage: it uses k1 in place of k2, k3 = f(y + dt/2 k2); order 2, not 4",
     ),
     "nearly RK4: k2 for k3": (
         tableau([[], [0.5], [0.0, 0.5], [0.0, 1.0]], CLASSICAL),
-        "looks like RK4 with a wrong fourth stage: it uses k2 where k3 belongs, k4 = f(y + dt k3); order 2, not 4",
+        "looks like RK4 with a wrong fourth stage: it uses k2 in place of k3, k4 = f(y + dt k3); order 2, not 4",
     ),
     "nearly RK4: k1 for k3": (
         tableau([[], [0.5], [0.0, 0.5], [1.0]], CLASSICAL),
-        "looks like RK4 with a wrong fourth stage: it uses k1 where k3 belongs, k4 = f(y + dt k3); order less than 4",
+        "looks like RK4 with a wrong fourth stage: it uses k1 in place of k3, k4 = f(y + dt k3); order less than 4",
     ),
     "nearly RK4: a fourth stage of half a step": (
         tableau([[], [0.5], [0.0, 0.5], [0.0, 0.0, 0.5]], CLASSICAL),
-        "looks like RK4 with a wrong fourth stage: it has dt/2 where dt belongs, k4 = f(y + dt k3); order less than 4",
+        "looks like RK4 with a wrong fourth stage: it uses dt/2 in place of dt, k4 = f(y + dt k3); order less than 4",
     ),
     "nearly RK4: equal weights": (
         tableau([[], [0.5], [0.0, 0.5], [0.0, 0.0, 1.0]], [0.25, 0.25, 0.25, 0.25]),
-        "looks like RK4 with wrong weights: all are 1/4 where (k1 + 2 k2 + 2 k3 + k4)/6 belongs; order 2, not 4",
+        "looks like RK4 with wrong weights: all are 1/4 in place of (k1 + 2 k2 + 2 k3 + k4)/6; order 2, not 4",
     ),
     "symplectic Euler, atom after atom": (
         one_after_another((1.0, 0.0)),
@@ -117,7 +117,7 @@ VARIANTS: dict[str, tuple[Row, str]] = {  # name: the step, and what is wrong wi
 
 
 def rows() -> Iterator[tuple[str, Row, str]]:
-    """All rows: minimd's splittings first."""
+    """All rows, minimd's splittings first."""
     from minimd.integrators.methods import SPLITTINGS
     from minimd.integrators.splitting.substeps import Kick, Substeps
 
@@ -139,7 +139,7 @@ def rows() -> Iterator[tuple[str, Row, str]]:
 
 
 def recognized(end: tuple[Array, Array], where: Problem, h: float, accuracy: float) -> tuple[str, str]:
-    """Name of the row that makes the same step, and what is wrong with it; both empty if there is none."""
+    """The name of the row that gives the same step, and what is wrong with it; both are empty if there is none."""
     for name, row, wrong in rows():
         x, v = row(where.x, where.v, lambda x: where.force(x) / where.mass, h)
         if max(np.abs(x - end[0]).max(), np.abs(v - end[1]).max()) < accuracy:

@@ -1,4 +1,4 @@
-"""The cell as LAMMPS holds it: a along x, b in the xy plane; positions go there turned and wrapped, and come back as they were."""
+"""The cell in LAMMPS, with a along x and b in the xy plane: positions are turned and wrapped for it, and turned and unwrapped afterwards."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ Array = NDArray[np.float64]
 
 
 class Box:
-    """How the atoms of a system stand in LAMMPS.
+    """The box and the positions of a system in LAMMPS.
 
     Attributes
     ----------
-    turn : (3, 3) rotation; a vector r of minimd's is r @ turn in LAMMPS.
-    edges : (3, 3) [length], lower triangle; rows are the lattice vectors in LAMMPS, of minimd's reduced lattice. Of a left-handed one all three
-        are negated, which repeats the same lattice: a reflection would change the sign of dihedral angles.
+    turn : (3, 3) rotation; a vector r of minimd is r @ turn in LAMMPS.
+    edges : (3, 3) [length], lower triangle; rows are the vectors of minimd's reduced lattice, turned. If the lattice is left-handed, all three
+        are negated, which gives the same lattice: a reflection would change the sign of dihedral angles.
     low, high : (3,) bounds along the diagonal [length].  open : (3,) bool.
     positions : (N, 3) [length], turned and wrapped.
 
-    Periodic directions begin at 0. Atoms are wrapped here, and where they came from is remembered: LAMMPS counts only some hundred images.
+    Periodic directions begin at 0. Atoms are wrapped here and their images are remembered, because LAMMPS counts only some hundred images.
     """
 
     def __init__(self, system: System) -> None:
@@ -36,30 +36,30 @@ class Box:
         self.low, self.high = np.zeros(3), np.diag(self.edges).copy()
 
     def make_room(self, length: float) -> None:
-        """Set the walls in open directions, so far from the atoms [length]: LAMMPS wants no box thinner than cutoffs, and moves them."""
+        """Set bounds in open directions at a distance from the atoms [length]; LAMMPS, which moves them, needs a box thicker than cutoffs."""
         for k in np.flatnonzero(self.open):
             column = self.positions[:, k]
             self.low[k], self.high[k] = column.min() - length, column.max() + length
 
     @property
     def is_tilted(self) -> bool:
-        """Whether the cell is no rectangular box."""
+        """Whether the cell is not a rectangular box."""
         return bool(np.tril(self.edges, -1).any())
 
     def turned(self, vectors: Array) -> Array:
-        """Vectors (N, 3) as they stand in LAMMPS."""
+        """Vectors (N, 3) of minimd, turned as in LAMMPS."""
         return vectors if self._is_straight else vectors @ self.turn
 
     def back(self, vectors: Array) -> Array:
-        """Vectors (N, 3) of LAMMPS as they stand in minimd."""
+        """Vectors (N, 3) of LAMMPS, turned back as in minimd."""
         return vectors if self._is_straight else vectors @ self.turn.T
 
     def positions_back(self, unwrapped: Array) -> Array:
-        """Unwrapped positions of LAMMPS (N, 3) [length] as those of minimd, not wrapped."""
+        """Unwrapped positions of LAMMPS (N, 3) [length], turned back and in the images of minimd."""
         return self.back(unwrapped) + self._shifts
 
     def tensors_back(self, virials: Array) -> Array:
-        """Symmetric tensors of LAMMPS (N, 6), xx yy zz yz xz xy, as they stand in minimd."""
+        """Symmetric tensors of LAMMPS (N, 6), xx yy zz yz xz xy, turned back as in minimd."""
         if self._is_straight:
             return virials
         full = virials[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
@@ -71,7 +71,7 @@ class Box:
         return np.array_equal(self.turn, np.eye(3))
 
     def boundary(self) -> str:
-        """The arguments of LAMMPS' command boundary: p, or m, whose walls give way to the atoms."""
+        """The arguments of LAMMPS' command boundary: p (periodic), or m, an open boundary that follows the atoms but keeps a smallest extent."""
         return " ".join("m" if is_open else "p" for is_open in self.open)
 
     def lines(self) -> list[str]:

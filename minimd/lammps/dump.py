@@ -1,4 +1,4 @@
-"""The binary files in which LAMMPS dumps numbers of all atoms (dump custom, suffix .bin; LAMMPS' format 2 of 2020), read frame by frame."""
+"""Reading LAMMPS' binary dumps of all atoms (dump custom, suffix .bin; LAMMPS' format 2 of 2020), frame by frame."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ MAGIC = b"DUMPCUSTOM"
 
 
 def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Step, and (N, C) all columns but the first, which must be the id, rows in the order of ids; up to a frame that is cut off or lacks atoms.
+    """For each frame, its step and all columns but the first, (N, C); the first must be the id, which orders the rows.
 
-    Raises ValueError for a file that is none.
+    A frame that is cut off or lacks atoms ends the iteration.  Raises ValueError for a file that is not such a dump.
     """
     with path.open("rb") as file:
         while file.peek(1):  # type: ignore[attr-defined]
@@ -29,7 +29,7 @@ def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, NDArray[np.float64]]
 def _frame(file: BinaryIO, expected: int) -> tuple[int, NDArray[np.float64]]:
     length = -_read(file, "q")
     if length != len(MAGIC) or _exactly(file, length) != MAGIC or _read(file, "i") != 1:
-        raise ValueError("LAMMPS has written a dump of another format than minimd knows; take LAMMPS of 2021 or later")
+        raise ValueError("LAMMPS has written a dump in a format that minimd does not know; use LAMMPS of 2021 or later")
     _read(file, "i")  # revision
     step, n_atoms, tilted = _read(file, "q"), _read(file, "q"), _read(file, "i")
     if n_atoms != expected:
@@ -56,7 +56,7 @@ def _read(file: BinaryIO, kind: str) -> Any:
 
 
 def _exactly(file: BinaryIO, n_bytes: int) -> bytes:
-    """So many bytes.  Raises EOFError if there are fewer."""
+    """The next n_bytes bytes.  Raises EOFError if there are fewer."""
     read = file.read(n_bytes)
     if len(read) < n_bytes:
         raise EOFError

@@ -1,7 +1,7 @@
-"""A law u(r) as a text that LAMMPS' styles "lepton" read: the function of the law is called once with symbols, which write down what is done to them.
+"""A law u(r) as a text for LAMMPS' styles "lepton": the function of the law is called with symbols, which record the operations on them.
 
-Lepton differentiates the text itself, so that only u is needed, not the −u′(r)/r that the law returns beside it. A law that decides by its
-distance is called once for each way through its decisions.
+Lepton differentiates the text itself: only u is needed, not the −u′(r)/r that the law also returns. A law with conditions on the distance is
+called for each combination of their outcomes.
 P. Eastman et al., PLoS Comput. Biol. 13, e1005659 (2017), for Lepton, the parser of OpenMM.
 """
 
@@ -20,7 +20,7 @@ from numba.core.dispatcher import Dispatcher
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.tabulated import reads_table
 
-MOST_DECISIONS = 8  # one after the other, of a law
+MOST_DECISIONS = 8  # conditions that a call of a law may evaluate one after the other
 FUNCTIONS = {  # names in math and numpy: in Lepton
     **{name: name for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "erf", "erfc", "floor", "ceil")},
     **dict(zip(("arcsin", "arccos", "arctan", "asin", "acos", "atan"), ("asin", "acos", "atan") * 2, strict=True)),
@@ -31,11 +31,11 @@ COMPARISONS = {"less": "<", "greater": ">", "less_equal": "<=", "greater_equal":
 
 
 class UnwritableError(ValueError):
-    """A law does something that Lepton has no word for."""
+    """A law does something that Lepton cannot express."""
 
 
-class Undecided(Exception):  # noqa: N818 - no error: it never leaves this module
-    """A law asks for the truth of a condition on its symbols."""
+class Undecided(Exception):  # noqa: N818 - not an error: it is always caught in this module
+    """A law needs the truth value of a condition on its symbols."""
 
     def __init__(self, condition: Symbol) -> None:
         super().__init__()
@@ -43,9 +43,9 @@ class Undecided(Exception):  # noqa: N818 - no error: it never leaves this modul
 
 
 class Symbol:
-    """A number that is not known yet: an operation, and its arguments, symbols and numbers.
+    """An unknown number: an operation, and its arguments, which are symbols and numbers.
 
-    decisions : what conditions of this call of a law shall be, in the order in which it asks.
+    decisions : truth values for the conditions in this call of a law, in their order.
     """
 
     __hash__ = object.__hash__
@@ -60,7 +60,7 @@ class Symbol:
         return Symbol(operation, arguments, self.decisions)
 
     def call(self, name: str, *arguments: Any) -> Symbol:
-        """A function of Lepton's of some arguments, this one among them. √(r²) is r."""
+        """A function of Lepton with these arguments, of which this symbol is one. √(r²) is r."""
         if name == "sqrt" and self.operation == "r2":
             return self._of("r")
         return self._of(name, *arguments)
@@ -140,16 +140,16 @@ class Symbol:
         raise UnwritableError("it makes arrays" if name.startswith("__array") else f"it uses {name} of its arguments")
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **_options: Any) -> Any:
-        """What functions of numpy do."""
+        """Apply a function of numpy to symbols."""
         return applied(ufunc.__name__, *inputs)
 
     def __array_function__(self, function: Callable, _types: Any, inputs: Any, _options: Any) -> Any:
-        """What numpy.where does."""
+        """Apply functions such as numpy.where to symbols."""
         return applied(function.__name__, *inputs)
 
 
 def applied(name: str, *inputs: Any) -> Any:
-    """A function of math or numpy, by its name, of symbols and numbers.  Raises UnwritableError if Lepton has none."""
+    """Apply a function of math or numpy, given by name, to symbols and numbers.  Raises UnwritableError if Lepton does not have it."""
     first = next(one for one in inputs if isinstance(one, Symbol))
     if name in OPERATORS:
         a, b = (x if isinstance(x, Symbol) else float(x) for x in inputs)
@@ -174,15 +174,15 @@ def applied(name: str, *inputs: Any) -> Any:
         "cbrt": lambda: first ** (1.0 / 3.0),
     }
     if name not in special:
-        raise UnwritableError(f"it uses {name}, for which Lepton has no word")
+        raise UnwritableError(f"it uses {name}, which Lepton does not have")
     return special[name]()
 
 
 def energy_expression(law: tuple, parameters: tuple[float, ...]) -> str:
-    """u(r) [energy] of a law in Lepton's words, with r [length] as its variable.
+    """u(r) [energy] of a law as an expression for Lepton, with the variable r [length].
 
-    law : law type, truncation included.  parameters : its numbers.
-    Raises UnwritableError, with a sentence, for a law that Lepton cannot write.
+    law : law type, with its truncation.  parameters : its numbers.
+    Raises UnwritableError for a law that Lepton cannot express.
     """
     try:
         if reads_table(law):
@@ -190,15 +190,15 @@ def energy_expression(law: tuple, parameters: tuple[float, ...]) -> str:
         return written(_followed(law, parameters, ()))
     except UnwritableError as error:
         while law and isinstance(law[0], tuple) and hasattr(type(law[0]), "python"):
-            law = law[0]  # the one that is truncated
+            law = law[0]  # the law that is truncated
         name = type(law).python.__name__  # type: ignore[attr-defined]
-        raise UnwritableError(f"LAMMPS' Lepton cannot write the law {name}: {error}") from None
+        raise UnwritableError(f"LAMMPS' Lepton cannot express the law {name}: {error}") from None
 
 
 def _followed(law: tuple, parameters: tuple[float, ...], decisions: tuple[bool, ...]) -> Any:
-    """u, for given outcomes of its first decisions; a choice between both outcomes of each further one."""
+    """u for given outcomes of the first conditions; for each further condition, a choice between its two outcomes."""
     if len(decisions) > MOST_DECISIONS:
-        raise UnwritableError(f"it makes more than {MOST_DECISIONS} decisions one after the other")
+        raise UnwritableError(f"it evaluates more than {MOST_DECISIONS} conditions one after the other")
     try:
         r2 = Symbol("r2", (), iter(decisions))
         u, _f = Rewritten().law(law, r2, parameters)
@@ -213,18 +213,18 @@ def _followed(law: tuple, parameters: tuple[float, ...], decisions: tuple[bool, 
 
 
 class Rewritten:
-    """Copies of functions that compute with symbols: what they read of math, and min, max and others, takes symbols too."""
+    """Copies of functions that compute with symbols: in them, functions of math, min, max and others take symbols too."""
 
     def __init__(self) -> None:
         self._copies: dict[int, Callable] = {}
 
     def law(self, law: tuple, r2: Any, parameters: tuple[Any, ...]) -> Any:
-        """What evaluate_law does, see minimd.potentials.law."""
+        """Do what evaluate_law does, see minimd.potentials.law."""
         formula = self._value(type(law).python)  # type: ignore[attr-defined]
         return formula(r2, law[0], parameters) if law else formula(r2, *parameters)
 
     def _value(self, value: Any) -> Any:
-        """What stands in for something that a function reads."""
+        """The replacement of a value that a function reads."""
         if value is evaluate_law:
             return self.law
         if isinstance(value, Dispatcher):
@@ -255,7 +255,7 @@ def _is_library(function: FunctionType) -> bool:
 
 
 def _names(code: CodeType) -> set[str]:
-    """Names that a code reads, functions defined in it included."""
+    """The names that a code reads, also in functions defined in it."""
     inner = (_names(constant) for constant in code.co_consts if isinstance(constant, CodeType))
     return set(code.co_names).union(*inner)
 
@@ -279,7 +279,7 @@ def _taking_symbols(function: Callable) -> Callable:
 
 
 def written(expression: Any) -> str:
-    """A symbol in Lepton's words; what occurs more than once gets a name of its own, defined behind semicolons."""
+    """A symbol as an expression for Lepton; parts that occur more than once get names, defined after semicolons."""
     if not isinstance(expression, Symbol):
         return _number(expression)
     uses: Counter[int] = Counter()

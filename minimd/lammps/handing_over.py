@@ -1,4 +1,4 @@
-"""A simulation handed to LAMMPS and brought back: written, verified at step 0, run under MPI, read again."""
+"""Handing a simulation over to LAMMPS: it is written, verified at step 0, run under MPI, and read back."""
 
 from __future__ import annotations
 
@@ -30,21 +30,22 @@ from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import HandOverError, sentence
 
 TRAJECTORY = "run.h5md"
-BYTES_PER_ATOM, BYTES_PER_FRAME = 260, 130  # of the input and of step 0; of a frame in LAMMPS' file and in ours
-DISAGREEMENT = {"double": 1e-8, "mixed": 1e-5}  # of Σ|e_i|, of LAMMPS' energy and ours in a frame: more than rounding, by our precision
+BYTES_PER_ATOM, BYTES_PER_FRAME = 260, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
+DISAGREEMENT = {"double": 1e-8, "mixed": 1e-5}  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
 
-MOST_STEPS = 2**31  # of one run of LAMMPS
+MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 
 Tell = Callable[[str], object]
 
 
 @dataclass(frozen=True)
 class HandOver(Displayed):
-    """What came of a hand-over.
+    """The result of a hand-over.
 
     folder : of all files.  trajectory : the H5MD file, from which Simulation.resume goes on.  record : Record of its frames.
-    verification : of step 0.  energy_difference : the largest of all frames between LAMMPS' potential energy and minimd's, of Σ|e_i|.
-    seconds : of each phase.  version : of LAMMPS.  processes : it ran on.
+    verification : of step 0.  energy_difference : largest difference, in all frames, of the potential energies of LAMMPS and minimd, as a
+        fraction of Σ|e_i| at step 0.
+    seconds : of each phase.  version : of LAMMPS.  processes : their number.
     """
 
     folder: Path
@@ -62,28 +63,31 @@ class HandOver(Displayed):
         return [
             ("LAMMPS", f"{self.version}, on {self.processes} process{'es' * (self.processes > 1)}"),
             ("verified", f"{self.verification}"),
-            ("frames", f"{len(self.record)}; LAMMPS' potential energy and minimd's differ by at most {self.energy_difference:.1e} of Σ|e_i|"),
+            ("frames", f"{len(self.record)}; the potential energies of LAMMPS and minimd differ by at most {self.energy_difference:.1e} of Σ|e_i|"),
             ("time", times),
             ("written", str(self.trajectory)),
         ]
 
 
 def not_carried_over(simulation: Simulation) -> list[str]:
-    """What a run by LAMMPS does not keep of what minimd promises, one sentence each."""
+    """The promises of minimd that a run by LAMMPS does not keep, one sentence each."""
     engine, method = simulation.engine, simulation.method
-    told = ["exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from positions and velocities alone"]
+    told = ["exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from positions and velocities only"]
     if method.is_thermostat:
         bath = "its bath is LAMMPS' fix langevin" if isinstance(method, LangevinBAOAB) else "its bath is LAMMPS' fix temp/csvr"
-        told.append(f"noise: {bath}, with random numbers of its own, which depend on the number of processes")
+        told.append(f"noise: {bath}, with its own random numbers, which depend on the number of processes")
     if isinstance(method, LangevinBAOAB):
-        told.append("order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, with other errors of Δt than BAOAB")
+        told.append("order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors of order Δt² differ")
     if len(engine.extra_observables):
         told.append(f"{', '.join(engine.extra_observables)}: computed by minimd for each frame, not by LAMMPS")
     if engine.interactions.options.precision != "double":
         told.append("mixed precision: LAMMPS computes in double precision")
     if engine.constraint_set.bonds is not None:
         told.append(f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration")
-    return [*told, "observers, crash reports and the run guard: LAMMPS ends with an error of its own, and the frames before it are kept"]
+    return [
+        *told,
+        "observers, crash reports and the run guard: a run of LAMMPS that fails ends with LAMMPS' own error, and the frames before it are kept",
+    ]
 
 
 def hand_over(
@@ -98,24 +102,24 @@ def hand_over(
     progress: bool | None = None,
     tell: Tell | None = print,
 ) -> HandOver:
-    """Let LAMMPS make the next steps of a simulation. Afterwards the simulation stands where LAMMPS ended, and can go on.
+    """Let LAMMPS make the next steps of a simulation. Afterwards the simulation is in the state in which LAMMPS ended, and can go on.
 
-    The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each atom must agree with minimd's
-    to 1e-10 of the largest, or nothing is run. Then LAMMPS runs as a child process, under mpiexec for several processes. Its frames are read
-    back, observed by minimd, and written as an H5MD file with a restart.
+    The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each atom must agree with
+    those of minimd to 1e-10 of the largest, or nothing is run. Then LAMMPS runs as a child process, under mpiexec for several processes. Its
+    frames are read back, observed by minimd, and written to an H5MD file with a restart.
 
     Parameters
     ----------
-    folder : for all files; it must not exist, or be empty.  steps : to make.  processes : of MPI.
-    every : steps between frames: the first state, and then those whose step is a multiple of every.  store_forces : in the frames.
-    overwrite : replace the folder.  progress : as for Simulation.run.  tell : gets lines about what is done; None for silence.
+    folder : for all files; it must not exist, or must be empty.  steps : number of steps.  processes : number of MPI processes.
+    every : steps between frames: the first state, and then those whose step is a multiple of every.  store_forces : also write forces.
+    overwrite : replace the folder.  progress : as for Simulation.run.  tell : called with lines about the hand-over; None for silence.
 
     Raises
     ------
-    FileNotFoundError : without LAMMPS, or without mpiexec for several processes.  FileExistsError : for a folder that is not empty.
-    ValueError : for a scene that LAMMPS cannot do as minimd does.  HandOverError : if LAMMPS disagrees or fails. OSError : for files.
-    The simulation is then where it was, and the folder gone; frames that were complete before LAMMPS failed in a run are kept, and the simulation
-    stands at the last of them.
+    FileNotFoundError : if LAMMPS is not found, or mpiexec for several processes.  FileExistsError : for a folder that is not empty.
+    ValueError : for a scene that LAMMPS cannot run as minimd does.  HandOverError : if LAMMPS disagrees or fails.  OSError : for files.
+    The simulation is then in its state before, and the folder is removed. But if LAMMPS fails after it has written frames, the complete
+    frames are kept, and the simulation is in the state of the last one.
     """
     job = Job(simulation, Path(folder), steps, processes, every, progress, tell or (lambda line: None))
     with job.in_folder(checked_flag("overwrite", overwrite)):
@@ -124,14 +128,14 @@ def hand_over(
 
 
 def check_hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100, overwrite: bool = False) -> None:
-    """Raise what hand_over would raise before it starts anything: for a scene that LAMMPS cannot do, without LAMMPS, for the folder."""
+    """Raise the errors that hand_over raises before it starts: for a scene that LAMMPS cannot run, if LAMMPS is not found, for the folder."""
     job = Job(simulation, Path(folder), steps, processes, every)
     job.check_folder(overwrite)
     Model(job.engine)
 
 
 class Brought(NamedTuple):
-    """record : of the frames that were read back.  energy_difference : see HandOver.  missing : frames that should be there and are not."""
+    """record : of the frames that were read back.  energy_difference : see HandOver.  missing : number of frames that are missing."""
 
     record: Record
     energy_difference: float
@@ -152,7 +156,7 @@ class Job:
         tell: Tell = lambda line: None,
     ) -> None:
         if simulation.barostat is not None:
-            raise ValueError("a run at constant pressure is not handed over to LAMMPS, whose barostats are others; run it with minimd")
+            raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than minimd; run it with minimd")
         self.simulation, self.engine, self.folder = simulation, simulation.engine, folder
         self.steps, self.every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
         self.processes = checked_count("processes", processes)
@@ -171,7 +175,7 @@ class Job:
 
     @contextmanager
     def in_folder(self, overwrite: bool) -> Iterator[None]:
-        """Context in which the folder exists; it is removed if something fails, unless frames are kept in it."""
+        """Context in which the folder exists. If something fails, the folder is removed, unless frames are kept in it."""
         self.check_folder(overwrite)
         before, old = self.engine.snapshot(), None
         if self.folder.is_dir() and any(self.folder.iterdir()):
@@ -209,7 +213,7 @@ class Job:
         needed, free = n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames), shutil.disk_usage(self.folder.absolute().parent).free
         if needed > free:
             sizes = f"{needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the disk has {free / 1e9:.2g} GB left"
-            raise OSError(f"the hand-over needs {sizes}; make room, or write frames less often")
+            raise OSError(f"the hand-over needs {sizes}; free some space, or write frames less often (every = {self.every})")
 
     def _remove_raw(self) -> None:
         for name in (script.FRAMES, script.LAST, script.STEP_0, OUTPUT):
@@ -217,13 +221,13 @@ class Job:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Context whose seconds are remembered."""
+        """Context whose duration is stored in seconds."""
         started = perf_counter()
         yield
         self.seconds[name] = perf_counter() - started
 
     def prepare(self) -> Verification:
-        """Write the scene, and compare step 0.  Raises HandOverError if it differs."""
+        """Write the scene, and compare step 0.  Raises HandOverError if LAMMPS and minimd differ."""
         with self.phase("writing"):
             self.engine.begin()
             self.model = Model(self.engine)
@@ -239,8 +243,8 @@ class Job:
             if self.stop_requested:
                 raise KeyboardInterrupt("stopped before the run of LAMMPS")
             if log.processes != self.processes:
-                why = f"that {self.program.lmp} was built without MPI, or for another mpiexec than {self.program.mpiexec}"
-                raise HandOverError(f"LAMMPS runs on {log.processes} process, asked for {self.processes}; it seems {why}: {INSTALL}")
+                why = f"{self.program.lmp} was probably built without MPI, or for another mpiexec than {self.program.mpiexec}"
+                raise HandOverError(f"LAMMPS runs on {log.processes} process instead of {self.processes}; {why}: {INSTALL}")
             _, columns = next(frames(self.folder / script.STEP_0, len(self.engine.system)), (0, None))
             if columns is None:
                 raise HandOverError("LAMMPS has not written step 0; is the disk full?")
@@ -254,7 +258,7 @@ class Job:
         return verification
 
     def run(self, verification: Verification, store_forces: bool) -> HandOver:
-        """Run LAMMPS, and bring back what it has written, also if it fails or is interrupted."""
+        """Run LAMMPS, and read back the frames that it has written, also if it fails or is interrupted."""
         command, log = self.program.command(script.RUN, script.LOG, self.processes), Log(self.folder / script.LOG)
         (self.folder / script.LOG).unlink()
         failure: HandOverError | None = None
@@ -275,27 +279,27 @@ class Job:
         return done
 
     def _judge(self, failure: HandOverError | None, brought: Brought, log: Log) -> None:
-        """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong; KeyboardInterrupt if the run was to be stopped."""
+        """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong; KeyboardInterrupt if the run was stopped."""
         words, different, allowed = "", brought.energy_difference, DISAGREEMENT[self.engine.interactions.options.precision]
         if failure is not None:
             words = str(failure)
         elif self.stop_requested:
             words = "the run of LAMMPS was stopped"
         elif brought.missing:
-            words = f"LAMMPS has made all steps, but {brought.missing} frames are not on the disk; is it full?"
+            words = f"LAMMPS has made all steps, but {brought.missing} frames are not on the disk; is the disk full?"
         elif not different <= allowed:
             why = f"its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time step"
-            words = f"LAMMPS' potential energy and minimd's differ by {different:.1e} of Σ|e_i| in a frame, allowed is {allowed:g}; {why}"
+            words = f"the potential energies of LAMMPS and minimd differ by {different:.1e} of Σ|e_i| in a frame, allowed is {allowed:g}; {why}"
         if words and self.keeps_frames:
             kept = f"{len(brought.record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
-            words = f"{kept}; {words}" if self.stop_requested else f"{words}; {kept}"  # by which signal follows
+            words = f"{kept}; {words}" if self.stop_requested else f"{words}; {kept}"  # the name of the signal follows
         if words:
             raise KeyboardInterrupt(words) if self.stop_requested else HandOverError(words)
 
     def _bring_back(self, log: Log, store_forces: bool, is_whole: bool) -> Brought:
-        """Write the frames, observed by minimd, into the H5MD file; the simulation then stands at the last state.
+        """Write the frames, observed by minimd, into the H5MD file; the simulation is then in the last state.
 
-        is_whole : whether LAMMPS has reached its end. If not, and if there is a frame beyond the first one, those that are there are kept.
+        is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one after the first.
         """
         path, record = self.folder / script.FRAMES, Record(self.simulation.system.units, len(self.simulation.system), self.trajectory)
         found = (one for one in frames(path, len(self.engine.system)) if one[0] > self.first_step) if path.is_file() else iter(())
@@ -323,7 +327,7 @@ class Job:
 
     @contextmanager
     def _titled(self) -> Iterator[None]:
-        """Context in which files get a title that says who has made the steps."""
+        """Context in which the title of files says that LAMMPS has made the steps."""
         notes = self.engine.notes
         before = notes["title"]
         notes["title"] = f"{before or f'{len(self.engine.system)} atoms'}, run by LAMMPS {self.program.version}"
@@ -333,7 +337,7 @@ class Job:
             notes["title"] = before
 
     def _end(self, reservoir_energy: float, n_frames: int) -> int:
-        """Stand at the last state; how many frames, or that state, are missing."""
+        """Put the engine in the last state; returns how many frames, the last state included, are missing."""
         last, end = self.folder / script.LAST, self.first_step + self.steps
         expected = 1 + end // self.every - self.first_step // self.every
         final = next(frames(last, len(self.engine.system)), None) if last.is_file() else None
@@ -342,13 +346,13 @@ class Job:
         return expected - n_frames + (final is None)
 
     def _stand(self, step: int, columns: np.ndarray, reservoir_energy: float) -> None:
-        """Let the engine stand where LAMMPS was at a step."""
+        """Put the engine in the state of LAMMPS at a step."""
         engine, box = self.engine, self.model.box
         if not np.isfinite(columns).all():
-            raise HandOverError(f"LAMMPS has made positions or velocities that are not finite, at step {step}; reduce the time step")
+            raise HandOverError(f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step ({engine.method.timestep:g})")
         engine.positions[:], engine.velocities[:] = box.positions_back(columns[:, :3]), box.back(columns[:, 3:])
         engine.count(step - engine.step)
         engine.reservoir_energy = reservoir_energy
         engine.moved()
         engine.fit_images()
-        engine.constraint_set.project(engine.velocities, engine.positions)  # SHAKE leaves a part along the bonds
+        engine.constraint_set.project(engine.velocities, engine.positions)  # velocities of SHAKE have a component along the bonds

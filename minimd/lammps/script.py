@@ -15,11 +15,11 @@ from minimd.lammps.model import Model
 
 ATOMS, FORCES, VERIFY, RUN = "atoms.data", "forces.lmp", "verify.lmp", "run.lmp"
 LOG, FRAMES, LAST, STEP_0 = "run.log", "frames.bin", "last.bin", "step0.bin"
-FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, FRAMES, LAST, STEP_0)  # all of a hand-over but the trajectory
-ATOMS_AT_ONCE = 100_000  # that are written
-SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-13, 200  # relative, of lengths
+FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, FRAMES, LAST, STEP_0)  # all files of a hand-over except the trajectory
+ATOMS_AT_ONCE = 100_000  # written in one piece
+SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-13, 200  # tolerance relative to the lengths
 LARGEST_SEED = 900_000_000  # of LAMMPS' random numbers
-LOOKS = 50  # at the energy in a run, at least
+LOOKS = 50  # least number of lines with energies in the log of a run
 PER_ATOM = "c_energies fx fy fz c_stresses[1] c_stresses[2] c_stresses[3] c_stresses[6] c_stresses[5] c_stresses[4]"  # xx yy zz yz xz xy
 
 BATHS = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
@@ -27,17 +27,17 @@ METHODS: tuple[type[Splitting], ...] = (
     VelocityVerlet,
     Leapfrog,
     *BATHS,
-)  # leapfrog shows what velocity Verlet shows
+)  # minimd's leapfrog has the same observed states as velocity Verlet
 
 
 def check_method(engine: Engine) -> None:
-    """Raise ValueError for a method that LAMMPS has not."""
+    """Raise ValueError for a method that LAMMPS does not have."""
     method = engine.method
     if type(method) not in METHODS:
         known = ", ".join(one.name for one in METHODS)
-        raise ValueError(f"LAMMPS makes the steps of {known}; the method is {method.name}: take another one, or run this scene with minimd")
+        raise ValueError(f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or run this scene with minimd")
     if method.timestep < 0.0:
-        raise ValueError(f"LAMMPS needs a positive time step; timestep = {method.timestep!r}")
+        raise ValueError(f"the time step must be positive for LAMMPS; timestep = {method.timestep!r}")
 
 
 def write_atoms(path: Path, engine: Engine, model: Model) -> None:
@@ -61,7 +61,7 @@ def write_atoms(path: Path, engine: Engine, model: Model) -> None:
 
 
 def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
-    """Lines of a table, some at a time: a number from 1 on, and what stands in the columns."""
+    """Lines of a table, in pieces: a number, from 1 on, and the entries of the columns."""
     n = len(columns[0])
     for first in range(0, n, ATOMS_AT_ONCE):
         part = [one[first : first + ATOMS_AT_ONCE].reshape(-1, one.shape[1] if one.ndim > 1 else 1).T.tolist() for one in columns]
@@ -70,7 +70,7 @@ def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
 
 
 def forces_script(model: Model) -> str:
-    """What both runs begin with: units, box, atoms, styles, lists."""
+    """The commands with which both runs begin: units, box, atoms, styles, lists."""
     is_bonded = model.atom_style != "atomic"
     lines = [
         "units lj",
@@ -104,7 +104,7 @@ def verify_script() -> str:
 
 
 def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
-    """The run: integrator, bath, rigid bonds, what is written when."""
+    """The commands of the run: integrator, bath, rigid bonds, output."""
     fixed = model.types.named(model.types.is_fixed)
     moving = "mobile" if fixed else "all"
     bath = _bath(engine, moving)
@@ -127,10 +127,11 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
 
 
 def _shake(model: Model) -> list[str]:
-    """Rigid bonds, behind all other fixes.
+    """Rigid bonds, after all other fixes.
 
-    Not fix rattle: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two processes wrongly, and dumps velocities with a
-    part along the bonds. The positions of SHAKE are those of RATTLE, and its velocities are once they are projected, see Job.
+    Fix rattle is not used: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two processes wrongly, and dumps
+    velocities with a component along the bonds. The positions of SHAKE are those of RATTLE, and so are its velocities after a projection,
+    see Job.
     """
     if not len(model.rigid_bonds):
         return []
@@ -139,7 +140,7 @@ def _shake(model: Model) -> list[str]:
 
 
 def _bath(engine: Engine, moving: str) -> list[str]:
-    """The bath; energies have the unit of k_B T."""
+    """The commands of the bath; LAMMPS' temperature is k_B T, in the unit of energies."""
     method, k_b = engine.method, engine.system.units.k_B
     if isinstance(method, LangevinBAOAB) and method.friction > 0.0:
         heat = f"{k_b * method.temperature:.17g}"

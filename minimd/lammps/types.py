@@ -1,4 +1,4 @@
-"""The kinds of atoms, bonds, angles and dihedrals that LAMMPS tells apart by numbers from 1 on."""
+"""The types of atoms, bonds, angles and dihedrals, which LAMMPS distinguishes by numbers from 1 on."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ MOST_TYPES = 500  # of atoms: LAMMPS' tables grow with their square
 
 
 class AtomTypes(NamedTuple):
-    """One type for each species, mass, and whether an atom is held fixed.
+    """One type for each combination of species, mass, and whether an atom is held fixed.
 
-    of_atom : (N,) int from 0 on.  species : (T,) index of the species of a type.  masses : (T,) [mass].  is_fixed : (T,) bool.
+    of_atom : (N,) type of each atom, from 0 on.  species : (T,) index of the species of a type.  masses : (T,) [mass].  is_fixed : (T,) bool.
     """
 
     of_atom: NDArray[np.int64]
@@ -26,7 +26,7 @@ class AtomTypes(NamedTuple):
 
     @classmethod
     def of(cls, engine: Engine) -> AtomTypes:
-        """Those of an engine.  Raises ValueError for more than MOST_TYPES."""
+        """The types of atoms of an engine.  Raises ValueError for more than MOST_TYPES."""
         system, fixed = engine.system, np.zeros(len(engine.system), dtype=bool)
         for one in engine.constraints:
             if isinstance(one, FixedAtoms):
@@ -34,16 +34,18 @@ class AtomTypes(NamedTuple):
         keys = np.column_stack([system.species_index, system.masses, fixed])
         rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
         if len(rows) > MOST_TYPES:
-            raise ValueError(f"LAMMPS tells atoms apart by types, one for each species and mass; this scene needs {len(rows)}, at most {MOST_TYPES}")
+            raise ValueError(
+                f"LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs {len(rows)}, allowed are {MOST_TYPES}"
+            )
         return cls(of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0)
 
     def named(self, numbers: NDArray[np.bool_]) -> str:
-        """Types for which numbers is true, as LAMMPS' commands take them."""
+        """The types for which numbers is true, as text for LAMMPS' commands."""
         return " ".join(str(k + 1) for k in np.flatnonzero(numbers))
 
 
 class Groups:
-    """Bonds, angles or dihedrals, with the types that they have.
+    """Bonds, angles or dihedrals, with their types.
 
     size : atoms in a group.  coefficients : of each type, style and numbers.  atoms : (G, size).  types : (G,) from 0 on.
     """
@@ -55,7 +57,7 @@ class Groups:
         self._types: list[NDArray[np.int64]] = []
 
     def add(self, atoms: NDArray[np.int64], of_each: NDArray[np.int64], coefficients: list[tuple[str, str]]) -> range:
-        """Add groups with new types, one for each of the coefficients; of_each : (G,) which of these a group has. Returns the new types."""
+        """Add groups with new types, one for each of the coefficients, and return the new types.  of_each : (G,) index of a group's coefficients."""
         first = len(self.coefficients)
         self._atoms.append(atoms.reshape(-1, self.size))
         self._types.append(np.broadcast_to(of_each, len(atoms)) + first)

@@ -1,4 +1,4 @@
-"""Step 0 twice: energy, force and virial of each atom, by LAMMPS and by minimd."""
+"""The verification at step 0: energy, force and virial of each atom, computed by LAMMPS and by minimd."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from minimd.structure.errors import HandOverError, NonFiniteError
 from minimd.structure.observables import longest
 from minimd.structure.system import System
 
-TOLERANCE = 1e-10  # of the largest, above which a scene is not handed over
-ROUNDING = 1e-13  # of the largest: a difference up to which nobody asks whether forces cancel
+TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed over
+ROUNDING = 1e-13  # of the largest: for smaller differences, the effect of a strain is not needed
 LEAST = 1e-30  # [energy], of a scene without energies
-STRAIN, PART = 0.01, 0.01  # springs at rest have no forces but rounding: this part of what such a strain makes counts as large too
+STRAIN, PART = 0.01, 0.01  # forces of springs at rest are only rounding; then this part of the forces after such a strain is the scale
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,8 @@ class Verification:
     """The largest differences at step 0, each relative to the largest of its kind.
 
     energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative to the largest one;
-    where they cancel, as in a crystal or in springs at rest, to what its energies, or a small strain, make.  atom : with the worst force.
+    if forces cancel, as in a crystal or in springs at rest, relative to what follows from energies or from a small strain.
+    atom : the atom whose force differs most.
     """
 
     energy: float
@@ -42,7 +43,7 @@ class Verification:
 
     @property
     def worst(self) -> float:
-        """The largest of them; NaN if one is."""
+        """The largest difference; NaN if one of them is NaN."""
         return float(np.max([self.energy, self.energies, self.forces, self.virials]))
 
     def __str__(self) -> str:
@@ -53,14 +54,14 @@ class Verification:
         """Raise HandOverError if LAMMPS and minimd differ by more than TOLERANCE."""
         if not self.worst <= TOLERANCE:
             where = f"energies of atoms by {self.energies:.1e}, forces by {self.forces:.1e} (atom {self.atom}), virials by {self.virials:.1e}"
-            raise HandOverError(f"LAMMPS and minimd differ at step 0: {where} of the largest, allowed is {TOLERANCE:g}; nothing was run")
+            raise HandOverError(f"LAMMPS and minimd differ at step 0: {where} of the largest, allowed is {TOLERANCE:g}; the run was not started")
 
 
 def compare(engine: Engine, energies: Array, forces: Array, virials: Array) -> Verification:
-    """Those of LAMMPS, (N,), (N, 3), (N, 6) as xx yy zz yz xz xy, beside minimd's in double precision, without tail corrections.
+    """Compare energies (N,), forces (N, 3) and virials (N, 6), as xx yy zz yz xz xy, of LAMMPS with those of minimd in double precision.
 
-    What a strain makes is evaluated only where the differences are more than rounding of the forces as they are.
-    Raises NonFiniteError if those of minimd are not finite.
+    Tail corrections are left out. The scene after a strain is evaluated only if the differences exceed rounding of the present forces.
+    Raises NonFiniteError if energies or forces of minimd are not finite.
     """
     ours = evaluated(engine, engine.system)
     tails = tails_of(engine) / len(energies)
@@ -77,7 +78,7 @@ def compare(engine: Engine, energies: Array, forces: Array, virials: Array) -> V
 
 
 def _compared(theirs: Evaluated, ours: Evaluated, least: tuple[float, ...]) -> Verification:
-    """least : an energy, a force and a virial of an atom that count as large, even if all are smaller."""
+    """The differences.  least : energy, force and virial of an atom that are used as scale if all of the scene are smaller."""
     atom, _ = longest(theirs.forces - ours.forces)
     largest = max(_largest(ours.energies), least[0], LEAST)
     force = max(_largest(ours.forces), least[1], largest / ours.length)
@@ -91,7 +92,7 @@ def _compared(theirs: Evaluated, ours: Evaluated, least: tuple[float, ...]) -> V
 
 
 class Evaluated(NamedTuple):
-    """Of each atom: energies (N,) [energy], forces (N, 3) [energy/length], virials (N, 6) [energy].  length : over which energies change [length]."""
+    """For each atom: energies (N,) [energy], forces (N, 3) [energy/length], virials (N, 6) [energy].  length : the largest cutoff [length], or 1."""
 
     energies: Array
     forces: Array
@@ -100,19 +101,19 @@ class Evaluated(NamedTuple):
 
 
 def evaluated(engine: Engine, system: System) -> Evaluated:
-    """The forces on a system, with those of single atoms, as minimd computes them in double precision."""
+    """Energies, forces and virials of single atoms of a system, as minimd computes them in double precision."""
     forces = Forces(system, engine.interactions.potentials, Options(skin=0.0, threads=engine.interactions.options.threads))
     forces.compute(PER_ATOM)
     return Evaluated(forces.energies, forces.forces, forces.virials, forces.largest_cutoff if np.isfinite(forces.largest_cutoff) else 1.0)
 
 
 def strain_makes(numbers: Array) -> float:
-    """PART of the largest size; 0 if a number is none."""
+    """PART of the largest magnitude; 0 if a number is not finite."""
     return PART * _largest(numbers) if np.isfinite(numbers).all() else 0.0
 
 
 def dilated(system: System) -> System:
-    """The same atoms and cell, larger by STRAIN."""
+    """The same atoms and cell, stretched by STRAIN."""
     larger = system.copy()
     larger.positions[:] *= 1.0 + STRAIN
     larger.cell = Cell.of((1.0 + STRAIN) * system.cell.vectors, system.cell.pbc)
@@ -120,11 +121,11 @@ def dilated(system: System) -> System:
 
 
 def tails_of(engine: Engine) -> Array:
-    """Energy and trace of the virial of all tail corrections [energy], (2,), which LAMMPS is not asked for."""
+    """Energy and trace of the virial of all tail corrections [energy], (2,); LAMMPS does not compute them."""
     terms = (bound(one, engine.system) for one in engine.interactions.potentials)
     return np.sum([term.tail(engine.system) for term in terms], axis=0)
 
 
 def _largest(numbers: Array) -> float:
-    """The largest size; NaN if a number is none."""
+    """The largest magnitude; NaN if a number is NaN."""
     return float(np.abs(numbers).max())

@@ -18,13 +18,13 @@ class Frames:
         sim.run(1000, every=10, observers=[frames])
         u = universe(frames)
 
-    Positions and velocities are kept in float32, which is what MDAnalysis computes in, the observables in float64: 24 bytes for each atom and
-    frame. A step that is observed twice, at the end of a run and at the start of the next, is kept once.
+    Positions and velocities are kept in float32, as MDAnalysis uses them, observables in float64: 24 bytes for each atom and frame. A step
+    that is observed twice, at the end of a run and at the start of the next, is kept once.
 
     Attributes
     ----------
-    system : System, a copy made with the first frame, None before.
-    turn : Turn of a cell that MDAnalysis places otherwise; positions and velocities are kept turned by it. None if it takes them as they are.
+    system : System, a copy made with the first frame; None before.
+    turn : Turn of a cell in an orientation that MDAnalysis does not hold; positions and velocities are kept turned. Else None.
     """
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class Frames:
 
 
 class RecordedReader(MemoryReader):
-    """MDAnalysis' reader of arrays, with times and observables as they were recorded.  rows : of each frame, for ts.data; time among them."""
+    """MDAnalysis' reader of arrays, with the recorded times and observables.  rows : for each frame the entries of ts.data, with its time."""
 
     def __init__(self, coordinate_array: NDArray, rows: list[dict[str, Any]] | None = None, **options: Any) -> None:
         self._recorded = rows

@@ -9,7 +9,7 @@ from minimd.files.turned_cell import Turn
 
 
 class RunReader(H5MDReader):
-    """Frames of a minimd file.  turn : of its cell, or None. A transformation would do the same, but MDAnalysis takes those of its user only once."""
+    """Frames of a minimd file.  turn : of its cell, or None. A transformation could do the same, but it can be set only once."""
 
     @store_init_arguments
     def __init__(self, filename: str, turn: Turn | None = None, **kwargs: Any) -> None:

@@ -1,4 +1,4 @@
-"""What a system knows of its atoms, as attributes of an MDAnalysis universe."""
+"""The properties of the atoms of a system as attributes of an MDAnalysis universe."""
 
 from typing import TypeVar
 
@@ -18,9 +18,9 @@ MOST_COUNTS = 10**7  # of molecules times species
 
 
 def bare_universe(kind: type[U], system: System) -> U:
-    """A universe without a trajectory: masses, types, names, elements where labels are symbols, bonds, angles, dihedrals; each molecule is a residue.
+    """A universe without a trajectory: masses, types, names, elements if labels are symbols, bonds, angles, dihedrals; each molecule is a residue.
 
-    kind : its class.  Residues are numbered from 1, in the order of their first atoms; the name is the chemical formula, or "MOL".
+    kind : its class.  Residues are numbered from 1, in the order of their first atoms; their names are chemical formulas, or "MOL".
     """
     labels, of_atoms = [str(label) for label in system.species], molecules(system)
     n_molecules = int(of_atoms.max()) + 1
@@ -40,7 +40,7 @@ def bare_universe(kind: type[U], system: System) -> U:
 
 
 def molecules(system: System) -> NDArray[np.int64]:
-    """(N,) number of the molecule of each atom, from 0: atoms that bonds and lengths held fixed connect."""
+    """(N,) number of the molecule of each atom, from 0; bonds and lengths held fixed connect the atoms of a molecule."""
     held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
     i, j = np.concatenate([system.bonds, *held]).T
     numbers = connected_components(coo_array((np.ones(len(i), bool), (i, j)), shape=(len(system), len(system))), directed=False)[1]
@@ -64,7 +64,7 @@ def _formulas(system: System, of_atoms: NDArray[np.int64]) -> list[str]:
 
 
 def _formula(counts: dict[str, int]) -> str:
-    """By Hill's order: carbon, hydrogen, the others by name; hydrogen has no place of its own without carbon."""
+    """The formula in Hill's order: carbon, hydrogen, then the others by name; without carbon all elements, also hydrogen, by name."""
     present = {name: n for name, n in counts.items() if n}
     if len(present) == 1 and sum(present.values()) == 1:
         return next(iter(present))

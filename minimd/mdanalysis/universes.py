@@ -1,7 +1,7 @@
 """Runs as universes of MDAnalysis, and its analyses.
 
-MDAnalysis holds positions and velocities in float32, in Å and Å/ps, and knows a cell by lengths and angles alone. Reduced numbers
-pass unchanged, 1 σ as 1 Å and 1 τ as 1 ps.
+MDAnalysis holds positions and velocities in float32, in Å and Å/ps, and a cell as lengths and angles only. Numbers in reduced units are not
+converted: 1 σ becomes 1 Å and 1 τ becomes 1 ps.
 """
 
 import warnings
@@ -50,13 +50,13 @@ Array = NDArray[np.float64]
 VERSION = MDAnalysis.__version__
 RDF_FRAMES, RDF_DISTANCES = 50, 1e7  # at most, so that g(r) takes half a second
 MSD_FRAMES, MSD_ATOMS = 200, 400  # at most
-FIT_FROM, FIT_TO = 0.1, 0.5  # of the duration: after the ballistic start, before few pairs of frames are left
-UNEVEN = 1e-6  # of a spacing between frames: times are rounded
+FIT_FROM, FIT_TO = 0.1, 0.5  # of the duration: after the ballistic start, and before there are too few pairs of frames
+UNEVEN = 1e-6  # largest relative difference between equal spacings of frames, whose times are rounded
 CM2_PER_S = 1e-4  # per Å²/ps
 
 
 class RunUniverse(MDAnalysis.Universe):
-    """The universe of a run.  system : System.  contents : what its file holds apart from its frames; a universe in memory has none."""
+    """The universe of a run.  system : System.  contents : of its file, apart from frames; a universe in memory has none."""
 
     system: System
     contents: H5MDContents
@@ -66,18 +66,24 @@ Run = str | Path | Simulation | Frames | RunUniverse
 
 
 def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | None = None) -> RunUniverse:
-    """A minimd file as an MDAnalysis universe: masses, types, names, elements where labels are symbols, bonds, angles, dihedrals, residues.
+    """A minimd file as an MDAnalysis universe: masses, types, names, elements if labels are symbols, bonds, angles, dihedrals, residues.
 
-    Each molecule is a residue: atoms that bonds or fixed lengths connect. Observables stand in ts.data.
 
-    MDAnalysis places a cell with a along x and b in the xy plane. Where the cell of the run lies otherwise, positions, velocities and forces are
-    turned with it, and a warning says so: r @ R, where R is ts.data["rotation"], so that r @ R.T leads back. ts.data and the system stay as they
-    were in the run. See Turn.
 
-    run : a file; or, in memory, a simulation as it is now, or the Frames that it has filled.
+
+
+
+
+    Each molecule is a residue: the atoms that bonds or fixed lengths connect. Observables are in ts.data.
+
+    MDAnalysis places a cell with a along x and b in the xy plane. If the cell of the run has another orientation, positions, velocities and
+    forces are turned with it, and a warning says so: r @ R, where R is ts.data["rotation"], and r @ R.T turns back. ts.data and the system
+    are not turned. See Turn.
+
+    run : a file; or, in memory, a simulation in its present state, or the Frames of a run.
     contents : of the file, if they have been read.
 
-    Warns where frames are not evenly spaced, because MDAnalysis' dt is one number.
+    Warns if frames are not evenly spaced, because MDAnalysis' dt is a single number.
 
     Raises
     ------
@@ -102,9 +108,9 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
 
 
 def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
-    """timestep : taken for the time between frames if there is only one [ps, or τ]."""
+    """The universe of frames in memory.  timestep : used as the time between frames if there is only one frame [ps, or τ]."""
     if frames.system is None:
-        raise ValueError("these Frames are empty; pass them to a run: observers=[frames]")
+        raise ValueError("these Frames are empty; pass them to a run as observers=[frames]")
     _tell_cell("the universe in memory", frames.system.cell, frames.turn)
     spacing = _spacing("the frames in memory", frames.series("step"), frames.series("time")) or timestep
     with quiet():
@@ -115,19 +121,19 @@ def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
 
 
 def _tell_cell(what: str, cell: Cell, turn: Turn | None) -> None:
-    """Warn of a cell that MDAnalysis places otherwise, or cannot hold."""
+    """Warn of a cell that is turned for MDAnalysis, or that MDAnalysis cannot hold."""
     if turn is not None:
         warnings.warn(turn.in_words(what, ": R is ts.data['rotation']"), stacklevel=outside_minimd())
     if cell.is_periodic and not has_edges(cell):
         warnings.warn(
             f"{what} has no cell, because MDAnalysis needs three vectors and this cell has fewer: distances are not those of nearest images; "
-            "give the open direction a length that all atoms fit in, beside pbc, as cell=[20, 20, 50] with pbc=(True, True, False)",
+            "give the open direction a length into which all atoms fit, with pbc, as in cell=[20, 20, 50], pbc=(True, True, False)",
             stacklevel=outside_minimd(),
         )
 
 
 def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
-    """dt [ps] for MDAnalysis, which knows one spacing of frames; that of most frames, with a warning, where there are several; None of one frame."""
+    """dt [ps] for MDAnalysis, which has a single spacing of frames: the median, with a warning if spacings differ; None for one frame."""
     spacings = np.diff(times)
     if not len(spacings):
         return None
@@ -138,7 +144,7 @@ def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
         if least == most:
             apart = f"{spacings.min():.4g} to {spacings.max():.4g} apart in time, because the time step changed"
         warnings.warn(
-            f"{what} lie {apart}, so that trajectory.dt and totaltime do not hold for all of them; take the time of each frame, ts.time",
+            f"{what} are {apart}, so trajectory.dt and totaltime are not right for all of them; use the time of each frame, ts.time",
             stacklevel=outside_minimd(),
         )
     return spacing
@@ -146,8 +152,8 @@ def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
 
 @contextmanager
 def universe_of(run: Run) -> Iterator[RunUniverse]:
-    """The universe of a run: one that is given stays open, any other is closed at the end.  Raises as universe."""
-    with quiet():  # the analyses here take the time of each frame
+    """The universe of a run; if run is a universe, it stays open, else the universe is closed at the end.  Raises as universe."""
+    with quiet():  # the analyses here use the time of each frame
         made = run if isinstance(run, RunUniverse) else universe(run)
     try:
         yield made
@@ -170,27 +176,27 @@ class RadialDistribution(NamedTuple):
 def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
     """g(r) by MDAnalysis' InterRDF, up to half the smallest height of the cell, from evenly chosen frames and atoms.
 
-    Bonded pairs count like all others. If distances between all atoms would take too long, they are measured from some of them to all.
-    run : what universe takes, or a universe of it.
+    Bonded pairs count like all others. If distances between all atoms would take too long, they are measured from some atoms to all atoms.
+    run : an argument of universe, or a universe.
 
     Raises
     ------
-    ValueError : if the cell is not periodic in all directions, or there is one atom only.  And as universe.
+    ValueError : if the cell is not periodic in all directions, or there is only one atom.  Others as universe.
     """
     with universe_of(run) as made, quiet():
         system = made.system
         if not system.cell.pbc.all() or len(system) < 2:
-            raise ValueError(f"g(r) needs two atoms and a cell periodic in all directions; {_name(made)} holds {system!r}")
+            raise ValueError(f"g(r) needs at least two atoms, and a cell that is periodic in all directions; {_name(made)} holds {system!r}")
         r_max = float(system.cell.heights.min() / 2.0) * system.units.to_angstrom
         stride = ceil(len(made.trajectory) / RDF_FRAMES)
         some = _every(made, RDF_DISTANCES * stride / len(made.trajectory) / len(system))
-        # From one bin on, so that no atom is its own neighbor; the others of N atoms are N − 1.
+        # The range begins after the first bin, so that no atom is its own neighbor; each atom has N − 1 others.
         result = InterRDF(some, made.atoms, nbins=n_bins - 1, range=(r_max / n_bins, r_max)).run(step=stride).results
     return RadialDistribution(result.bins / system.units.to_angstrom, result.rdf * len(system) / (len(system) - 1))
 
 
 def _every(made: MDAnalysis.Universe, n_atoms: float) -> MDAnalysis.AtomGroup:
-    """About so many atoms, evenly chosen."""
+    """About n_atoms atoms, evenly chosen."""
     return made.atoms[:: max(1, ceil(len(made.atoms) / max(1.0, n_atoms)))]
 
 
@@ -204,9 +210,9 @@ class Diffusion(Displayed):
 
     Attributes
     ----------
-    coefficient : D of this cell [Å²/ps, or σ²/τ].  cm2_per_s : the same in cm²/s, None in reduced units.
-    error : standard error of D, from the scatter of the slopes of the atoms; NaN of fewer than 4.
-    infinite : D of an infinite system, by the correction of Yeh and Hummer; None if no viscosity was given.
+    coefficient : D in this cell [Å²/ps, or σ²/τ].  cm2_per_s : the same in cm²/s, None in reduced units.
+    error : standard error of D, from the scatter of the slopes of the atoms; NaN for fewer than 4 atoms.
+    infinite : D in an infinite system, by the correction of Yeh and Hummer; None if no viscosity was given.
     window : lags of the straight-line fit [ps or τ].  lags, displacements : (T,) [ps or τ], (T,) mean squares [Å² or σ²].
     """
 
@@ -221,7 +227,7 @@ class Diffusion(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         unit, time = ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")
-        size = "that of a larger cell is larger: viscosity= corrects for it"
+        size = "in a larger cell D is larger: viscosity= corrects for this"
         if self.infinite is not None:
             size = f"D = {with_error(self.infinite, self.error)} {unit} in an infinite system, by Yeh and Hummer"
         return [("diffusion", str(self)), ("", size), ("lags", f"{len(self.lags)}, up to {self.lags[-1]:.4g} {time}")]
@@ -238,11 +244,11 @@ class Diffusion(Displayed):
 def mean_square_displacement(run: Run) -> tuple[Array, Array]:
     """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
 
-    Frames and atoms are evenly chosen where there are many.  run : what universe takes, or a universe of it.
+    If there are many frames or atoms, some of them are used, evenly chosen.  run : an argument of universe, or a universe.
 
     Raises
     ------
-    ValueError : if there is only one frame.  And as universe.
+    ValueError : if there is only one frame.  Others as universe.
     """
     lags, of_atoms = _displacements(run)
     return lags, of_atoms.mean(axis=1)
@@ -258,17 +264,17 @@ def _displacements(run: Run) -> tuple[Array, Array]:
 
 
 def diffusion_coefficient(run: Run, window: tuple[float, float] | None = None, viscosity: float | None = None) -> Diffusion:
-    """D from the mean-square displacement, a straight line fitted within a window of lags, with its standard error.
+    """D from the mean-square displacement, by a straight line fitted within a window of lags, with its standard error.
 
     The error is that of the mean over atoms, which move almost independently of each other.
 
-    run : what universe takes, or a universe of it.  window : [ps, or τ]; from a tenth to half of the duration if not given.
+    run : an argument of universe, or a universe.  window : [ps, or τ]; from a tenth to half of the duration if not given.
     viscosity : η [energy time/length³], for the correction of Yeh and Hummer for the size of a cubic cell; see observers.diffusion.
 
     Raises
     ------
-    ValueError : if the window holds fewer than three lags; for a viscosity and a cell that is not cubic, or a run in memory.  And as
-        mean_square_displacement.
+    ValueError : if the window holds fewer than three lags; if a viscosity is given, and the cell is not cubic or the run is in memory.
+        Others as mean_square_displacement.
     """
     with universe_of(run) as made:
         (lags, of_atoms), units = _displacements(made), made.system.units
@@ -285,11 +291,11 @@ def diffusion_coefficient(run: Run, window: tuple[float, float] | None = None, v
 
 
 def _correction(made: RunUniverse, viscosity: float) -> float:
-    """What an infinite system adds to D [Å²/ps, or σ²/τ]."""
+    """The correction of D for the finite size of the cell [Å²/ps, or σ²/τ]."""
     cell, units = made.system.cell, made.system.units
     if not is_cubic(cell) or not hasattr(made, "contents"):
         raise ValueError(
-            "the correction of Yeh and Hummer is for files of runs in cubic cells that are periodic in all directions; leave viscosity out"
+            "the correction of Yeh and Hummer needs the file of a run in a cubic cell that is periodic in all directions; leave viscosity out"
         )
     thermal_energy = units.k_B * float(made.contents.record.temperature.mean())
     added = finite_size_correction(thermal_energy, viscosity, float(np.linalg.norm(cell.vectors[0])))

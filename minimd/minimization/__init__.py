@@ -1,1 +1,1 @@
-"""Downhill to a minimum of the potential energy."""
+"""Minimization of the potential energy."""

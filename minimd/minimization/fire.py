@@ -1,10 +1,11 @@
-"""FIRE, the fast inertial relaxation engine: downhill with inertia, and a stop whenever the way leads uphill.
+"""FIRE, the fast inertial relaxation engine: a descent with inertia, which stops whenever the energy begins to increase.
 
-Its rules stand beside their lines in FIRE._descend. All masses are 1. E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006), in the form
-of J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020): a half step back after each stop, and steps of symplectic Euler.
+The rules are written beside their lines in FIRE._descend. All masses are 1. E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006), in the
+form of J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020): half a step back after each stop, and steps of symplectic Euler.
 
-Two things are added. The unit of time is not known here; therefore Δt is limited by the largest curvature κ = |ΔF|/|Δr|, found by a few
-power iterations now and then. And no atom moves farther than a given length in a step, which leads out of overlaps, however large the forces.
+Two things are added. The unit of time is not known here; therefore Δt is limited by the largest curvature κ = |ΔF|/|Δr|, which is estimated
+regularly by a few power iterations. And no atom moves farther than a given length in a step, so that overlaps are resolved however large the
+forces are.
 """
 
 from collections.abc import Callable
@@ -21,15 +22,15 @@ from minimd.structure.images import nearest_vectors
 from minimd.structure.observables import Array, longest
 
 DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99  # N_delay, f_inc, f_dec, α_start, f_α: Guénolé et al., table 2
-FIRST, LONGEST = 0.3, 1.0  # √κ Δt at the start, and at most; symplectic Euler blows up at 2, and κ may be seen too small
-PROBE = 1e-3  # of the longest step: displacements that try the curvature
+FIRST, LONGEST = 0.3, 1.0  # √κ Δt at the start, and at most; symplectic Euler is unstable above 2, and κ may be underestimated
+PROBE = 1e-3  # of the longest step: displacements for measuring the curvature
 PROBES, PROBE_EVERY = 5, 50  # displacements, each along the change of the forces in the one before; steps between two such series
-FIRST_SERIES = 4  # of them
+FIRST_SERIES = 4  # number of such series at the start
 SEED = 1  # of the first displacement
 FALLING = 0.9  # the largest force must fall by this factor in a step of steepest descent
-LARGEST = 1e100  # of a force: larger ones are scaled down, all alike, so that their squares are numbers
-PUSHES = 100  # of pairs whose forces are infinite
-REFUSALS = 50  # steps in a row that constraints may refuse, each shorter than the one before
+LARGEST = 1e100  # of a force: if one is larger, all are scaled down by the same factor, so that their squares are finite
+PUSHES = 100  # largest number of pushes that separate pairs with infinite forces
+REFUSALS = 50  # largest number of successive steps refused by constraints, each shorter than the one before
 
 
 @kernel
@@ -56,7 +57,7 @@ def overlap(first, second):
 
 @kernel
 def steer(velocities, forces, timestep, mixing, most):
-    """v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|; then all v are shortened alike so that Δt |v_i| ≤ most. (N, 3) both."""
+    """v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|; then all v are scaled by one factor so that Δt |v_i| ≤ most. v, F : (N, 3)."""
     v2, f2 = 0.0, 0.0
     for i in range(velocities.shape[0]):
         for c in range(3):
@@ -77,7 +78,7 @@ def steer(velocities, forces, timestep, mixing, most):
 class FIRE:
     """A descent, made in place on the positions of the system of some forces.
 
-    n_steps : made so far.  largest_force : the longest force on an atom that constraints leave [energy/length].
+    n_steps : made so far.  largest_force : the largest force on an atom, projected onto the constraints [energy/length].
     stop_requested : set it to True to end after the present step.
     """
 
@@ -90,10 +91,10 @@ class FIRE:
         self.n_steps, self.largest_force, self.stop_requested = 0, 0.0, False
 
     def begin(self) -> float:
-        """Put lengths right and evaluate the forces; return the largest one, infinite if atoms had to be pushed apart first.
+        """Correct the constrained lengths and evaluate the forces; return the largest, infinite if atoms had to be pushed apart first.
 
-        Raises NonFiniteError for two atoms on one spot, and where forces are not finite for another reason. ConstraintError if the lengths
-        cannot be put right.
+        Raises NonFiniteError for two atoms at the same place, and if forces are not finite for another reason.  ConstraintError if the lengths
+        cannot be corrected.
         """
         bonds = self._constraint_set.bonds
         if bonds is not None and bonds.violation(self._positions).max() > bonds.tolerance:
@@ -101,7 +102,7 @@ class FIRE:
         return np.inf if self._evaluate() else self.largest_force
 
     def run(self, tolerance: float, max_steps: int, tell: Callable[[int], Any]) -> None:
-        """Descend until no force is longer than the tolerance, or after max_steps.  tell : is called with the number of steps made.
+        """Descend until no force exceeds the tolerance, or for max_steps steps.  tell : called with the number of steps made.
 
         Raises as begin.
         """
@@ -113,7 +114,7 @@ class FIRE:
         return self.largest_force > self._tolerance and self.n_steps < self._max_steps and not self.stop_requested
 
     def _steepest(self) -> None:
-        """Steepest descent with the atom of the largest force moved by the longest step, as long as that makes the force fall."""
+        """Steepest descent, as long as the largest force decreases; the atom with the largest force moves by the longest step."""
         while self._goes_on():
             before, forces, largest = self._positions.copy(), self._forces.copy(), self.largest_force
             if self._moved(self._forces * (self._longest / largest), 1.0):
@@ -124,7 +125,7 @@ class FIRE:
             return
 
     def _descend(self) -> None:
-        """FIRE with its rules beside their lines; Δt is shortened, and v set to zero, after a step that constraints refuse."""
+        """FIRE, with the rules beside their lines; after a step that constraints refuse, Δt is halved and v set to zero."""
         if not self._goes_on():
             return
         for _ in range(FIRST_SERIES):
@@ -150,10 +151,12 @@ class FIRE:
                 timestep, refused = timestep * SLOWER, refused + 1
                 self._velocities[:] = 0.0
                 if refused > REFUSALS:
-                    raise ConstraintError(f"no step of the minimization keeps the constraints; the closest pair is {closest_pair(self._system)}")
+                    raise ConstraintError(
+                        f"the minimization found no step that keeps the constraints; the closest pair is {closest_pair(self._system)}"
+                    )
 
     def _try_curvature(self) -> None:
-        """κ from power iterations, which go on where the last series ended; at least so large that a first step is no longer than the longest."""
+        """Estimate κ by power iterations, which continue the last series; a lower bound keeps the first step within the longest."""
         before, forces, largest, shown = self._positions.copy(), self._forces.copy(), self.largest_force, 0.0
         for _ in range(PROBES):
             self._constraint_set.project(self._probe, before)
@@ -174,7 +177,7 @@ class FIRE:
         self._tell(self.n_steps)
 
     def _moved(self, velocities: Array, duration: float) -> bool:
-        """Move all atoms, velocities being changed as constraints demand; False, and nothing moved, if they cannot be kept."""
+        """Move all atoms, and change velocities as constraints require; False, without any motion, if constraints cannot be kept."""
         bonds = self._constraint_set.bonds
         if bonds is None:
             self._positions += duration * velocities
@@ -189,7 +192,7 @@ class FIRE:
             return False
 
     def _evaluate(self) -> int:
-        """Forces that constraints leave, of finite squares, and the largest of them; how many pairs had to be pushed apart for that."""
+        """Compute the forces, projected onto constraints and scaled to finite squares, and the largest; returns the number of pairs pushed apart."""
         n_pushes = 0
         while not np.isfinite(largest := largest_component(self._engine.compute())):
             n_pushes += 1
@@ -200,12 +203,14 @@ class FIRE:
         return n_pushes
 
     def _push_apart(self, n_pushes: int) -> None:
-        """Move the closest pair, whose forces are infinite, apart along the line that joins it, by half the longest step each."""
+        """Move the two atoms of the closest pair, whose forces are infinite, apart along their connection, each by half the longest step."""
         pair = closest_pair(self._system)
         if pair is None or pair.distance > self._longest or n_pushes > PUSHES or not np.isfinite(self._positions).all():
             raise NonFiniteError(f"forces are not finite; the closest pair is {pair}")
         if pair.distance == 0.0:
-            raise NonFiniteError(f"atoms {pair.first} and {pair.second} are at the same place: no force can separate them; move or remove one")
+            raise NonFiniteError(
+                f"atoms {pair.first} and {pair.second} are at the same place: the direction of their force is undefined; move or remove one"
+            )
         arm = nearest_vectors(self._positions, self._system.cell, np.array([pair[:2]]))[0]
         velocities = np.zeros_like(self._positions)
         velocities[pair.first], velocities[pair.second] = -arm / pair.distance, arm / pair.distance

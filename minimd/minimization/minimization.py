@@ -1,4 +1,4 @@
-"""Minimization: down the potential energy to the nearest minimum, from any start in which no two atoms lie on one spot."""
+"""Minimization of the potential energy to a nearby minimum, from any start in which no two atoms are at the same place."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class Minimization(Displayed):
     ----------
     system : System, the final state.  converged : whether largest_force is within the tolerance.
     n_steps : number of steps.  n_evaluations : number of force evaluations.
-    largest_force, largest_force_before : the longest of the forces on single atoms, without the part that constraints take [energy/length].
+    largest_force, largest_force_before : the largest force on an atom, projected onto the constraints [energy/length].
     potential_energy, potential_energy_before : U [energy]; infinity also where it is NaN.
-    force_tolerance : the one asked for [energy/length].
+    force_tolerance : as given [energy/length].
     """
 
     system: System
@@ -67,25 +67,26 @@ def minimize(
     max_step_length: float = MAX_STEP_LENGTH,
     progress: bool | None = None,
 ) -> Minimization:
-    """A minimum of the potential energy near the given state, by FIRE; the system that is given stays as it is.
+    """Find a minimum of the potential energy near the given state, by FIRE; the given system is not changed.
 
-    No step moves an atom farther than max_step_length, so that atoms far too close to each other find their way out, whatever
-    their forces. Two atoms on exactly one spot are refused: the direction of their force is undefined, and nearly always one atom was
-    entered twice. A start where all forces vanish stays as it is, even if it is no minimum: shake a crystal whose symmetry should break.
-    Constraints are kept and fixed atoms stay. Velocities are kept too, but projected onto the constraints at the end.
+    No step moves an atom farther than max_step_length, so that atoms that are far too close to each other separate, however large their
+    forces are. Two atoms at exactly the same place are refused: the direction of their force is undefined, and usually one atom was entered
+    twice. A start where all forces are zero is not changed, even if it is not a minimum: displace the atoms of a crystal a little if its
+    symmetry should break. Constraints are kept, and fixed atoms do not move. Velocities are kept, but projected onto the constraints at the
+    end.
 
     Parameters
     ----------
     system, potentials, constraints : as for Simulation.
-    force_tolerance : converged when the force on each atom is at most this [energy/length]. Where the force jumps at the cutoff (truncation
-        "shifted" or "truncated"), there may be no place where all forces vanish, and the search ends with max_steps.
+    force_tolerance : the search converges when the force on each atom is at most this [energy/length]. If the force jumps at the cutoff
+        (truncation "shifted" or "truncated"), there may be no place where all forces vanish, and the search ends after max_steps.
     max_steps : maximum number of steps; see converged of the result.
     max_step_length : largest displacement of an atom in a step [length].
     progress : as for Simulation.run.
 
     Raises
     ------
-    NonFiniteError : for two atoms on one spot, or forces that are not finite though no atoms are close.
+    NonFiniteError : for two atoms at the same place, or forces that are not finite although no atoms are close.
     ConstraintError : if constraints cannot be kept.  TypeError, ValueError : as Simulation.
     KeyboardInterrupt : after Ctrl-C; its attribute result is the Minimization so far.
 

@@ -1,4 +1,4 @@
-"""Analysis while a run goes on: observers that keep sums instead of frames, and answer at the end with error bars."""
+"""Analysis during a run: observers that keep sums instead of frames, and give results with error bars."""
 
 from minimd.observers.accumulator import Accumulator, Result
 from minimd.observers.diffusion import finite_size_correction

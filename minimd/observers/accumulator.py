@@ -1,4 +1,4 @@
-"""What all observers that answer at the end of a run have in common: when they look, what of, how they are kept and shown."""
+"""The base of observers with results: the steps at which they look, their scene, their state, and the display of results."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ObservedRun:
-    """What results need to know of the run: the same from its first observation to its last.
+    """The properties of a run that results need; they do not change from the first observation to the last.
 
-    units : name of the unit system.  species : labels.  numbers : atoms of each.  spacing : time between observations [time].
-    n_dof : degrees of freedom.  bath_temperature, bath_pressure : those that thermostat and barostat keep; None without.
+    units : name of the unit system.  species : labels.  numbers : of atoms of each species.  spacing : time between observations [time].
+    n_dof : degrees of freedom.  bath_temperature, bath_pressure : of thermostat and barostat; None without them.
     """
 
     units: str
@@ -42,7 +42,7 @@ class ObservedRun:
 
     @classmethod
     def of(cls, engine: Engine, every: int) -> ObservedRun:
-        """The scene of an engine."""
+        """The properties of the run of an engine."""
         system, barostat = engine.system, engine.barostat
         temperature, pressure = engine.method.parameters.get("temperature"), None
         if barostat is not None:
@@ -58,19 +58,19 @@ class ObservedRun:
 
     @property
     def n_atoms(self) -> int:
-        """N."""
+        """The number of atoms N."""
         return sum(self.numbers)
 
 
 class Result(Displayed):
-    """The answer of an observer. Its numbers are in the units of the simulation, see columns and unit."""
+    """The result of an observer. Its numbers are in the units of the simulation, see columns and numbers."""
 
     scene: ObservedRun
     title: ClassVar[str] = ""
 
     @abstractmethod
     def columns(self) -> dict[str, Array]:
-        """Its series by name, as long as each other, the abscissa first; empty if it has single numbers only."""
+        """Its series by name, all of the same length, the abscissa first; empty if it has single numbers only."""
 
     def numbers(self) -> dict[str, float]:
         """Its single numbers by name."""
@@ -86,11 +86,11 @@ class Result(Displayed):
 
     @abstractmethod
     def draw(self, panel: Axes) -> None:
-        """Draw it into axes of matplotlib."""
+        """Draw the result into axes of matplotlib."""
 
     def plot(self) -> Figure:
-        """A picture, which a notebook shows; .savefig(path) writes it."""
-        from minimd.engine.record_picture import Picture  # matplotlib takes its time to load
+        """A figure, which a notebook shows; .savefig(path) writes it to a file."""
+        from minimd.engine.record_picture import Picture  # matplotlib is slow to load
 
         figure = Picture(figsize=(6.0, 4.0), dpi=150, layout="constrained")
         panel = figure.subplots()
@@ -104,24 +104,24 @@ class Result(Displayed):
 
 
 class Accumulator(ABC, Displayed):
-    """An observer that looks at a run every so many steps, keeps sums, and answers at the end.
+    """An observer that looks at a run at regular steps, keeps sums, and computes a result from them.
 
         observer = md.observers.RadialDistribution(every=100)
         sim.run(100_000, observers=[observer])
         print(observer.result())
 
-    It looks at steps that are multiples of every, each once, and goes on over several runs of a simulation. What is correlated in time is
-    correlated anew where steps are missing between two looks, or where somebody has changed the state between two runs.
+    It looks once at each step that is a multiple of every, and goes on in later runs of the simulation. Correlations in time begin anew if
+    steps are missing between two looks, or if the state was changed between two runs.
 
     Attributes
     ----------
-    every : steps between two looks.  name : under which files hold it.  scene : of the run; None before the first look.
-    n_looks : how often it has looked.  last_step : when it did so last, −1 if never.
+    every : steps between two looks.  name : its name in files.  scene : ObservedRun; None before the first run.
+    n_looks : number of looks.  last_step : the step of the last look, −1 if there is none.
     """
 
     kind: ClassVar[str]  # its name in scene files and H5MD files
-    arguments: ClassVar[tuple[str, ...]] = ("every",)  # that make it again, with its name
-    needs_energy: ClassVar[bool] = False  # whether it looks at energies or the virial
+    arguments: ClassVar[tuple[str, ...]] = ("every",)  # with which, and with its name, it can be made again
+    needs_energy: ClassVar[bool] = False  # whether it needs energies or the virial
     sums: BlockedSums
 
     def __init__(self, every: int, name: str) -> None:
@@ -145,24 +145,24 @@ class Accumulator(ABC, Displayed):
 
     @property
     def n_looks(self) -> int:
-        """How often it has looked."""
+        """The number of looks."""
         return self.sums.n_entries if self.scene is not None else 0
 
     def made_with(self) -> dict[str, Any]:
-        """Its arguments."""
+        """The arguments with which it was made."""
         return {name: getattr(self, name) for name in (*self.arguments, "name")}
 
     def prepare(self, engine: Engine) -> None:
-        """Get ready for the run of an engine.  Raises ValueError if it cannot be observed, or is not the one that was observed before."""
+        """Prepare for a run of an engine.  Raises ValueError if it cannot be observed, or is another scene than the one observed before."""
         scene = ObservedRun.of(engine, self.every)
         if self.scene is None:
             self._begin(engine)
             self._set_up(scene)
         elif self.scene != scene:
-            raise ValueError(f"{self!r} has observed another system, or one with another time step or bath; make a new one for this run")
+            raise ValueError(f"{self!r} has observed another system, or one with another time step or bath; make a new observer for this run")
 
     def observe(self, engine: Engine) -> None:
-        """Look at the present state, unless it was the last one that was looked at."""
+        """Look at the present state, unless the last look was at this step."""
         if engine.step == self.last_step:
             return
         if self.last_step >= 0 and engine.step != self.last_step + self.every:
@@ -172,10 +172,10 @@ class Accumulator(ABC, Displayed):
         self.last_step = engine.step
 
     def interrupt(self) -> None:
-        """What comes next is not correlated with what came before."""
+        """Do not correlate later looks with earlier ones."""
 
     def break_off(self, step: int) -> int:
-        """A run has failed, with this step as its last good one: how many looks came later. They stay in the sums."""
+        """A run has failed; step is its last good one. Returns the number of later looks, which remain in the sums."""
         n_later = max(0, self.last_step // self.every - step // self.every)
         if n_later:
             self.interrupt()
@@ -183,13 +183,13 @@ class Accumulator(ABC, Displayed):
         return n_later
 
     def answered(self) -> ObservedRun:
-        """The scene, for a result.  Raises ValueError before the first look."""
+        """The scene, which a result needs.  Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:
             raise ValueError(f"{self!r} has not looked yet; pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])")
         return self.scene
 
     def _begin(self, engine: Engine) -> None:
-        """Settle what the first run decides."""
+        """Set the attributes that depend on the first run."""
 
     @abstractmethod
     def _laid_out(self, scene: ObservedRun) -> None:
@@ -201,32 +201,32 @@ class Accumulator(ABC, Displayed):
 
     @abstractmethod
     def result(self) -> Any:
-        """The answer.  Raises ValueError before the first look."""
+        """The result.  Raises ValueError before the first look."""
 
     def _set_up(self, scene: ObservedRun) -> None:
         self.scene = scene
         self._laid_out(scene)
 
     def _settled(self) -> dict[str, Any]:
-        """What _begin has settled, as numbers and lists for JSON; set again as attributes."""
+        """The attributes that _begin has set, as numbers and lists for JSON."""
         return {}
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays beside the sums that the next looks depend on."""
+        """Arrays, other than the sums, on which the next looks depend."""
         return {}
 
     def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Those of _arrays."""
+        """Restore the arrays of _arrays."""
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """All that decides what it answers after the looks to come, for restore; empty before the first run."""
+        """Everything on which later results depend, for restore; empty before the first run."""
         if self.scene is None:
             return {}
         words = json.dumps({"scene": asdict(self.scene), "settled": self._settled(), "last_step": self.last_step})
         return {"words": np.frombuffer(words.encode(), dtype=np.uint8), **self.sums.state(), **self._arrays()}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Go on as the observer of which this is the state would; it must have been made with the same arguments."""
+        """Go on from the state of another observer, which must have been made with the same arguments."""
         if not state:
             return
         words = json.loads(bytes(state["words"]))

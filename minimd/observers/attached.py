@@ -1,4 +1,4 @@
-"""The observers of a run: which of them look at a step, and how far it is to the next such step."""
+"""The observers of a run: those that look at a given step, and the number of steps to the next look."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from minimd.structure.errors import ConstraintError, NonFiniteError
 
 
 class Attached:
-    """Observers with steps of their own, at one engine; without any, nothing is done.
+    """The observers of a run on one engine, each with its own steps.
 
-    observers : what a user has passed to a run.  functions : those that are plain functions.  accumulators : the others.
+    observers : as passed to a run.  functions : the plain functions among them.  accumulators : the others.
 
-    Raises TypeError for what is no list of observers.  ValueError if two have the same name.
+    Raises TypeError for anything but a list of observers.  ValueError if two have the same name.
     """
 
     def __init__(self, observers: Any, engine: Engine) -> None:
@@ -30,9 +30,9 @@ class Attached:
         self.functions: Sequence[Callable] = [one for one in observers if not isinstance(one, Accumulator)]
         names = [one.name for one in self.accumulators]
         if twice := {name for name in names if names.count(name) > 1}:
-            raise ValueError(f"each observer needs a name of its own; {min(twice)!r} is that of several: pass name= to one of them")
+            raise ValueError(f"observers must have different names; {min(twice)!r} is the name of several: pass another name= to one of them")
         self._engine = engine
-        if not engine.is_as_left:  # somebody has changed the state since the last run
+        if not engine.is_as_left:  # the state was changed since the last run
             for one in self.accumulators:
                 one.interrupt()
 
@@ -43,22 +43,22 @@ class Attached:
         self.look()
 
     def steps_to_next(self) -> int | float:
-        """From the present step to the next at which one of them looks."""
+        """The number of steps to the next look of any of them; infinite without observers."""
         return min((one.every - self._engine.step % one.every for one in self.accumulators), default=float("inf"))
 
     def need_energy(self, step: int) -> bool:
-        """Whether one that looks at this step needs energy and virial."""
+        """Whether an observer that looks at this step needs energy and virial."""
         return any(one.needs_energy and step % one.every == 0 for one in self.accumulators)
 
     def look(self) -> None:
-        """Those that are due look at the present state."""
+        """Let the observers that are due look at the present state."""
         for one in self.accumulators:
             if self._engine.step % one.every == 0:
                 one.observe(self._engine)
 
     @contextmanager
     def broken_off(self) -> Iterator[None]:
-        """Context of a run. If the run fails, a warning names those that have looked at steps after its last good one."""
+        """Context of a run. If the run fails, a warning names the observers that have looked at steps after its last good one."""
         try:
             yield
         except (NonFiniteError, ConstraintError):
@@ -66,10 +66,10 @@ class Attached:
             for one in self.accumulators:
                 if n_later := one.break_off(step):
                     what = f"{one!r} has looked {n_later} times after step {step}, the last good one of a run that failed"
-                    warnings.warn(f"{what}; its answer includes these looks", stacklevel=outside_minimd())
+                    warnings.warn(f"{what}; its result includes these looks", stacklevel=outside_minimd())
             raise
 
 
 def _is_observer(one: Any) -> bool:
-    """Whether it can look at a run; a class of observers cannot, its objects can."""
+    """Whether an object can observe a run; a class of observers cannot, but its objects can."""
     return isinstance(one, Accumulator) or (callable(one) and not (isinstance(one, type) and issubclass(one, Accumulator)))

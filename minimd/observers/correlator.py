@@ -1,10 +1,10 @@
-"""The multiple-tau correlator: time correlations over many decades of lags while the run goes on, with little memory and work.
+"""The multiple-tau correlator: time correlations over many decades of lags during a run, with little memory and work.
 
-Level k holds the last p entries of a series that is 2ᵏ times coarser than that of level 0, and correlates the newest with the others: lags
-0, 1, …, p − 1 at level 0, and from p/2 to p − 1 entries of their own at the others. Lags grow as a power of 2, their number as its exponent.
+Level k holds the last p entries of a series that is 2ᵏ times coarser than that of level 0, and correlates the newest with the others, at lags
+0, 1, …, p − 1 on level 0, and p/2 to p − 1 of its own entries on every other level. The longest lag grows as 2ᵏ, the number of lags as k.
 
-    thinned   a level gets every second entry of the level below it: each lag is exact, of fewer origins
-    averaged  it gets the means of two entries: noise is averaged out, at lags of p/2 entries or more
+    thinned   a level gets every second entry of the level below: each lag is exact, but has fewer origins
+    averaged  a level gets the means of two entries of the level below: noise is averaged out, at lags of p/2 entries or more
 
 J. Ramírez, S. K. Sukumaran, B. Vorselaars, A. E. Likhtman, J. Chem. Phys. 133, 154103 (2010).
 """
@@ -27,13 +27,13 @@ RATIO = 2  # of the spacings of two levels
 
 @scalar
 def product(a, b):
-    """a b: of velocities, or of stresses."""
+    """a b, for velocities or stresses."""
     return a * b
 
 
 @scalar
 def squared_difference(a, b):
-    """(a − b)²: of positions."""
+    """(a − b)², for positions."""
     return (a - b) * (a - b)
 
 
@@ -41,7 +41,7 @@ Product, SquaredDifference = type_of(product)(namedtuple("Product", ())), type_o
 
 
 def of_both(law, a, b):
-    """What a law, Product() or SquaredDifference(), makes of two numbers."""
+    """The value of a law, Product() or SquaredDifference(), for two numbers."""
     return law.python(a, b)
 
 
@@ -55,7 +55,7 @@ def _of_both_compiled(law, a, b):
 def add_correlations(law, ring, slot, first, n_kept, starts, sums):
     """sums[j, g, c] += Σ law(a(t), a(t − j)), over the particles of group g, for lags j from first to n_kept − 1.
 
-    law : Product() or SquaredDifference().  ring : (p, C, n), the last p entries, the newest at slot.
+    law : Product() or SquaredDifference().  ring : (p, C, n), the last p entries, the newest at index slot.
     starts : (G + 1,) int, first particle of each group.  sums : (p, G, C).
     """
     p = ring.shape[0]
@@ -74,10 +74,12 @@ class MultipleTau:
     """Correlations of C components of n particles in G groups.
 
     law : Product() or SquaredDifference().  starts : (G + 1,) int, first particle of each group.  n_components : C.
-    points : p, entries that a level holds, even.  n_levels : at most.  averages : whether levels are averaged, else they are thinned.
 
-    size : of the sums, which belong to the caller: counts (L, p), then sums (L, p, G, C).
-    lags : (T,) int, in entries, all that there can be, ascending.
+
+    points : p, number of entries on a level, even.  n_levels : L, the largest number of levels.  averages : True for averaged levels, else thinned.
+
+    size : of the sums, which the caller keeps: counts (L, p), then sums (L, p, G, C).
+    lags : (T,) int, all possible lags in entries, ascending.
     """
 
     def __init__(self, law: tuple, starts: NDArray[np.int64], n_components: int, points: int, n_levels: int, averages: bool) -> None:
@@ -125,19 +127,19 @@ class MultipleTau:
                 return
 
     def correlations(self, sums: Array) -> tuple[Array, Array]:
-        """Counts of origins, (T,), and mean products of each group, summed over its particles, (T, G, C); NaN where nothing was counted."""
+        """Numbers of origins, (T,), and mean products of each group, summed over its particles, (T, G, C); NaN for lags without origins."""
         counts = sums[: self._n_counts][self._places]
         products = sums[self._n_counts :].reshape(self._n_counts, *self._sums_shape[2:])[self._places]
         with np.errstate(all="ignore"):
             return counts, products / counts[:, None, None]
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """For restore."""
+        """The state, for restore."""
         n = len(self._rings)
         rings, means = (np.array(one) if n else np.zeros(0) for one in (self._rings, self._means))
         return {"rings": rings, "means": means, "taken": self._n_taken}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take the place of the correlator whose state this is."""
+        """Restore a state."""
         self._rings, self._means = list(np.array(state["rings"])), list(np.array(state["means"]))
         self._n_taken = np.array(state["taken"])

@@ -1,4 +1,4 @@
-"""Self-diffusion: the slope of a mean-square displacement, and what the size of a periodic cell takes from it."""
+"""Self-diffusion: the slope of a mean-square displacement, and the correction for the size of a periodic cell."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from minimd.structure.cell import Cell
 
 Array = NDArray[np.float64]
 XI = 2.837297  # ξ of a cubic cell
-CUBIC = 1e-9  # of the edges, by which those of a cube may differ
+CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
 
 
 def is_cubic(cell: Cell) -> bool:
@@ -19,7 +19,7 @@ def is_cubic(cell: Cell) -> bool:
 
 
 def slope(times: Array, squares: Array) -> Array:
-    """Slopes of straight lines through mean squares (..., T) at times (T,), each weighted by 1/t: its error grows as t."""
+    """Slopes of straight lines through mean squares (..., T) at times (T,), each point weighted by 1/t, because its error grows as t."""
     weights = 1.0 / times
     weights = weights**2 / (weights**2).sum()
     t = times - weights @ times
@@ -28,7 +28,7 @@ def slope(times: Array, squares: Array) -> Array:
 
 
 def finite_size_correction(thermal_energy: float, viscosity: float, edge: float) -> float:
-    """What must be added to D of a cubic periodic cell to have that of an infinite one [length²/time].
+    """The correction that is added to D in a cubic periodic cell to get D of an infinite system [length²/time].
 
         D∞ = D + ξ k_B T / (6π η L),   ξ = 2.837297
 

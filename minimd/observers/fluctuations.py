@@ -1,4 +1,4 @@
-"""Heat capacity and compressibility, from how much energy and volume fluctuate."""
+"""Heat capacity, compressibility and expansion from the fluctuations of energy and volume."""
 
 from __future__ import annotations
 
@@ -21,32 +21,33 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 N_SERIES = 3  # K, U, V
 KINETIC, POTENTIAL, VOLUME = range(N_SERIES)
-KINETIC_ALONE, ENERGY_AND_VOLUME = ((1.0, 0.0, 0.0),), ((1.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # series that fluctuate, as weights of K, U, V
-ENOUGH = 100.0  # correlation times: the error bar of a shorter run is itself too uncertain
-MOST = 0.5  # relative error of a variance, beyond which its upper limit says nothing
+KINETIC_ALONE, ENERGY_AND_VOLUME = ((1.0, 0.0, 0.0),), ((1.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # the fluctuating series, as weights of K, U, V
+ENOUGH = 100.0  # correlation times; the error bar of a shorter run is itself too uncertain
+MOST = 0.5  # relative error of a variance; for larger ones an upper limit is meaningless
 
 
 class Fluctuations(Accumulator):
-    """Heat capacity, compressibility and expansion from fluctuations, by the formulas of the ensemble that the method makes.
+    """Heat capacity, compressibility and expansion from fluctuations, by the formulas of the ensemble of the run.
 
         constant energy        C_V = (f k_B/2) / (1 − 2 ⟨δK²⟩ / (f k_B² T²))
         constant temperature   C_V = ⟨δE²⟩ / (k_B T²)
         constant pressure      C_P = ⟨δH²⟩ / (k_B T²),  κ_T = ⟨δV²⟩ / (k_B T V),  α_P = ⟨δV δH⟩ / (k_B T² V),   H = E + P V
 
-    f degrees of freedom share the kinetic energy K; T and P are those of the bath, T is the mean temperature where there is none. The
-    compressibility needs a volume that fluctuates.
+    f is the number of degrees of freedom in the kinetic energy K; T and P are those of the bath, and without a bath T is the mean temperature.
+    The compressibility needs a volume that fluctuates.
 
-    A variance s² from a run of n_c correlation times has a skewed distribution: most short runs find too little, and scatter little as well. The
-    standard error is therefore the larger one of two: that of the jackknife, times the correlation that is left between blocks; and the change
-    of the coefficient if all fluctuations become s²/(1 − √(2/n_c)), where √(2/n_c) is the relative standard error of the variance of a series
-    with correlations e^(−t/τ). n_c is that of the slowest series, its τ from the variances of the series and of its mean.
+    A variance s² from a run of n_c correlation times has a skewed distribution: most short runs find too small a value, with too little scatter.
+    The standard error is therefore the larger of two: that of the jackknife, times a factor for the correlation that is left between blocks; and
+    the change of the coefficient if all variances become s²/(1 − √(2/n_c)), where √(2/n_c), at most ½, is the relative standard error of the
+    variance of a series with correlations e^(−t/τ). n_c is that of the slowest series; its τ follows from the variances of the series and of
+    its mean.
 
     J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967), on constant energy; M. P. Allen, D. J. Tildesley, Computer Simulation
     of Liquids, 2nd ed. (2017), section 2.5.
 
     Parameters
     ----------
-    every : steps between two looks.  name : under which files hold it, "fluctuations" if not given.
+    every : steps between two looks.  name : its name in files, "fluctuations" if not given.
     """
 
     kind = "fluctuations"
@@ -66,7 +67,7 @@ class Fluctuations(Accumulator):
         engine.evaluate()
         look = Look(engine)
         now = [look.kinetic_energy, look.potential_energy, engine.system.volume or 0.0]
-        self.reference = self.reference or now  # what is summed are differences from it, which are small
+        self.reference = self.reference or now  # sums are over differences from the reference, which are small
         change = np.array(now) - self.reference
         self.sums.total += np.concatenate([[1.0], change, np.outer(change, change).ravel()])
 
@@ -87,12 +88,12 @@ class Fluctuations(Accumulator):
 
 
 def correlation_times(sums: BlockedSums, series: tuple[tuple[float, ...], ...]) -> tuple[float, float]:
-    """How many correlation times n_c of its slowest series a run is long, and the factor of jackknife errors for correlated blocks.
+    """The length n_c of a run in correlation times of its slowest series, and the factor for jackknife errors with correlated blocks.
 
         n_c = 2 s²/error²,   error² = σ²/(n − 1),   factor = √(K/n) (1 + 1.2/n)
 
-    s² : variance of the series.  σ², n : variance of K means over blocks, and how many of them are independent; the last term of the factor is
-    Student's t. series : each as its weights of K, U and V. NaN and 1 if there are too few blocks, or nothing fluctuates.
+    s² : variance of the series.  σ², n : variance of the means of K blocks, and the number of independent ones; the last factor approximates
+    Student's t.  series : each given by its weights of K, U and V.  Returns NaN and 1 if there are too few blocks, or nothing fluctuates.
     """
     parts, found = sums.parts(), []
     n_looks, covered = sums.total[0], parts[:, 0].sum()
@@ -110,7 +111,7 @@ def correlation_times(sums: BlockedSums, series: tuple[tuple[float, ...], ...]) 
 
 
 def _coefficients(sums: Array, reference: Array, scene: ObservedRun, widened: float = 1.0) -> Array:
-    """T, C_V, C_P, κ_T, α_P; NaN for those that the ensemble does not tell.  widened : factor of all variances."""
+    """T, C_V, C_P, κ_T, α_P; NaN for those that do not follow from the ensemble.  widened : factor for all variances."""
     means = sums[1 : 1 + N_SERIES] / sums[0]
     covariance = sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)
     covariance = widened * covariance
@@ -135,8 +136,8 @@ class FluctuationResult(Result):
     """Coefficients from fluctuations.
 
     ensemble : in words.  values, errors : (5,) mean temperature, C_V and C_P of the whole system [energy/temperature], κ_T [length³/energy], α_P
-    [1/temperature], and their standard errors; NaN for those that the ensemble does not tell.  n_looks : looks.
-    correlation_times : how many of the slowest fluctuation the run is long; NaN if unknown.
+    [1/temperature], and their standard errors; NaN for those that do not follow from the ensemble.  n_looks : number of looks.
+    correlation_times : length of the run in correlation times of the slowest fluctuation; NaN if unknown.
     """
 
     scene: ObservedRun
@@ -182,7 +183,7 @@ class FluctuationResult(Result):
         return rows
 
     def draw(self, panel: Axes) -> None:
-        """See Result: words."""
+        """See Result: the numbers as text."""
         panel.axis("off")
         words = "\n".join(words for _, words in self.display_rows())
         panel.text(0.0, 1.0, words, va="top", transform=panel.transAxes, fontsize=8, wrap=True)

@@ -1,4 +1,4 @@
-"""Transport coefficients as integrals of time correlations: where the integral has reached its plateau, and how uncertain that is."""
+"""Transport coefficients as integrals of time correlations: the plateau of the integral, and its standard error."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from minimd.structure.statistics import spread
 
 Array = NDArray[np.float64]
-SLOWER = 1.5  # S: the slowest correlation beside the mean time of the integral; Wolff's own value
+SLOWER = 1.5  # S: ratio of the slowest correlation time to the mean time of the integral; Wolff's value
 OCTAVE = 2.0  # a plateau lasts from a time to this multiple of it
 FEWEST_LAGS = 3  # in a plateau
 
 
 class Plateau(NamedTuple):
-    """value, error : of the integral, in its units.  window : (start, end) [time].  is_reached : whether the integral stays there."""
+    """value, error : of the integral, in its units.  window : (start, end) [time].  is_reached : whether the integral has a plateau."""
 
     value: float
     error: float
@@ -31,13 +31,14 @@ def running_integral(times: Array, correlation: Array) -> Array:
 
 
 def plateau(times: Array, integral: Array, without: Array) -> Plateau:
-    """The mean of the integral over an octave of times, t to 2t, that begins where noise grows faster than what is left out becomes less.
+    """The mean of the integral over an octave of times, t to 2t, that begins where the noise grows faster than the missing rest decreases.
 
         A(t) e^(−t/Sτ) ≤ σ(t) Sτ/2t,   τ(t) = ∫₀ᵗ |I(t) − I(s)| ds / A(t),   A(t) = max |I(s)|, s ≤ t,   S = 1.5
 
-    The first t that fulfils this is taken: there the sum of both errors is smallest, if A e^(−t/Sτ) is left out beyond t and the standard
-    error σ grows as √t. For C = e^(−t/τ₀) τ is τ₀; what is slow counts in τ by its share of the integral. If there is no such t, the last octave
-    is taken. A slow correlation whose whole share of the integral is below the error bar cannot be seen, and is missing from it.
+    The first t that fulfills this is used: there the sum of both errors is smallest, if the rest beyond t is A e^(−t/Sτ) and the standard
+    error σ grows as √t. For C = e^(−t/τ₀), τ is τ₀; a slow part contributes to τ in proportion to its share of the integral. If there is no
+    such t, the last octave is used. A slow correlation whose whole share of the integral is below the error bar is not noticed, and is missing
+    from the result.
 
     times, integral : (T,), from time 0.  without : (K, T), replicas of the integral.
 

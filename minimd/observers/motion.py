@@ -1,4 +1,4 @@
-"""How atoms move: mean-square displacement and velocity autocorrelation, by species and direction."""
+"""The motion of atoms: mean-square displacement and velocity autocorrelation, by species and direction."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from minimd.structure.checks import checked_count
 from minimd.structure.observables import kinetic_energy
 
 Array = NDArray[np.float64]
-POINTS = 16  # of each level of the correlator
+POINTS = 16  # entries on each level of the correlator
 
 
 class _OfAtoms(TimeCorrelation):
-    """A correlation of a vector that each atom has."""
+    """A correlation of a vector of each atom."""
 
     arguments = ("every", "n_levels", "most_atoms")
     law: ClassVar[tuple]  # of the correlator
@@ -60,10 +60,10 @@ class _OfAtoms(TimeCorrelation):
 
     @abstractmethod
     def _vectors(self, engine: Engine) -> Array:
-        """(N, 3)."""
+        """The vectors of all atoms, (N, 3)."""
 
     def _means(self, seen: NDArray[np.bool_]) -> Callable[[Array], Array]:
-        """The law that makes of the sums: means over all atoms, then over those of each species, then along x, y, z; (1 + S + 3, T)."""
+        """The function of the sums that gives means over all atoms, over those of each species, and along x, y, z; (1 + S + 3, T)."""
         numbers = np.maximum(1, np.array(self.numbers))
 
         def law(sums: Array) -> Array:
@@ -75,17 +75,17 @@ class _OfAtoms(TimeCorrelation):
 
 
 class MeanSquareDisplacement(_OfAtoms):
-    """⟨|r(t₀ + t) − r(t₀)|²⟩ and the coefficient of self-diffusion, by a multiple-tau correlator: 16 · 2ᵏ⁻¹ · every steps in k levels.
+    """⟨|r(t₀ + t) − r(t₀)|²⟩ and the coefficient of self-diffusion, by a multiple-tau correlator with lags up to 15 · 2ᵏ⁻¹ · every steps in k levels.
 
-    Every lag is exact: levels are thinned, never averaged. Where the cell changes, as with a barostat, displacements are those beside the
-    motion of the cell: from one look to the next each atom, or the center of its rigid molecule, is first carried along with the cell, and only
-    the rest counts.
+    Every lag is exact: levels are thinned, never averaged. If the cell changes, as with a barostat, the motion of the cell is not counted:
+    from one look to the next each atom, or the center of its rigid molecule, is first moved with the cell, and only the rest is its displacement.
     S. von Bülow, J. T. Bullerjahn, G. Hummer, J. Chem. Phys. 153, 021101 (2020), on why.
 
     Parameters
     ----------
-    every : steps between two looks.  n_levels : at most.  most_atoms : at most so many atoms, evenly chosen: time and memory grow with them.
-    name : under which files hold it, "mean_square_displacement" if not given.
+    every : steps between two looks.  n_levels : largest number of levels.  most_atoms : largest number of atoms, chosen evenly; time and memory
+        are proportional to it.
+    name : its name in files, "mean_square_displacement" if not given.
     """
 
     kind = "mean-square-displacement"
@@ -93,7 +93,7 @@ class MeanSquareDisplacement(_OfAtoms):
 
     def _laid_out(self, scene: ObservedRun) -> None:
         super()._laid_out(scene)
-        self._carried: Array | None = None  # what the cell has added to the positions
+        self._carried: Array | None = None  # displacements due to the motion of the cell
         self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
         self._molecules: Molecules | None = None
 
@@ -110,9 +110,9 @@ class MeanSquareDisplacement(_OfAtoms):
         return positions if self._carried is None else positions - self._carried
 
     def _moved_by_cell(self, engine: Engine, was: Cell, old: Array) -> Array:
-        """What the cell has added to positions since the last look, when they were old and it was another, (N, 3).
+        """Displacements due to the motion of the cell since the last look, (N, 3).  was, old : cell and positions at that look.
 
-        Each atom goes along with the cell; of a molecule with lengths held fixed its center does so, and the molecule turns as the cell does.
+        Each atom moves with the cell; of a molecule with lengths held fixed the center does, and the molecule turns as the cell does.
         """
         cell, bonds = engine.system.cell, engine.constraint_set.bonds
         strain = np.linalg.solve(_spanning(was), _spanning(cell))
@@ -120,7 +120,7 @@ class MeanSquareDisplacement(_OfAtoms):
             return old @ strain - old
         if self._molecules is None:
             self._molecules = Molecules(engine.system, engine.constraint_set)
-        images = self._molecules.whole(bonds)  # that join atoms of a molecule; they change with the cell
+        images = self._molecules.whole(bonds)  # translations that join the atoms of a molecule; they change with the cell
         images_before = images.copy()
         cell.follow(was, images_before)
         whole = old + images_before
@@ -144,11 +144,11 @@ class MeanSquareDisplacement(_OfAtoms):
     def result(self, window: tuple[float, float] | None = None, viscosity: float | None = None) -> DisplacementResult:
         """The displacements so far, and D of the atoms, each with its standard error.
 
-        window : lags of the straight line [time]; if not given, from where atoms have left their places, by half the distance of neighbors, over
-            a decade, up to a quarter of the run.
+        window : lags for the fit of a straight line [time]; if not given, a decade that begins when atoms have moved by half the distance of
+            neighbors, and ends at a quarter of the run at the latest.
         viscosity : η [energy time/length³], for the finite-size correction of Yeh and Hummer, which needs a cubic cell.
 
-        Raises ValueError before the first look, for a window with fewer than 3 lags, or for a viscosity and a cell that is not cubic.
+        Raises ValueError before the first look, for a window with fewer than 3 lags, or if a viscosity is given and the cell is not cubic.
         """
         scene = self.answered()
         seen, times, longest = self._seen()
@@ -166,8 +166,8 @@ def _spanning(cell: Cell) -> Array:
 class VelocityAutocorrelation(_OfAtoms):
     """⟨v(t₀) · v(t₀ + t)⟩, and the coefficient of self-diffusion as its integral, D = ⅓ ∫ ⟨v(0) · v(t)⟩ dt.
 
-    By a multiple-tau correlator, as MeanSquareDisplacement; its parameters are the same. Looks must be close beside the time in which velocities
-    change: some 20 fs, or 0.02 τ.
+    It is computed by a multiple-tau correlator, with the parameters of MeanSquareDisplacement. The time between looks must be short compared
+    with the time in which velocities change: about 20 fs, or 0.02 τ.
     """
 
     kind = "velocity-autocorrelation"

@@ -1,4 +1,4 @@
-"""What observers of the motion of atoms answer."""
+"""Results of the observers of the motion of atoms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 DECADE = 10.0  # the window of a fit ends at this multiple of its start
-LEFT = 0.5  # of the distance of neighbors: an atom that has moved so far has left its place
+LEFT = 0.5  # of the distance of neighbors: an atom that has moved by more has left its place
 CM2_PER_S = 1e-4  # per Å²/ps
 AXES = ("x", "y", "z")
 
@@ -49,9 +49,9 @@ class DisplacementResult(Result):
     """A mean-square displacement, and the self-diffusion that follows from it.
 
     times : (T,) lags [time].  means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species, and along x, y, z.
-    diffusion, diffusion_error : D of this cell [length²/time]; NaN where the window holds too few lags.  diffusion_of_species : D of each, (S,).
+    diffusion, diffusion_error : D in this cell [length²/time]; NaN if the window holds too few lags.  diffusion_of_species : D of each, (S,).
     infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity.
-    window : of the straight line [time].  temperature, volume : means.  n_atoms : whose displacements were measured.
+    window : of the straight line [time].  temperature, volume : means.  n_atoms : number of atoms whose displacements were measured.
     """
 
     scene: ObservedRun
@@ -77,11 +77,11 @@ class DisplacementResult(Result):
 
     @property
     def infinite_error(self) -> float:
-        """Standard error of infinite; that of the viscosity is no part of it."""
+        """Standard error of infinite; it does not include the error of the viscosity."""
         return self.diffusion_error if np.isfinite(self.infinite) else np.nan
 
     def fitted(self, without: Array, window: tuple[float, float] | None, longest: float, viscosity: float | None) -> DisplacementResult:
-        """The same with D.  without : (K, 1 + S + 3, T) replicas of the means.  longest : lag for a fit [time].  Raises ValueError."""
+        """This result with D.  without : (K, 1 + S + 3, T) replicas of the means.  longest : last lag for a fit [time].  Raises ValueError."""
         start, end = window or self._own_window(longest)
         inside = (self.times >= start) & (self.times <= end) & (self.times > 0.0)
         if inside.sum() < 3:
@@ -99,7 +99,7 @@ class DisplacementResult(Result):
 
     def _own_window(self, longest: float) -> tuple[float, float]:
         spacing = (self.volume / self.scene.n_atoms) ** (1.0 / 3.0)
-        has_left = self.msd > (LEFT * spacing) ** 2  # false everywhere without a volume
+        has_left = self.msd > (LEFT * spacing) ** 2  # False for all lags without a volume
         if not has_left.any():
             return 0.1 * longest, longest if np.isnan(spacing) else 0.0
         start = float(self.times[np.argmax(has_left)])
@@ -107,7 +107,7 @@ class DisplacementResult(Result):
 
     def _correction(self, viscosity: float) -> float:
         if not self.is_cubic:
-            raise ValueError("the correction of Yeh and Hummer is for cubic cells that are periodic in all directions; leave viscosity out")
+            raise ValueError("the correction of Yeh and Hummer needs a cubic cell that is periodic in all directions; leave viscosity out")
         return finite_size_correction(self.scene.unit_system.k_B * self.temperature, viscosity, self.volume ** (1.0 / 3.0))
 
     def columns(self) -> dict[str, Array]:
@@ -126,8 +126,8 @@ class DisplacementResult(Result):
         words = diffusion_words(self.diffusion, self.diffusion_error, units)
         rows = [("diffusion", f"D = {words}, from lags of {units.shown(start)} to {units.shown(end)}, in this cell")]
         if np.isfinite(self.infinite):
-            return [*rows, ("", f"D = {diffusion_words(self.infinite, self.infinite_error, units)} in an infinite one (Yeh and Hummer)")]
-        return [*rows, ("", "that of a larger cell is larger: result(viscosity=...) corrects for it")] if self.is_cubic else rows
+            return [*rows, ("", f"D = {diffusion_words(self.infinite, self.infinite_error, units)} in an infinite cell (Yeh and Hummer)")]
+        return [*rows, ("", "in a larger cell D is larger: result(viscosity=...) corrects for this")] if self.is_cubic else rows
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
@@ -145,7 +145,7 @@ class VelocityResult(Result):
     """A velocity autocorrelation, its integral, and the self-diffusion that follows from it.
 
     times : (T,) lags [time].  means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species, and along x, y, z.
-    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].  plateau : where it stays.  n_atoms : whose velocities were measured.
+    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].  plateau : of the integral.  n_atoms : number of atoms that were observed.
     """
 
     scene: ObservedRun
@@ -166,7 +166,7 @@ class VelocityResult(Result):
 
     @property
     def diffusion(self) -> float:
-        """D of this cell [length²/time]."""
+        """D in this cell [length²/time]."""
         return self.plateau.value
 
     @property

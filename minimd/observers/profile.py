@@ -1,4 +1,4 @@
-"""Density and temperature along an axis of the cell."""
+"""Profiles of density and temperature along an axis of the cell."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ class Profile(Accumulator):
 
         ρ(z) = ⟨n(z) / ΔV⟩,   T(z) = ⟨Σ m v²⟩ / (g k_B ⟨n(z)⟩),   g = n_dof / N
 
-    z is the distance along the normal of the two other lattice vectors. Layers of a periodic axis move with a cell that changes, z is then given in
-    the mean cell. Velocities of a flow count as temperature.
+    z is the distance along the normal of the two other lattice vectors. If the cell changes, layers of a periodic axis move with it, and z is
+    given in the mean cell. The velocities of a flow count as thermal.
 
     Parameters
     ----------
     axis : "a", "b" or "c", the lattice vector.  n_bins : B layers.  every : steps between two looks.
-    extent : (lower, upper) [length] of an open axis, which needs it; atoms outside are not counted. The other two axes must be periodic.
-    name : under which files hold it, "profile" if not given.
+    extent : (lower, upper) [length], required for an open axis; atoms outside are not counted. The other two axes must be periodic.
+    name : its name in files, "profile" if not given.
 
     Raises
     ------
-    ValueError : for arguments out of range; when a run begins, for a cell in which layers have no volume.
+    ValueError : for arguments out of range; when a run begins, if the cell and extent do not define the volume of layers.
     """
 
     kind = "profile"
@@ -56,9 +56,9 @@ class Profile(Accumulator):
     def _begin(self, engine: Engine) -> None:
         pbc, k = engine.system.cell.pbc, AXES.index(self.axis)
         if not np.delete(pbc, k).all():
-            raise ValueError(f"layers across axis {self.axis} need a cell that is periodic along the other two; its pbc = {pbc.tolist()}")
+            raise ValueError(f"layers across axis {self.axis} need a cell that is periodic along the other two axes; its pbc = {pbc.tolist()}")
         if pbc[k] != (self.extent is None):
-            needed = "has its own extent: leave extent out" if pbc[k] else "is open: give its extent, (lower, upper)"
+            needed = "is periodic: leave extent out" if pbc[k] else "is open: give extent=(lower, upper)"
             raise ValueError(f"axis {self.axis} of this cell {needed}")
 
     def _laid_out(self, scene: ObservedRun) -> None:
@@ -104,7 +104,7 @@ class ProfileResult(Result):
     """Profiles along an axis.
 
     axis : its name.  z : (B,) middles of the layers [length].  densities, density_errors : (S, B) of each species [1/length³].
-    temperature, temperature_error : (B,); NaN in layers without atoms.  n_frames : looks.
+    temperature, temperature_error : (B,); NaN in layers without atoms.  n_frames : number of looks.
     """
 
     scene: ObservedRun

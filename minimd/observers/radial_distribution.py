@@ -27,7 +27,7 @@ FRAMES, HEAD = 0, 1  # places in the sums: number of frames, then V times the nu
 
 @kernel
 def count_pairs(positions, species, bins, pair_of_species, width, r_max, counts):
-    """counts[p, k] += pairs, each once, of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width, all images within r_max.
+    """counts[p, k] += number of pairs of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width, with all images within r_max.
 
     positions : (N, 3) [length], in the order of the bins and inside the cell.  species : (N,) int, in the same order.  bins : see neighbors.search.
     """
@@ -57,13 +57,13 @@ class RadialDistribution(Accumulator):
 
         g_ab(r) = ⟨V n_ab(r)⟩ / (N_ab · 4π/3 [(r + Δr/2)³ − (r − Δr/2)³])
 
-    n_ab(r) of the N_ab = N_a N_b, or N_a (N_a − 1)/2, pairs are as far apart. V is that of the cell at each look, which may change.
+    n_ab(r) is the number of pairs in a bin, of N_ab = N_a N_b, or N_a (N_a − 1)/2, pairs. V is the volume at each look; it may change.
     Bonded pairs count like all others.
 
     Parameters
     ----------
-    r_max : [length]; half the smallest height of the cell at the start if not given.  n_bins : B.  every : steps between two looks.
-    name : under which files hold it, "radial_distribution" if not given.
+    r_max : largest distance [length]; half the smallest height of the cell at the start if not given.  n_bins : B.  every : steps between two looks.
+    name : its name in files, "radial_distribution" if not given.
 
     Raises
     ------
@@ -77,12 +77,12 @@ class RadialDistribution(Accumulator):
         super().__init__(every, name)
         self.r_max = None if r_max is None else checked_number("r_max", r_max, "positive and finite")
         self.n_bins = checked_count("n_bins", n_bins)
-        self.reach = 0.0  # r_max, or what the cell has decided
+        self.reach = 0.0  # r_max, or half the smallest height of the cell
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system
         if system.volume is None or len(system) < 2:
-            raise ValueError(f"g(r) needs two atoms and a cell periodic in all directions; this run has {system!r}")
+            raise ValueError(f"g(r) needs at least two atoms, and a cell that is periodic in all directions; this run has {system!r}")
         self.reach = self.r_max or float(system.cell.heights.min() / 2.0)
 
     def _settled(self) -> dict[str, Any]:
@@ -128,8 +128,8 @@ class RadialDistribution(Accumulator):
 class RadialDistributionResult(Result):
     """g(r).
 
-    r : (B,) [length], middles of the bins.  g, error : (B,) of all atoms, and its standard error.
-    pairs : names of the pairs of species, P of them.  g_of_pairs, errors_of_pairs : (P, B).  n_frames : looks.
+    r : (B,) middles of the bins [length].  g, error : (B,) of all atoms, and its standard error.
+    pairs : names of the pairs of species, P of them.  g_of_pairs, errors_of_pairs : (P, B).  n_frames : number of looks.
     """
 
     scene: ObservedRun

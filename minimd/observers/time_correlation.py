@@ -1,4 +1,4 @@
-"""What all observers of correlations in time have in common: the correlator, its sums, and the integrals of what it has found."""
+"""The base of observers of correlations in time: the correlator, its sums, and integrals of correlations."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from minimd.structure.observables import temperature
 
 Array = NDArray[np.float64]
 COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
-LONGEST = 0.25  # of the duration: later lags have too few origins
+LONGEST = 0.25  # of the duration: longer lags have too few origins
 
 
 class Integral(NamedTuple):
-    """values, errors : a running integral and its standard errors, (T,).  plateau : where it stays."""
+    """values, errors : a running integral and its standard errors, (T,).  plateau : of the integral."""
 
     values: Array
     errors: Array
@@ -30,7 +30,7 @@ class Integral(NamedTuple):
 
 
 class TimeCorrelation(Accumulator):
-    """An observer of a correlation in time. Its sums: number of looks, temperatures, volumes, those of a multiple-tau correlator."""
+    """An observer of a correlation in time. Its sums are the number of looks, temperatures, volumes, and those of a multiple-tau correlator."""
 
     _correlator: MultipleTau
 
@@ -48,7 +48,7 @@ class TimeCorrelation(Accumulator):
     def _add(self, engine: Engine, kinetic_energy: float, entry: Array) -> None:
         """Add a look to the sums.  kinetic_energy : [energy].  entry : (C, n), for the correlator."""
         sums, system = self.sums.total, engine.system
-        if self._volume_of is not system.cell:  # its determinant takes as long as a lag of the correlator
+        if self._volume_of is not system.cell:  # the determinant takes as long as a lag of the correlator
             self._volume_of, self._volume = system.cell, system.volume or np.nan
         sums[:HEAD] += 1.0, temperature(kinetic_energy, engine.n_dof, system.units.k_B), self._volume
         self._correlator.add(entry, sums[HEAD:])
@@ -60,14 +60,14 @@ class TimeCorrelation(Accumulator):
         self._correlator.restore(arrays)
 
     def _seen(self) -> tuple[NDArray[np.bool_], Array, float]:
-        """Which lags were seen; these [time]; and the longest that is good for a fit [time]."""
+        """Whether each lag has origins; the lags that have [time]; and the longest lag for fits and integrals [time]."""
         counts, _ = self._correlator.correlations(self.sums.total[HEAD:])
         seen, spacing = counts > 0.0, self.answered().spacing
         times: Array = self._correlator.lags[seen] * np.float64(spacing)
         return seen, times, LONGEST * (self.n_looks - 1) * spacing
 
     def _integral(self, times: Array, longest: float, correlation: Callable[[Array], Array]) -> Integral:
-        """The running integral of what a law makes of the sums, (T,)."""
+        """The running integral of a correlation, (T,).  correlation : function of the sums."""
 
         def integral(sums: Array) -> Array:
             return running_integral(times, correlation(sums))

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
-POINTS = 32  # of each level of the correlator: what is averaged there is at most a sixteenth of a lag
-WEIGHT = 10.0  # of the sum over all components of a symmetric tensor without trace
+POINTS = 32  # entries on each level of the correlator: averages are over at most a sixteenth of a lag
+WEIGHT = 10.0  # divisor of the sum over all components of a symmetric tensor without trace
 MPA_S = 1e-4 / (BAR * PICOSECOND)  # per eV/Å³ Å √(u/eV): a bar times a picosecond is 1e-4 mPa s
 
 
@@ -35,15 +35,15 @@ class Viscosity(TimeCorrelation):
         C(t) = Σ_ab ⟨P_ab(0) P_ab(t)⟩ / 10,   P = −(σ + σᵀ)/2 + tr σ / 3
         η = V / (k_B T) ∫ C(t) dt
 
-    Each look evaluates the virial with the forces of its step. Looks must be close beside the time in which the stress changes: some 20 fs, or
-    0.02 τ. A bath that acts on each atom, as Langevin's, changes the viscosity.
+    Each look evaluates the virial with the forces of its step. The time between looks must be short compared with the time in which the stress
+    changes: about 20 fs, or 0.02 τ. A bath that acts on each atom, such as Langevin's, changes the viscosity.
 
     P. J. Daivis, D. J. Evans, J. Chem. Phys. 100, 541 (1994), on all components.
 
     Parameters
     ----------
-    every : steps between two looks.  n_levels : of the correlator, at most: the longest lag is 32 · 2ᵏ⁻¹ · every steps.
-    name : under which files hold it, "viscosity" if not given.
+    every : steps between two looks.  n_levels : k, largest number of levels of the correlator: the longest lag is 31 · 2ᵏ⁻¹ · every steps.
+    name : its name in files, "viscosity" if not given.
 
     Raises
     ------
@@ -87,7 +87,7 @@ class Viscosity(TimeCorrelation):
 
 
 def traceless(tensor: Array) -> Array:
-    """(6,) numbers whose products add up to Σ_ab P_ab P_ab of the symmetric part of a tensor (3, 3) without its trace."""
+    """(6,) numbers whose squares add up to Σ_ab P_ab², with P the symmetric part of a tensor (3, 3) without its trace."""
     p = 0.5 * (tensor + tensor.T) - np.eye(3) * np.trace(tensor) / 3.0
     root = np.sqrt(2.0)
     return np.array([p[0, 0], p[1, 1], p[2, 2], root * p[1, 2], root * p[0, 2], root * p[0, 1]])
@@ -98,7 +98,7 @@ class ViscosityResult(Result):
     """A stress autocorrelation, its integral, and the viscosity.
 
     times : (T,) lags [time].  autocorrelation, autocorrelation_error : C, (T,) [pressure²].
-    integral, integral_error : V/(k_B T) ∫₀ᵗ C, (T,) [pressure time].  plateau : where it stays, with η.
+    integral, integral_error : V/(k_B T) ∫₀ᵗ C, (T,) [pressure time].  plateau : of the integral, with η.
     """
 
     scene: ObservedRun

@@ -1,4 +1,4 @@
-"""Scene files: a simulation described in TOML, with units in its keys; examples/argon.toml shows one."""
+"""Scene files: a simulation described in TOML, with units in its keys; an example is examples/argon.toml."""
 
 from minimd.scene.document import Scene, load_scene, parse_scene
 from minimd.scene.running import resume_run, run_scene

@@ -1,4 +1,4 @@
-"""What may stand in a scene file for bonds, angles, dihedrals and impropers."""
+"""The sections of a scene file for bonds, angles, dihedrals and impropers."""
 
 from typing import Annotated, Literal
 

@@ -1,4 +1,4 @@
-"""A scene file, read and checked, and the simulation that it describes."""
+"""Reading and checking a scene file, and building the simulation that it describes."""
 
 import re
 import tomllib
@@ -42,14 +42,14 @@ class Scene:
     def system(self) -> System:
         """The atoms at the start, with their constraints.
 
-        Raises ValueError, OSError, naming the file, for a structure that cannot be read or is impossible, or for impossible constraints.
+        Raises ValueError, OSError, with the name of the file, for a structure that cannot be read or is impossible, or for impossible constraints.
         """
         with _blamed_on(f"{self.path}: structure"):
             system = self._from_lattice() if self.sections.structure.file is None else self._from_file()
         return self._constrained(system)
 
     def potentials(self) -> list[Any]:
-        """The potentials, in the order of the file.  Raises ValueError, naming the file and the entry."""
+        """The potentials, in the order of the file.  Raises ValueError with the name of the file and the entry."""
         made = []
         for index, section in enumerate(self.sections.potential):
             with _blamed_on(f"{self.path}: potential[{index}]"):
@@ -57,7 +57,7 @@ class Scene:
         return made
 
     def tables(self) -> dict[str, Numbers]:
-        """The numbers of all tables of tabulated laws, by name.  Raises ValueError, naming the entry, for one that cannot be read."""
+        """The numbers of all tables of tabulated laws, by name.  Raises ValueError, with the entry, for a table that cannot be read."""
         found: dict[str, Numbers] = {}
         for index, section in enumerate(self.sections.potential):
             with _blamed_on(f"{self.path}: potential[{index}]"):
@@ -65,25 +65,25 @@ class Scene:
         return found
 
     def whole_text(self) -> str:
-        """The text with all tables in it, which needs no other files to make the potentials again."""
+        """The text of the scene with all tables added to it: no other files are needed to make the potentials again."""
         elsewhere = {name: numbers for name, numbers in self.tables().items() if name not in self.sections.tables}
         return self.text + as_sections(elsewhere, self.sections.units)
 
     def method(self) -> Splitting:
-        """The integrator with its time step, and its bath if it has one.  Raises ValueError, naming the file, for numbers it refuses."""
+        """The integrator with its time step, and its bath if it has one.  Raises ValueError, with the name of the file, for bad numbers."""
         with _blamed_on(f"{self.path}: dynamics"):
             return self.sections.dynamics.integrator()
 
     def barostat(self) -> StochasticCellRescaling | None:
-        """The barostat, if the scene has one."""
+        """The barostat of the scene, or None."""
         section, temperature = self.sections.barostat, self.sections.dynamics.temperature
         return None if section is None or temperature is None else section.barostat(temperature)
 
     def simulation(self, system: System | None = None) -> Simulation:
-        """The simulation at its start, with velocities drawn at the temperature of the scene, if it names one.
+        """The simulation at its start; if the scene gives a temperature, velocities are drawn at it.
 
-        system : a state to go on from, with its velocities, instead of the structure of the scene; it keeps its constraints unless the
-            scene names others.
+        system : a state from which to go on, with its velocities, in place of the structure of the scene; its constraints are kept unless
+            the scene has a section [constraints].
         """
         dynamics, start = self.sections.dynamics, self.system() if system is None else self._constrained(system.copy())
         potentials, method = self.potentials(), self.method()
@@ -99,10 +99,10 @@ class Scene:
         return simulation
 
     def observers(self) -> list[Accumulator]:
-        """New observers, as the scene asks for them.  Raises ValueError, naming the file, if two have the same name."""
+        """New observers as described in the scene.  Raises ValueError, with the name of the file, if two have the same name."""
         made = [section.observer() for section in self.sections.observer]
         if len({one.name for one in made}) < len(made):
-            raise ValueError(f"{self.path}: each observer needs a name of its own; give one to those of the same kind")
+            raise ValueError(f"{self.path}: two observers have the same name; give each observer of the same kind another name")
         return made
 
     def trajectories(self, instead: Path | None = None) -> list[Path]:
@@ -112,15 +112,15 @@ class Scene:
         return [Path(name) for name in several]
 
     def named_outputs(self, instead: Path | None = None) -> list[Path]:
-        """Files that must not exist, unless they may be replaced: the trajectories, and the picture if the scene names it itself."""
+        """Files that must not exist unless they may be replaced: the trajectories, and the picture if the scene gives its name."""
         plot = self.sections.output.plot
         return self.trajectories(instead) + ([Path(plot)] if isinstance(plot, str) and instead is None else [])
 
     def plot_name(self, trajectories: list[Path], *, beside: bool = False) -> Path | None:
         """The picture that the scene asks for; None if it asks for none.
 
-        beside : the trajectories replace those of the scene. The picture is then named after them, or None if none ends in .h5md.
-        Raises ValueError if none ends in .h5md, from which a picture is drawn, unless beside.
+        beside : the trajectories replace those of the scene. The picture is then named after the first that ends in .h5md; None if none does.
+        Raises ValueError if no trajectory ends in .h5md, from which a picture is drawn, unless beside.
         """
         plot, drawn = self.sections.output.plot, h5md_files(trajectories)
         if plot is False or (beside and not drawn):
@@ -136,7 +136,7 @@ class Scene:
         return read_table(self.path.parent / name) if inside is None else Numbers(inside.r, inside.u)
 
     def _constrained(self, system: System) -> System:
-        """A system with the constraints of the scene."""
+        """The system, with the constraints of the scene if it has a section for them."""
         section = self.sections.constraints
         if section is not None:
             with _blamed_on(f"{self.path}: constraints"):
@@ -165,7 +165,7 @@ class Scene:
 
 
 def h5md_files(files: Iterable[Path]) -> list[Path]:
-    """Those of some files that end in .h5md, which minimd can resume, check and plot."""
+    """The files that end in .h5md, which minimd can resume, check and plot."""
     return [file for file in files if file.suffix.lower() == ".h5md"]
 
 
@@ -174,8 +174,8 @@ def load_scene(path: str | Path) -> Scene:
 
     Raises
     ------
-    OSError : if it cannot be read.  ValueError : if it is no TOML or something in it is wrong: one line for each problem, with
-        the file, the place, the value and what is expected.
+    OSError : if it cannot be read.  ValueError : if it is not valid TOML, or wrong: one line for each problem, with the file, the
+        place, the value and what is expected.
     """
     file = Path(path)
     try:
@@ -189,12 +189,12 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def parse_scene(text: str, path: Path) -> Scene:
-    """Check the text of a scene file.  path : as of Scene.  Raises ValueError as load_scene."""
+    """Check the text of a scene file.  path : see Scene.  Raises ValueError as load_scene."""
     try:
         reading = Reading(tomllib.loads(text))
         return Scene(path, text, SceneSections.model_validate(reading.document, context=reading))
     except tomllib.TOMLDecodeError as error:
-        place = re.search(r"at line (\d+)", str(error))  # else it is "at end of document"
+        place = re.search(r"at line (\d+)", str(error))  # without it the message says "at end of document"
         line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
         raise ValueError(f"{path}: this is not valid TOML: {error}, in {line!r}") from None
     except ValidationError as error:
@@ -203,7 +203,7 @@ def parse_scene(text: str, path: Path) -> Scene:
 
 @contextmanager
 def _blamed_on(place: str) -> Iterator[None]:
-    """Begin the message of an error with the place in the scene that has caused it."""
+    """Begin the message of an error with the place in the scene that caused it."""
     try:
         yield
     except (ValueError, TypeError, NotImplementedError) as error:

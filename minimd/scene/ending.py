@@ -1,4 +1,4 @@
-"""When a run from a scene ends early: what is kept, and how to go on."""
+"""What is told when a run from a scene ends early: which files are kept, and how to go on."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -15,10 +15,10 @@ CLOCK = 1.0  # s, the coarsest time stamps of a file system
 
 @contextmanager
 def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = "") -> Iterator[None]:
-    """If a run fails, add to the message which files are kept, and how to go on.
+    """If a run fails, add to the message which files are kept and, if it was interrupted, how to go on.
 
-    files : of the run; a preparation has none.  end : the step at which the run was to end, for the command that goes on after Ctrl-C.
-    where : words about what was interrupted, if needed.
+    files : of the run; none for a preparation.  end : the step at which the run was to end, for the command that goes on.
+    where : words on what was interrupted, such as " of the equilibration".
     """
     begun = time() - CLOCK
     try:

@@ -1,4 +1,4 @@
-"""What may stand in a scene file for fields, springs and walls."""
+"""The sections of a scene file for fields, springs and walls."""
 
 from math import inf
 from typing import Annotated, Literal

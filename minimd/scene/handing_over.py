@@ -1,4 +1,4 @@
-"""A scene handed to LAMMPS: minimd builds, minimizes and equilibrates it, LAMMPS runs it."""
+"""A scene handed over to LAMMPS: minimd builds, minimizes and equilibrates it, and LAMMPS makes the run."""
 
 from pathlib import Path
 
@@ -20,16 +20,16 @@ def hand_over_scene(
 ) -> HandOver:
     """Build a scene, minimize and equilibrate it, and let LAMMPS run it.
 
-    folder : for all files.  steps : instead of those of the scene.  The rest is as for minimd.lammps.hand_over, and so is what is raised;
-    ValueError, OSError also for what cannot be built.
+    folder : for all files.  steps : in place of those of the scene.  Other arguments and errors are those of minimd.lammps.hand_over.
+    Raises ValueError, OSError also for a scene that cannot be built.
     """
     output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
-    check_hand_over(simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite)  # before anything is computed
+    check_hand_over(simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite)  # before the minimization begins
     if scene.sections.observer:
-        tell("NOTE           observers look at runs of minimd only; LAMMPS makes this one without them")
+        tell("NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS makes this run")
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell)
     done = hand_over(

@@ -1,4 +1,4 @@
-"""[[observer]]: what is to be measured while the run goes on."""
+"""[[observer]]: a quantity that is measured during the run."""
 
 from typing import Annotated, Any, Self
 
@@ -12,7 +12,7 @@ ARGUMENTS = ("every", "name", "r_max", "n_bins", "n_levels", "most_atoms", "axis
 
 
 class ObserverSection(Section):
-    """[[observer]]: one of minimd.observers, by its kind, with the arguments that it takes."""
+    """[[observer]]: an observer of minimd.observers, with its kind and its arguments."""
 
     kind: Annotated[str, one_of(KINDS)]
     every: PositiveInt | None = None
@@ -30,13 +30,13 @@ class ObserverSection(Section):
         for one in self._given():
             if one not in takes:
                 known = ", ".join(self.key(name, info) for name in ARGUMENTS if name in takes)
-                raise ValueError(f"cannot have {self.key(one, info)} beside kind {self.kind!r}, which takes {known}")
-        self.observer()  # raises ValueError for arguments that it refuses
+                raise ValueError(f"cannot have {self.key(one, info)} with kind {self.kind!r}, which takes {known}")
+        self.observer()  # raises ValueError if the observer refuses its arguments
         return self
 
     def _given(self) -> dict[str, Any]:
         return {name: value for name in ARGUMENTS if (value := getattr(self, name)) is not None}
 
     def observer(self) -> Accumulator:
-        """A new one of this kind.  Raises ValueError for arguments that it refuses."""
+        """A new observer of this kind.  Raises ValueError if it refuses the arguments."""
         return KINDS[self.kind](**self._given())

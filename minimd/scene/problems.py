@@ -1,4 +1,4 @@
-"""What is wrong with a scene file, one sentence for each problem: where, what stands there, what is expected."""
+"""The problems of a scene file, one sentence for each: the place, the value found there, and what is expected."""
 
 import json
 from difflib import get_close_matches
@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from minimd.scene.section import UNKNOWN, Keys, Reading, Section, sections_below
 
-PLAIN = {  # pydantic's words: ours
+PLAIN = {  # words of pydantic: words of minimd
     "Input should be": "must be",
     "a valid integer": "a whole number",
     "a valid ": "a ",
@@ -23,7 +23,7 @@ PLAIN = {  # pydantic's words: ours
 
 
 def problems(reading: Reading, error: ValidationError) -> list[str]:
-    """Sentences about what pydantic found in a document, in its order, one for each place."""
+    """Sentences about the errors that pydantic found in a document, in the same order, one for each place."""
     found = error.errors(include_url=False)
     unknown = [details["loc"] for details in found if details["type"] == "extra_forbidden"]
     meant = {(*loc[:-1], _near(loc, reading)[1]) for loc in unknown}
@@ -32,7 +32,7 @@ def problems(reading: Reading, error: ValidationError) -> list[str]:
         if details["type"] != "missing" or details["loc"] not in meant:
             place, sentence = _told(details, reading)
             wrong.setdefault(place, []).append(sentence)
-    if "units" in wrong:  # then all other keys look wrong too
+    if "units" in wrong:  # then all other keys seem wrong, too
         wrong = {"units": wrong["units"]}
     return [_joined(sentences) for place, sentences in wrong.items() if not any(other.startswith(place + "[") for other in wrong)]
 
@@ -49,7 +49,7 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
         return path, " or ".join([f"{path} is missing; give it", *keys[1:]])
     if kind == "union_tag_not_found":
         *kinds, last = (repr(get_args(one.model_fields["type"].annotation)[0]) for one in sections_below(Section) if "type" in one.model_fields)
-        return place, f"{place}.type is missing; it says what kind of potential this is: {', '.join(kinds)} or {last}"
+        return place, f"{place}.type is missing; give the kind of the potential: {', '.join(kinds)} or {last}"
     if kind == "union_tag_invalid":
         return place, f"{place}.type must be one of {details['ctx']['expected_tags']}; {place}.type = {_shown(value['type'])}"
     if kind == "model_type" and not isinstance(value, dict):
@@ -69,18 +69,18 @@ def _keys_of(name: str, reading: Reading) -> Keys:
 
 
 def _about_key(loc: tuple, reading: Reading) -> str:
-    """The sentence about a key that a section does not have, or has in another unit already."""
+    """The sentence about a key that a section does not know, or that gives a quantity for the second time, in another unit."""
     place, table, keys = _written(loc, reading)
     key = loc[-1].removeprefix(UNKNOWN)
     if key in keys:
-        return f"{place} has {key!r} beside the same quantity in another unit; give one of them"
+        return f"{place} has {key!r} and the same quantity in another unit; give only one of them"
     near = _near(loc, reading)[0]
     hint = f"did you mean {near!r}? " if near else ""
     return f"{place or 'a scene'} has no key {key!r} (= {_shown(table[key])}); {hint}Keys in {reading.units} units: {', '.join(keys)}"
 
 
 def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:
-    """The key that was probably meant by an unknown one, and its field."""
+    """The known key that is most similar to an unknown one, and its field; None, None if none is similar."""
     keys, key = _written(loc, reading)[2], loc[-1].removeprefix(UNKNOWN)
     stem = key.rpartition("_")[0] or key
     near = [one for one, (name, _) in keys.items() if name in (key, stem)] or get_close_matches(key, keys, n=1)
@@ -88,7 +88,7 @@ def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:
 
 
 def _written(loc: tuple, reading: Reading) -> tuple[str, Any, Keys]:
-    """Path and value at one of pydantic's locations, as they stand in the file as far as it goes, and the keys allowed there."""
+    """Path and value at a location of pydantic, as written in the file, as far as the file goes; and the keys allowed there."""
     path, node = "", reading.document
     for step in loc:
         if isinstance(node, list) and isinstance(step, int):
@@ -110,6 +110,6 @@ def _joined(sentences: list[str]) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A value as it stands in the file, shortened."""
+    """A value as written in the file, shortened."""
     text = json.dumps(value, default=str, ensure_ascii=False)
     return text if len(text) <= 60 else text[:57] + "..."

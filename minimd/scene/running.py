@@ -1,4 +1,4 @@
-"""Running a scene from start to report, with a line about each thing that is done."""
+"""Running a scene from start to report, with a line about each stage."""
 
 import json
 import tomllib
@@ -25,7 +25,7 @@ from minimd.structure.units import UnitSystem
 
 Tell = Callable[[str], None]
 OF_THE_START = ("structure.", "minimization.", "equilibration.")
-LONGEST_VALUE = 60  # letters of a value that is told
+LONGEST_VALUE = 60  # characters of a value in a message
 
 
 def run_scene(
@@ -41,14 +41,14 @@ def run_scene(
 
     Parameters
     ----------
-    steps : instead of those of the scene.  trajectory : one file instead of those of the scene; the picture lies beside it.
-    overwrite : replace files that exist; without it those that were named are refused before anything is computed, and
-        a picture that was not named is left as it is.
-    progress : as for Simulation.run.  tell : gets a line about each thing that is done.
+    steps : in place of those of the scene.  trajectory : one file in place of those of the scene; the picture is written beside it.
+    overwrite : replace files that exist. Without it, an error is raised at the start if a trajectory exists, or a picture whose name the
+        scene gives; a picture without a name in the scene is not drawn if it exists.
+    progress : as for Simulation.run.  tell : called with each line about the run.
 
     Raises
     ------
-    ValueError, OSError : for what cannot be built or written.  NonFiniteError, KeyboardInterrupt : as Simulation.run.
+    ValueError, OSError : for a scene that cannot be built, and files that cannot be written.  NonFiniteError, KeyboardInterrupt : as Simulation.run.
     """
     output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
     files = scene.trajectories(trajectory)
@@ -75,7 +75,7 @@ def run_scene(
     tell_answers(observers, tell)
     drawn = []
     if picture is not None and picture.exists() and not overwrite:
-        tell(f"not drawn      {picture} exists and is kept; draw with: minimd plot")
+        tell(f"not drawn      {picture} exists and is kept; draw the picture with: minimd plot")
     elif picture is not None:
         from minimd.analysis.plot import plot_file
 
@@ -89,19 +89,19 @@ def run_scene(
 def resume_run(
     file: str | Path, steps: int | None = None, *, scene: Scene | None = None, progress: bool | None = None, tell: Tell = print
 ) -> Simulation:
-    """Go on with the run in an H5MD file, from its restart, and append to it; other trajectories of the run are not continued.
+    """Go on with the run in an H5MD file from its restart, and append to this file; other trajectories of the run are not continued.
 
-    The file of a run from a script has no scene; see Simulation.resume.
+    The file of a run from a script has no scene; go on with it by Simulation.resume.
 
     Parameters
     ----------
-    steps : how many more; up to the end of the scene if not given.
-    scene : replaces the scene in the file, all of it but what makes a start; what differs is told. It must have the constraints of the file.
-        Without one the method is that of the last steps in the file.
+    steps : number of further steps; if not given, the run goes on to the last step of the scene.
+    scene : replaces the scene in the file, except for the sections of the start; a note lists the differences. It must have the same
+        constraints. If it is not given, the method is that of the last steps in the file.
 
     Raises
     ------
-    ValueError, OSError : for a file that cannot be continued, or has no scene.
+    ValueError, OSError : for a file that cannot be continued, or that has no scene if none is given.
     NonFiniteError, KeyboardInterrupt : as Simulation.run.
     """
     verify_frames(file)
@@ -114,11 +114,11 @@ def resume_run(
     end = scene.sections.dynamics.steps if steps is None else contents.step + steps
     if steps is None and end <= contents.step:
         raise ValueError(
-            f"the run in {str(file)!r} has reached the end of its scene: it stands at step {contents.step}, dynamics.steps = {end}; "
+            f"the run in {str(file)!r} has reached the end of its scene: it is at step {contents.step}, dynamics.steps = {end}; "
             f"give the number of further steps with --steps"
         )
     if stored is not None and (other := differences(stored, scene)):
-        tell("NOTE           the scene given replaces that of the run so far; frames before and after are of different runs where it acts on them:")
+        tell("NOTE           the scene given replaces that of the run so far; frames before and after differ in what is listed here:")
         for line in other:
             tell(f"               {line}")
     if contents.repaired:
@@ -126,18 +126,21 @@ def resume_run(
     simulation = scene.simulation(contents.system)
     simulation.engine.go_on_from(contents.restart)
     if (simulation.method.name, simulation.method.parameters) != (contents.method, contents.parameters):
-        if given is None:  # a script went on with another method than that of its scene
+        if given is None:  # a script went on with a method other than that of the scene
             simulation.method = contents.integrator()
-            tell(f"NOTE           the last steps were made with {simulation.method!r}, not with the method of the scene in the file; it goes on")
+            tell(
+                f"NOTE           the last steps were made with {simulation.method!r}, not with the method of the scene in the file; "
+                "the run goes on with it"
+            )
         else:
             simulation.engine.moved()
     if given is None and (changed := other_potentials(contents.potentials, simulation.potentials)):
-        tell(f"NOTE           the potentials of the scene in the file are not those of its last steps: {changed}")
+        tell(f"NOTE           the scene in the file has other potentials than the last steps, and the run goes on with those of the scene: {changed}")
     for line in description(scene, simulation, end - contents.step):
         tell(line)
     tell(f"resumed        at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames")
     if len(scene.trajectories()) > 1:
-        tell(f"               only {file} is continued; the other trajectories of the scene stay as they are")
+        tell(f"               only {file} is continued; the other trajectories of the scene are left unchanged")
     observers = scene.observers()
     with kept(scene, [path], end):
         simulation.run(until_step=end, every=scene.sections.output.every, trajectory=path, append=True, observers=observers, progress=progress)
@@ -152,26 +155,26 @@ def _short(words: str) -> str:
 
 
 def tell_answers(observers: Sequence[Accumulator], tell: Tell) -> None:
-    """What observers have found, a line or a few for each."""
+    """Tell the results of observers, in one or several lines for each."""
     for one in observers:
         if one.n_looks:
             tell(str(one.result()))
 
 
 def differences(one: Scene, other: Scene) -> list[str]:
-    """Keys that have different values in two scenes, with both, as they stand in the files."""
+    """The keys whose values differ in two scenes, with both values as written in the files."""
     found, missing = [], "not given"
     before, now = (dict(_entries(tomllib.loads(scene.whole_text()))) for scene in (one, other))
     for key in dict.fromkeys([*before, *now]):
         was, becomes = before.get(key, missing), now.get(key, missing)
         if was != becomes:
-            remark = " (of the start, which is over)" if key.startswith(OF_THE_START) else ""
+            remark = " (no effect: the start is over)" if key.startswith(OF_THE_START) else ""
             found.append(f"{key}: {_short(was)} before, {_short(becomes)} now{remark}")
     return found
 
 
 def _entries(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """All numbers and words of a document, in TOML's words, with their keys in it."""
+    """The full key and the value, as text, of each entry of a document."""
     if isinstance(value, dict):
         for name, inside in value.items():
             yield from _entries(inside, f"{key}.{name}" if key else name)
@@ -190,7 +193,7 @@ def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: 
     with kept(scene):
         found = simulation.minimize(**plan.model_dump(), progress=progress)
     if dynamics.temperature is not None:
-        simulation.set_temperature(dynamics.temperature, dynamics.seed)  # anew: rigid bonds have turned
+        simulation.set_temperature(dynamics.temperature, dynamics.seed)  # drawn again, because rigid bonds have turned
     tell(str(found))
 
 
@@ -225,7 +228,7 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
 def _method(scene: Scene, simulation: Simulation) -> str:
     dynamics, units = scene.sections.dynamics, scene.units
     if simulation.method.parameters != scene.method().parameters or simulation.method.name != scene.method().name:
-        return repr(simulation.method)  # that of a script which went on with the run
+        return repr(simulation.method)  # the method of a script that went on with the run
     relaxation = dynamics.relaxation_time
     bath = f", bath at {dynamics.temperature:g} {units.temperature}, relaxation time {units.shown(relaxation)}" if relaxation else ""
     return f"{dynamics.method}, timestep {units.shown(dynamics.timestep)}{bath}"

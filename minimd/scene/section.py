@@ -1,7 +1,7 @@
-"""What all sections of a scene file share: strict types, and keys that end in a unit.
+"""The base of all sections of a scene file: strict types, and keys that end in a unit.
 
-A key that holds a quantity ends in its unit, as timestep_fs does. The field is named without it, timestep, and holds the quantity in the
-units of the engine.
+The key of a quantity ends in its unit, as in timestep_fs. The name of the field has no unit, as in timestep, and its value is in the units of
+the engine.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationInfo, mode
 from minimd.structure.checks import LARGEST
 from minimd.structure.units import BAR, BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3, PICOSECOND
 
-KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension: ending of the key: size of that unit
+KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension: ending of the key: size of that unit in units of the engine
     "ASE": {
         "length": {"_A": 1.0},
         "time": {"_fs": FEMTOSECOND},
@@ -32,28 +32,28 @@ KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension:
     },
 }
 KEY_UNITS["LJ"] = {dimension: {"": 1.0} for dimension in KEY_UNITS["ASE"]} | {"angle": {"_degree": DEGREE}}
-Keys = dict[str, tuple[str, float | None]]  # key: its field, and the factor that it puts on its numbers, None for no quantity
-UNKNOWN = "?"  # stands before a key that its section does not have
+Keys = dict[str, tuple[str, float | None]]  # key: its field, and the factor by which its numbers are multiplied, None if it is not a quantity
+UNKNOWN = "?"  # put before a key that its section does not know
 
 
 class Dimension(str):
-    """Marks a field as a quantity: a key of KEY_UNITS[units]."""
+    """Marks a field as a quantity with this dimension, a key of KEY_UNITS[units]."""
 
 
 @dataclass
 class Reading:
-    """The context of a validation: the document, and the class that read each of its tables, by id of the table."""
+    """The context of a validation: the document, and the class that reads each of its tables, by id of the table."""
 
     document: dict[str, Any]
     sections: dict[int, type["Section"]] = field(default_factory=dict)
 
     @property
     def units(self) -> str:
-        """The unit system of the document; ASE if it names none that exists."""
+        """The unit system of the document; ASE unless it is LJ."""
         return "LJ" if self.document.get("units") == "LJ" else "ASE"
 
     def keys(self, table: Any) -> Keys:
-        """The keys that a table of the document may have; none if it was read as no section."""
+        """The keys that a table of the document may have; none if it is not a section."""
         section = self.sections.get(id(table))
         return section.keys(self.units) if section else {}
 
@@ -80,15 +80,15 @@ class Section(BaseModel):
 
     @classmethod
     def key(cls, name: str, info: ValidationInfo) -> str:
-        """The first key under which a field may be written in the document that is being read."""
+        """The first key for a field in the document that is being read."""
         return next(key for key, (meant, _) in cls.keys(reading_of(info).units).items() if meant == name)
 
     @model_validator(mode="before")
     @classmethod
     def _without_units(cls, table: Any, info: ValidationInfo) -> Any:
-        """The table under the names of the fields, units multiplied into the numbers.
+        """The table with the names of fields as keys, and numbers in the units of the engine.
 
-        A key that is unknown, or gives a quantity for the second time, gets a name that no field has.
+        A key that is unknown, or gives a quantity for the second time, gets a name that is not a field.
         """
         if not isinstance(table, dict):
             return table
@@ -102,7 +102,7 @@ class Section(BaseModel):
 
 
 def sections_below(section: type[Section]) -> Iterator[type[Section]]:
-    """The classes made from one, with those made from these."""
+    """All subclasses of a section, with theirs."""
     for one in section.__subclasses__():
         yield one
         yield from sections_below(one)
@@ -112,11 +112,13 @@ def _multiplied(value: Any, size: float | None) -> Any:
     if isinstance(value, list):
         return [_multiplied(entry, size) for entry in value]
     is_quantity = size is not None and isinstance(value, int | float) and not isinstance(value, bool)
-    return value * size if size is not None and is_quantity and abs(value) < LARGEST else value  # what is larger is refused later, as it stands
+    return (
+        value * size if size is not None and is_quantity and abs(value) < LARGEST else value
+    )  # larger numbers are refused later, as they are written
 
 
 def one_of(allowed: Collection[str]) -> AfterValidator:
-    """A check that a text is one of some names.  allowed : read at each check, so that names which are registered later count."""
+    """A check that a text is one of the allowed names.  allowed : read at each check, so that names registered later are included."""
 
     def check(value: str) -> str:
         if value not in allowed:

@@ -1,4 +1,4 @@
-"""What may stand in a scene file: one class for each section, one line for each key."""
+"""The sections of a scene file: one class for each section, one line for each key."""
 
 from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
@@ -29,8 +29,8 @@ METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 class StructureSection(Section):
     """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
 
-    format : name of the format, for a file whose suffix does not tell it.  bonds : pairs; "file" for those that the file names, with its angles and
-    dihedrals; or another file that names them.
+    format : name of the format, for a file whose suffix does not show it.  bonds : pairs of atoms; "file" for the bonds, angles and dihedrals in
+    the file; or the name of another file that holds them.
     """
 
     file: str | None = None
@@ -52,20 +52,20 @@ class StructureSection(Section):
         forbidden = ("cell", "format") if self.file is None else ("element", "repeat", "density", "lattice_constant")
         for name in forbidden:
             if getattr(self, name) is not None:
-                raise ValueError(f"cannot have {name} beside {'lattice' if self.file is None else 'file'}")
+                raise ValueError(f"cannot have {name} together with {'lattice' if self.file is None else 'file'}")
         if self.file is None and isinstance(self.bonds, str):
-            raise ValueError("cannot have bonds from a file beside lattice; list the pairs, or name a file of the structure")
+            raise ValueError("cannot have bonds from a file together with lattice; list the pairs, or give the structure as a file")
         if self.file is not None:
             return self
         if self.repeat is None or (self.element is None and reading_of(info).units == "ASE"):
-            raise ValueError("must have repeat beside lattice" if self.repeat is None else "must have element beside lattice")
+            raise ValueError("must have repeat together with lattice" if self.repeat is None else "must have element together with lattice")
         if (self.density is None) == (self.lattice_constant is None):
-            raise ValueError(f"must have either {self.key('density', info)} or {self.key('lattice_constant', info)} beside lattice")
+            raise ValueError(f"must have either {self.key('density', info)} or {self.key('lattice_constant', info)} together with lattice")
         return self
 
 
 class ConstraintsSection(Section):
-    """[constraints]: lengths and atoms that are held fixed. What it does not name stays as the structure file has it."""
+    """[constraints]: lengths and atoms that are held fixed. Constraints that it does not mention are those of the structure file."""
 
     pairs: list[PairOfAtoms] | Literal["bonds"] | None = None
     lengths: Annotated[Positive | list[Positive] | None, Dimension("length")] = None
@@ -77,16 +77,16 @@ class ConstraintsSection(Section):
     def _has_as_many_lengths_as_pairs(self, info: ValidationInfo) -> Self:
         key = self.key("lengths", info)
         if self.lengths is not None and not self.pairs:
-            raise ValueError(f"must have pairs beside {key}")
+            raise ValueError(f"must have pairs together with {key}")
         if isinstance(self.lengths, list) and isinstance(self.pairs, list) and len(self.lengths) != len(self.pairs):
             raise ValueError(f"must have one number as {key}, or one for each of its {len(self.pairs)} pairs; it has {len(self.lengths)}")
         return self
 
     def constraints(self, bonds: list[list[int]], known: Sequence[Constraint]) -> tuple[Constraint, ...]:
-        """The constraints of a system whose file, of structure or run, holds some already.
+        """The constraints of a system whose file, of structure or run, may hold some already.
 
-        bonds : of the structure.  known : of the file; what the section leaves open is as they have it, the lengths if the pairs are the same.
-        Raises ValueError for impossible ones.
+        bonds : of the structure.  known : constraints of the file; they hold where the section says nothing, lengths only if the pairs are the same.
+        Raises ValueError for impossible constraints.
         """
         fixed: list[Constraint] = [one for one in known if isinstance(one, FixedAtoms)]
         if self.fixed is not None:
@@ -97,7 +97,7 @@ class ConstraintsSection(Section):
             pairs = held.pairs.tolist()
         if not pairs:
             if self.tolerance is not None or self.solver is not None:
-                raise ValueError("tolerance and solver apply to lengths, of which there are none; give pairs, or leave them out")
+                raise ValueError("tolerance and solver are for lengths, and no lengths are held; give pairs, or leave tolerance and solver out")
             return tuple(fixed)
         if held is None or held.pairs.tolist() != pairs:
             held = DistanceConstraints(pairs)
@@ -113,7 +113,7 @@ class SpeciesSection(Section):
 
 
 class PairSection(SpeciesSection):
-    """An entry of pairs: Lennard-Jones parameters of two species that do not follow the mixing rule."""
+    """An entry of pairs: Lennard-Jones parameters of two species, in place of those of the mixing rule."""
 
     species: Annotated[list[str], Field(min_length=2, max_length=2)]
 
@@ -155,9 +155,9 @@ class PairTableSection(Section):
 
 
 class TabulatedSection(Section):
-    """[[potential]] of type "tabulated": one table for all atoms, or one for each pair of species, at the same r.
+    """[[potential]] of type "tabulated": one table for all atoms, or one for each pair of species, all at the same r.
 
-    file : two columns, r and u in the units of the scene, beside the scene file; or a name in [tables].
+    file : two columns, r and u in the units of the scene, with a path relative to the scene file; or a name in [tables].
     """
 
     type: Literal["tabulated"]
@@ -176,23 +176,23 @@ class TabulatedSection(Section):
 
     @property
     def files(self) -> list[str]:
-        """The names of its tables, each once."""
+        """The names of its tables, without repetition."""
         return [self.file] if self.file is not None else list(dict.fromkeys(one.file for one in self.pairs or ()))
 
     def potential(self, table_of: Callable[[str], Numbers]) -> Tabulated:
-        """The potential that the section describes.  table_of : gives the numbers of a table.  Raises ValueError for tables that do not fit."""
+        """The potential that the section describes.  table_of : returns the numbers of a table.  Raises ValueError for tables that do not fit."""
         tables = {name: table_of(name) for name in self.files}
         first = self.files[0]
         for name, table in tables.items():
             if table.r != tables[first].r:
-                raise ValueError(f"the tables of one potential must have the same r; that of {name!r} is not that of {first!r}")
+                raise ValueError(f"the tables of one potential must have the same r; those of {name!r} and {first!r} differ")
         by_pair: dict[tuple[Label, Label], list[float]] = {(one.species[0], one.species[1]): tables[one.file].u for one in self.pairs or ()}
         others = self.model_dump(include={"cutoff", "truncation", "switch_start", "bonded_scale"})
         return Tabulated(tables[first].r, by_pair or tables[first].u, **others)
 
 
 class DynamicsSection(Section):
-    """[dynamics]: method and length of the run. Without a temperature the velocities stay as they are."""
+    """[dynamics]: method and length of the run. Without a temperature, velocities are those of the structure."""
 
     method: Annotated[str, one_of(METHODS)] = "velocity-verlet"
     timestep: Annotated[Positive, Dimension("time")]
@@ -207,10 +207,10 @@ class DynamicsSection(Section):
     def _fits_its_method(self, info: ValidationInfo) -> Self:
         missing = [self.key(name, info) for name in ("temperature", "relaxation_time") if getattr(self, name) is None]
         if self.method in THERMOSTATS and missing:
-            raise ValueError(f"must have {' and '.join(missing)} beside method {self.method!r}")
+            raise ValueError(f"must have {' and '.join(missing)} with method {self.method!r}")
         if self.method not in THERMOSTATS and self.relaxation_time is not None:
             key = self.key("relaxation_time", info)
-            raise ValueError(f"cannot have {key} beside method {self.method!r}, which takes no relaxation time; {', '.join(THERMOSTATS)} do")
+            raise ValueError(f"cannot have {key} with method {self.method!r}, which has no relaxation time; {', '.join(THERMOSTATS)} have one")
         return self
 
     def integrator(self) -> Splitting:
@@ -236,7 +236,7 @@ class BarostatSection(Section):
 
 
 class MinimizationSection(Section):
-    """[minimization]: before everything else, atoms move to a minimum of the potential energy nearby; also as an empty table."""
+    """[minimization]: first of all, the atoms are moved to a nearby minimum of the potential energy. The table may be empty."""
 
     force_tolerance: Annotated[Positive, Dimension("force")] = FORCE_TOLERANCE
     max_steps: NonNegativeInt = MAX_STEPS
@@ -244,7 +244,7 @@ class MinimizationSection(Section):
 
 
 class EquilibrationSection(Section):
-    """[equilibration]: steps before the run, with velocities rescaled to a temperature, that of the dynamics if not given."""
+    """[equilibration]: steps before the run, with velocities rescaled to a temperature; if not given, that of [dynamics]."""
 
     steps: NonNegativeInt
     temperature: Annotated[Positive | None, Dimension("temperature")] = None
@@ -258,7 +258,7 @@ def _plot_name(value: bool | str) -> bool | str:
 
 
 class OutputSection(Section):
-    """[output]: files in the current folder; the trajectory is named after the scene if not said otherwise.
+    """[output]: files in the current folder; if no name is given, the trajectory is named after the scene.
 
     shadow_energy, stress : whether to record these observables too.
     """
@@ -272,7 +272,7 @@ class OutputSection(Section):
 
     @property
     def extra_observables(self) -> list[str]:
-        """Names of those that it asks for."""
+        """The names of the extra observables that are recorded."""
         return [name for name in ("shadow_energy", "stress") if getattr(self, name)]
 
 
@@ -298,12 +298,12 @@ class SceneSections(Section):
     @model_validator(mode="after")
     def _fits_together(self, info: ValidationInfo) -> Self:
         if self.equilibration is not None and self.dynamics.temperature is None:
-            raise ValueError(f"equilibration needs dynamics.{DynamicsSection.key('temperature', info)}, the temperature of the first velocities")
+            raise ValueError(f"equilibration needs dynamics.{DynamicsSection.key('temperature', info)}, at which the first velocities are drawn")
         if self.barostat is not None and self.dynamics.temperature is None:
             raise ValueError(f"barostat needs dynamics.{DynamicsSection.key('temperature', info)}, the temperature of its noise")
         if self.constraints is not None and self.constraints.pairs == "bonds" and not self.structure.bonds:
             raise ValueError('constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs')
         named = {name for one in self.potential if isinstance(one, TabulatedSection) for name in one.files}
         if unused := [name for name in self.tables if name not in named]:
-            raise ValueError(f"no tabulated potential names tables.{unused[0]!r}; name it as its file, or leave it out")
+            raise ValueError(f"no tabulated potential uses tables.{unused[0]!r}; give it as the file of one, or leave it out")
         return self

@@ -1,4 +1,4 @@
-"""Kinds of values that several sections of a scene file have."""
+"""Types of values that several sections of a scene file use."""
 
 from typing import Annotated
 

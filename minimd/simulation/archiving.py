@@ -17,7 +17,7 @@ from minimd.structure.display import Displayed
 
 @dataclass(frozen=True)
 class Archive(Displayed):
-    """What became of a file.  n_frames, n_bytes : before and after.  every : steps between two frames that were kept."""
+    """The result of archiving a file.  n_frames, n_bytes : before and after.  every : steps between two frames that were kept."""
 
     file: Path
     every: int
@@ -32,14 +32,14 @@ class Archive(Displayed):
 
 
 def archive(file: str | Path, out: str | Path, every: int, potentials: Potentials = None, overwrite: bool = False) -> Archive:
-    """A file with few frames of a run in fixed-point arithmetic, from which all others can be made again, to the last bit.
+    """Write a file with few frames of a run in fixed-point arithmetic, from which all others can be made again, to the last bit.
 
-    The forces of each frame that is kept are evaluated again, and the steps from the first of them to the second made again: their energies and
-    bits must be those in the file.
+    As a test, the forces of each kept frame are evaluated again, and the steps from the first to the second kept frame are made again: energies
+    and positions must be those in the file.
 
-    every : frames are kept whose step is a multiple of it, and the first.  potentials : as of Simulation.resume.
+    every : the first frame is kept, and those whose step is a multiple of it.  potentials : see Simulation.resume.
 
-    Raises ValueError for a run with another precision, or if something comes out differently.  OSError as open_trajectories.
+    Raises ValueError for a run with another precision, or if energies or positions differ.  OSError as open_trajectories.
     """
     from minimd.files.h5md_reader import frame_arrays, read_file
 
@@ -60,7 +60,9 @@ def archive(file: str | Path, out: str | Path, every: int, potentials: Potential
             go_to(simulation, file, contents, k)
             frame = observe(engine)
             if frame.observables["total_energy"] != energies[k]:
-                raise ValueError(f"the energy of step {steps[k]} of {str(file)!r} comes out differently: give the potentials of the run")
+                raise ValueError(
+                    f"the energy of step {steps[k]} of {str(file)!r} is different when it is computed again: give the potentials of the run"
+                )
             writer.write(frame)
         engine.go_on_from(contents.restart)
     sizes = Path(file).stat().st_size, Path(out).stat().st_size

@@ -9,7 +9,7 @@ __all__ = ["interpret_calculator"]
 
 
 def interpret_calculator(candidate: Any) -> Sequence[Potential] | None:
-    """The potentials that stand for a calculator of ASE; None for anything else. Only for something like a calculator is ase loaded."""
+    """The potentials of a calculator of ASE; None for anything else. ASE is imported only if the object may be a calculator."""
     if not hasattr(candidate, "get_potential_energy"):
         return None
     from minimd.ase.foreign import potentials_of_calculator

@@ -1,4 +1,4 @@
-"""Attributes of a simulation that are those of its engine, or measured on it."""
+"""Attributes of a simulation that are read from its engine, or measured on it."""
 
 from collections.abc import Callable
 from difflib import get_close_matches
@@ -8,14 +8,14 @@ from typing import Any, ClassVar, Generic, TypeVar
 from minimd.engine.observation import measure
 
 T = TypeVar("T")
-HINTS = {"timestep": "the time step is that of its method; take another: sim.method = VelocityVerlet(0.001)"}  # of names that are no slips
+HINTS = {"timestep": "the time step is that of its method; take another: sim.method = VelocityVerlet(0.001)"}  # for names that are not misspelt
 ARRAYS = ("positions", "velocities", "forces")
 
 
 class Closed:
-    """Base of a class whose objects refuse attributes that it does not have: a misspelt one would be set, and nothing happen.
+    """Base of a class whose objects refuse unknown attributes: setting a misspelt attribute would have no effect.
 
-    own : names of attributes that are set and stand in no class.  Subclasses of users may set what they like.
+    own : names of attributes that exist only in objects.  Subclasses of users may set any attribute.
     """
 
     own: ClassVar[tuple[str, ...]] = ()
@@ -32,7 +32,7 @@ class Closed:
 class EngineAttribute(Generic[T]):
     """Attribute of a simulation that reads and sets the attribute of its engine with the same name; with a path it is read-only.
 
-    check : raises for an engine with a value that it cannot have; the value is then what it was.
+    check : function of the engine that raises an error for a value that it cannot have; the old value is then restored.
     """
 
     def __init__(self, doc: str, path: str = "", check: Callable[[Any], None] | None = None) -> None:
@@ -52,7 +52,7 @@ class EngineAttribute(Generic[T]):
             if value is getattr(simulation.engine, self._name):
                 return  # sim.positions += shift
             computed = "they are computed" if self._name == "forces" else f"assign into it, sim.{self._name}[:] = values"
-            raise AttributeError(f"{self._name} of a Simulation is an array that stays, and cannot be replaced; {computed}")
+            raise AttributeError(f"{self._name} of a Simulation is an array that cannot be replaced; {computed}")
         before = getattr(simulation.engine, self._name)
         setattr(simulation.engine, self._name, value)
         if self._check is not None:

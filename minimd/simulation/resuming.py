@@ -1,4 +1,4 @@
-"""Simulations from files: the one that a run left, and any step of a run in fixed-point arithmetic."""
+"""Simulations from files: at the restart of a run, and at any step of a run in fixed-point arithmetic."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ Potentials = Potential | Sequence[Potential] | None
 
 def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | None, step: int | None = None) -> Any:
     """See Simulation.resume.  kind : Simulation."""
-    from minimd.files.h5md_reader import read_file, verify_frames  # h5py takes its time to load
+    from minimd.files.h5md_reader import read_file, verify_frames  # h5py is slow to load
     from minimd.files.h5md_schema import other_potentials
 
-    verify_frames(file)  # a child process looks first
+    verify_frames(file)  # a child process reads it first
     contents = read_file(file)
     if potentials is None:
         potentials = kind.potentials_of_scene(contents.scene, contents.potentials, Path(file))
@@ -35,7 +35,7 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     simulation.engine.notes.update(title=contents.title, scene=contents.scene)
     simulation.engine.go_on_from(contents.restart)
     if other := other_potentials(contents.potentials, simulation.potentials):
-        warnings.warn(f"the potentials are not those of the last steps in {str(file)!r}: {other}; energies jump where it goes on", stacklevel=3)
+        warnings.warn(f"the potentials are not those of the last steps in {str(file)!r}: {other}; energies jump at this step", stacklevel=3)
     if contents.repaired:
         warnings.warn(contents.repaired, stacklevel=3)
     if step is not None:
@@ -44,11 +44,11 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
 
 
 def _make_again(simulation: Any, file: str | Path, contents: H5MDContents, step: int) -> None:
-    """Bring a simulation to a step of the run in its file, from the frame before it."""
+    """Bring a simulation to a step of the run in its file, starting from the frame before it."""
     check_is_fixed(file, contents)
     steps = contents.record.step
     if not steps[0] <= step <= contents.step:
-        raise ValueError(f"file {str(file)!r} has the steps {steps[0]} to {contents.step}; step = {step}")
+        raise ValueError(f"file {str(file)!r} has the steps {steps[0]} to {contents.step}; step must be one of them, but step = {step}")
     frame = int(np.searchsorted(steps, step, side="right")) - 1
     go_to(simulation, file, contents, frame)
     simulation.make_steps(step - int(steps[frame]))
@@ -77,7 +77,7 @@ def go_to(simulation: Any, file: str | Path, contents: H5MDContents, frame: int)
 
 
 def last_step(step: int, n_steps: int | None, until_step: int | None) -> int:
-    """The step at which a run ends.  Raises ValueError unless exactly one of the two says so."""
+    """The step at which a run ends.  Raises ValueError unless exactly one of n_steps and until_step is given."""
     if (n_steps is None) == (until_step is None):
         raise ValueError(f"a run needs either n_steps or until_step; n_steps = {n_steps!r}, until_step = {until_step!r}")
     if n_steps is not None:

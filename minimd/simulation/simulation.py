@@ -40,7 +40,7 @@ from minimd.structure.observables import Array
 from minimd.structure.system import AnySystem, System
 from minimd.structure.velocities import maxwell_boltzmann, rescaled
 
-SECONDS_BETWEEN_CHECKPOINTS = 5.0  # whatever every is: no more is lost when the process is killed
+SECONDS_BETWEEN_CHECKPOINTS = 5.0  # for any value of every: no more is lost when the process is killed
 Observer = Callable[["Simulation"], None] | Accumulator
 
 
@@ -52,8 +52,8 @@ class Simulation(Closed, Displayed):
     system : System, or ase.Atoms. The simulation works on a copy; sim.system is always the current state.
     potentials : one potential or several.
     method : a splitting with its time step, such as VelocityVerlet(0.005).
-    constraints : DistanceConstraints, FixedAtoms, or both, instead of those of the system; () for none.
-    threads : how many at most; all cores of the process if not given. Results are the same, to the last bit, for any number.
+    constraints : DistanceConstraints, FixedAtoms, or both, in place of those of the system; () for none.
+    threads : their largest number; all cores of the process if not given. Results are the same, to the last bit, for any number.
     precision : "double"; "mixed": pairs in float32, their sums in float64; or "fixed-point": all sums exact, see docs/fixed-point.md.
     skin : of neighbor lists [length]; the best one if not given.  grid : Grid of fixed-point arithmetic; chosen from the scene if not given.
     barostat : StochasticCellRescaling, which keeps the pressure; None for a constant cell.
@@ -65,11 +65,11 @@ class Simulation(Closed, Displayed):
 
     Raises
     ------
-    TypeError, ValueError : for arguments of another kind, and as Forces does.
+    TypeError, ValueError : for wrong arguments, and as Forces.
     """
 
     own = ("engine", "guard", "record", "reversibility")
-    potentials_of_scene: ClassVar[Callable[[str, Sequence[str], Path], list[Potential]]]  # scenes are a floor above; minimd/__init__ sets it
+    potentials_of_scene: ClassVar[Callable[[str, Sequence[str], Path], list[Potential]]]  # set by minimd/__init__: scenes are a floor above
     system = EngineAttribute[System]("The state; its arrays can be changed, not replaced by those of another system.")
     method = EngineAttribute[Splitting]("The integrator with its time step; another one takes over with the next step. See Engine.method.")
     step = EngineAttribute[int]("Steps made so far; set it when a run is resumed.")
@@ -77,7 +77,7 @@ class Simulation(Closed, Displayed):
     reservoir_energy = EngineAttribute[float]("Given by a thermostat since the start [energy]; set it when a run is resumed.")
     work = EngineAttribute[float]("Done since the start by forces that depend on time [energy].")
     extra_observables = EngineAttribute[Sequence[str]](
-        'Names of observables beside the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".', check=check_extras
+        'Names of observables besides the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".', check=check_extras
     )
     positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")
@@ -130,7 +130,7 @@ class Simulation(Closed, Displayed):
     def resume(
         cls, file: str | Path, potentials: Potential | Sequence[Potential] | None = None, *, threads: int | None = None, step: int | None = None
     ) -> Self:
-        """The simulation in the restart of an H5MD file. Its next steps are those that the run made or would have made, to the last bit.
+        """The simulation at the restart of an H5MD file. Its next steps are those that the run would have made, to the last bit.
 
             sim = md.Simulation.resume("run.h5md", potentials)
             sim.run(until_step=100_000, trajectory="run.h5md", append=True)
@@ -142,8 +142,8 @@ class Simulation(Closed, Displayed):
 
         Raises
         ------
-        FileNotFoundError, OSError, ValueError : for a file that is none or is damaged, or without a scene if no potentials are given; for a step
-            that is not in the file, or of a run in float64.
+        FileNotFoundError, OSError, ValueError : for a file that does not exist, is damaged or not of minimd, or has no scene if no potentials are
+            given; for a step that is not in the file, or of a run in float64.
         """
         found: Self = resumed(cls, file, potentials, threads, step)
         return found
@@ -169,11 +169,11 @@ class Simulation(Closed, Displayed):
         Parameters
         ----------
         every : steps between observations, for record, trajectory and observers alike.
-        trajectory : a file or several, of the format that the suffix names: see minimd.files.trajectory.
+        trajectory : one file or several; the suffix gives the format, see minimd.files.trajectory.
         store_forces : write forces into formats that can hold them.
-        overwrite : replace files that exist.  append : continue the trajectory, an H5MD file in whose restart this simulation stands.
-        observers : functions called with this simulation at each observation; and those of minimd.observers, which look at steps of their own and
-            answer at the end. An H5MD file keeps them, and a run that continues it goes on with them.
+        overwrite : replace files that exist.  append : continue the trajectory, an H5MD file whose restart is the state of this simulation.
+        observers : functions called with this simulation at each observation; and those of minimd.observers, which have their own steps and
+            give results at the end. An H5MD file keeps them, and a run that continues it goes on with them.
         progress : show a progress bar; if not given, on a terminal and in a notebook.
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere
             (False). It holds the last good state and what minimd.replay needs; an existing file is kept unless overwrite, and the new one numbered.
@@ -192,7 +192,7 @@ class Simulation(Closed, Displayed):
         attached = Attached(observers, engine)
         check_extras(engine)
         place, start = crash_file_place(crash_report, trajectory), engine.step
-        with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):  # the file is left after all others are closed
+        with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):  # written after all others are closed
             guard.check_start()
             with (
                 stop_on_signals(engine.surroundings),
@@ -256,8 +256,8 @@ class Simulation(Closed, Displayed):
     ) -> None:
         """Run n_steps and rescale the velocities to a temperature every `every` steps. At the end step and time are set to 0.
 
-        The noise of a thermostat is that of steps before the start, and differs between the equilibrations of a simulation.
-        crash_report : a file to leave if it fails, as that of run.
+        The noise of a thermostat is that of steps before the start; it differs between the equilibrations of a simulation.
+        crash_report : the crash file to write if it fails, as for run.
 
         Raises
         ------
@@ -332,7 +332,7 @@ class Simulation(Closed, Displayed):
     def _running(self, noise_shift: int) -> Iterator[None]:
         """Context of a run.  noise_shift : of the engine during this run.  Raises RuntimeError for a run inside a run."""
         if self._is_running:
-            raise RuntimeError("this simulation is running: an observer can look and change things, but not run or equilibrate")
+            raise RuntimeError("this simulation is running: an observer may read and change its state, but not run or equilibrate it")
         before, self._is_running, self.engine.noise_shift = self.engine.noise_shift, True, noise_shift
         try:
             yield
@@ -351,7 +351,7 @@ class Simulation(Closed, Displayed):
         return report_of(self.guard, self.record, self.reversibility)
 
     def frame(self) -> Frame:
-        """The state as it is now, with its observables; the forces are evaluated."""
+        """The present state, with its observables; the forces are evaluated."""
         self.engine.catch_up()
         return observe(self.engine)
 

@@ -1,4 +1,4 @@
-"""A run as a page for the browser: its report, its pictures, its atoms in motion."""
+"""A run as a page in the browser: its report, its pictures, and its atoms in motion."""
 
 from minimd.view.viewing import View, view, view_record
 

@@ -1,9 +1,9 @@
-"""Atoms in motion, small enough for a page: some frames of a run, as whole numbers of 16 bits.
+"""Atoms in motion, small enough for a page: some frames of a run, as integers of 16 bits.
 
     r = Σ_k (low_k + width_k q_k / 2¹⁶) lattice_k        k = 1, 2, 3;  q_k = 0 … 2¹⁶ − 1
 
-Along periodic directions of the reduced lattice low is 0 and width 1: q counts parts of the lattice vector, a sum that overflows is one
-cell further, and the difference of two q, taken as a signed number, is the nearest image. Along open ones each frame has its own bounds.
+Along periodic directions of the reduced lattice low is 0 and width is 1: q counts fractions of the lattice vector, a sum that overflows leads to
+the next cell, and the difference of two q, as a signed number, is that of nearest images. Along open directions each frame has its own bounds.
 """
 
 from collections.abc import Sequence
@@ -23,17 +23,17 @@ from minimd.structure.system import System
 Array = NDArray[np.float64]
 LEVELS = 2**16
 BYTES = 5_000_000  # of all positions, at most: 4000 atoms in 200 frames are 4.8 MB
-ATOMS = 50_000  # at most: what graphics of a notebook draws fluently
-SAMPLED = 2000  # atoms from which the distance of neighbors is taken
+ATOMS = 50_000  # at most: the number that the graphics of a laptop draws smoothly
+SAMPLED = 2000  # atoms from which the distance of neighbors is computed
 
 
 class Motion(NamedTuple):
     """Some frames of a run.
 
-    frames : (T,) int, which of those in the file.  atoms : (A,) int, which of the system.  counts : (T, A, 3) uint16, q.
+    frames : (T,) int, indices in the file.  atoms : (A,) int, indices in the system.  counts : (T, A, 3) uint16, q.
     low, width : (T, 3), dimensionless along periodic directions, [length] along open ones.
     steps, times, temperatures : (T,) int, [ps or τ], [temperature].  bonds : (B, 2) int, see bonds_among.
-    apart : for each species the distance to the nearest neighbor [length], median of the first frame shown.
+    apart : for each species the distance to the nearest neighbor [length], the median in the first frame shown.
     cell : Cell.  n_frames, n_atoms : of the file.
     """
 
@@ -60,8 +60,8 @@ class Motion(NamedTuple):
 def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: bool = False) -> Motion:
     """The motion in a file whose universe is open.
 
-    most : frames at most; fewer are taken where the atoms are many.  latest : the last ones, instead of some evenly chosen.
-    marked : atoms that are shown whatever happens; all are shifted so that, in the last frame, the first of these stands in the middle of the cell.
+    most : largest number of frames; fewer are used if there are many atoms.  latest : the last frames, in place of evenly chosen ones.
+    marked : atoms that are always shown; all are shifted so that, in the last frame, the first of these is in the middle of the cell.
     """
     contents, system = made.contents, made.contents.system
     cell, record, atoms = system.cell, contents.record, chosen_atoms(len(system), marked)
@@ -92,7 +92,7 @@ def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: 
 
 
 def bonds_among(atoms: NDArray[np.int64], system: System) -> NDArray[np.int64]:
-    """(B, 2) indices in atoms of bonded pairs, and of pairs at a length held fixed, each pair once, of those that are shown."""
+    """(B, 2) pairs of indices in atoms: bonded pairs, and pairs whose length is held fixed, if both atoms are shown; each pair once."""
     held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
     place = np.full(len(system), -1)
     place[atoms] = np.arange(len(atoms))
@@ -101,7 +101,7 @@ def bonds_among(atoms: NDArray[np.int64], system: System) -> NDArray[np.int64]:
 
 
 def chosen_frames(n_frames: int, most: int, latest: bool = False) -> NDArray[np.int64]:
-    """At most so many of the frames: the last ones, or evenly chosen with the first and the last among them."""
+    """Indices of at most `most` frames: the last ones, or evenly chosen ones with the first and the last."""
     if latest:
         return np.arange(max(0, n_frames - most), n_frames)
     return np.unique(np.rint(np.linspace(0, n_frames - 1, min(most, n_frames))).astype(np.int64))
@@ -121,7 +121,7 @@ def counted(fractions: Array, pbc: NDArray[np.bool_]) -> tuple[NDArray[np.uint16
 
 
 def neighbor_distances(positions: Array, species: NDArray[np.int64], n_species: int) -> Array:
-    """Median distance to the nearest other atom, of atoms of each species [length], without images; 1 where there is no other atom."""
+    """Median distance to the nearest other atom for each species [length], without images; 1 if there is no other atom."""
     some = np.arange(0, len(positions), ceil(len(positions) / SAMPLED))
     if len(positions) < 2:
         return np.ones(n_species)

@@ -1,4 +1,4 @@
-"""The page itself: one file of HTML with style, program, numbers and pictures in it."""
+"""The page itself: one HTML file that contains style, program, numbers and pictures."""
 
 import html
 import json
@@ -28,7 +28,7 @@ ELEMENTS = {  # the colors of Corey, Pauling and Koltun
     "Cu": "#c77b3f",
     "Ar": "#4fa7b8",
 }
-OTHERS = ("#4a7fc1", "#d98032", "#3f9f6f", "#b0599f", "#c9a227", "#7a6fc9", "#4fa7b8", "#a3504a")  # of species without one, in turns
+OTHERS = ("#4a7fc1", "#d98032", "#3f9f6f", "#b0599f", "#c9a227", "#7a6fc9", "#4fa7b8", "#a3504a")  # in turns, for species without a usual color
 
 
 def page(story: Story) -> str:
@@ -40,7 +40,7 @@ def page(story: Story) -> str:
         "bonds": b64(motion.bonds, "<u4"),
         "about": _json(about(story)),
         "picture": f"data:{story.picture[0]};base64,{b64encode(story.picture[1]).decode()}",
-        "library": _text("ngl.js").partition("//# sourceMappingURL")[0],  # which developer tools would ask for
+        "library": _text("ngl.js").partition("//# sourceMappingURL")[0],  # which developer tools would request
         "library_licenses": html.escape(_text("ngl-licenses.txt")),
         "style": _text("page.css"),
         "program": _text("motion.js") + _text("page.js"),
@@ -55,7 +55,7 @@ def page(story: Story) -> str:
 
 
 def about(story: Story) -> dict[str, Any]:
-    """What the program of the page knows beside the counts: see motion.js."""
+    """The data for the program of the page, other than the counts: see motion.js."""
     motion, system, units = story.motion, story.contents.system, story.contents.system.units
     cell, place = motion.cell, {int(atom): k for k, atom in enumerate(motion.atoms)}
     edges = np.where(cell.pbc[:, None], cell.vectors, cell.lattice)
@@ -100,7 +100,7 @@ def table(rows: Rows) -> str:
 
 
 def failure(cause: Sequence[str]) -> str:
-    """The box that says why a run failed; empty if it did not."""
+    """The box with the reason why a run failed; empty if it did not fail."""
     if not cause:
         return ""
     first, advice, fault = (html.escape(words) for words in cause)
@@ -109,12 +109,12 @@ def failure(cause: Sequence[str]) -> str:
 
 
 def b64(array: NDArray[Any], kind: str) -> str:
-    """An array as text, in numbers of that kind."""
+    """An array as base64 text, with numbers of the given type."""
     return b64encode(np.ascontiguousarray(array, dtype=kind).tobytes()).decode()
 
 
 def _json(value: Any) -> str:
-    """JSON that may stand in a script element."""
+    """JSON that is safe inside a script element."""
     return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 

@@ -1,4 +1,4 @@
-"""What a page tells of a run, and of a failed run."""
+"""The contents of a page about a run, or about a failed run."""
 
 import io
 from collections.abc import Callable, Sequence
@@ -24,9 +24,9 @@ LARGEST_PICTURE = 1_500_000  # of an SVG in bytes; a larger one is drawn in pixe
 
 
 class Story(NamedTuple):
-    """title, heading : texts.  contents : of the file.  motion : Motion.  marked : atoms to blame, none of a run that did not fail.
+    """title, heading : texts.  contents : of the file.  motion : Motion.  marked : atoms that caused a failure; empty without one.
 
-    cause : of a failure, with advice and fault, empty if there was none.  picture : MIME type and bytes.  alternative : the picture in words.
+    cause : of a failure, with advice and fault; empty without one.  picture : MIME type and bytes.  alternative : the picture in words.
     report : text.  notes : sentences about what is not shown.
     """
 
@@ -48,7 +48,7 @@ class Story(NamedTuple):
 
     @property
     def summary(self) -> str:
-        """What is shown, in words."""
+        """The numbers of frames and atoms shown, in words."""
         return f"{len(self.motion.frames)} frames of {len(self.motion.atoms)} atoms"
 
 
@@ -62,7 +62,7 @@ def run_story(path: Path, frames: int) -> Story:
 
 
 def failure_story(path: Path, frames: int, potentials: Potential | Sequence[Potential] | None) -> Story:
-    """The last steps of a failed run, made again; without potentials the two states in its file.  Raises as minimd.replay."""
+    """The last steps of a failed run, made again; or, without potentials, the two states in its file.  Raises as minimd.replay."""
     past = read_crash_report(path)
     found = past.findings
     marked = (found.pair.first, found.pair.second) if found.pair else (found.closest[:2] if found.closest else (found.fastest,))
@@ -73,7 +73,7 @@ def failure_story(path: Path, frames: int, potentials: Potential | Sequence[Pote
 
 
 def _steps(path: Path, findings: CrashReport, potentials: Any, moved: Callable[[RunUniverse], Motion]) -> tuple[Any, ...]:
-    """Contents, motion, picture, its words, report and notes of the steps that led to the failure, made again."""
+    """Contents, motion, picture and its words, report and notes for the steps that led to the failure, made again."""
     from minimd.replay import replay
 
     with TemporaryDirectory() as folder:
@@ -86,8 +86,8 @@ def _steps(path: Path, findings: CrashReport, potentials: Any, moved: Callable[[
 
 
 def _states(path: Path, findings: CrashReport, _potentials: Any, moved: Callable[[RunUniverse], Motion]) -> tuple[Any, ...]:
-    """The same of the two states in the file, for want of potentials."""
-    note = f"The steps between need the potentials of the script: minimd.view({path.name!r}, potentials=...)."
+    """The same for the two states in the file, if there are no potentials."""
+    note = f"The steps between these states need the potentials of the script: minimd.view({path.name!r}, potentials=...)."
     with universe_of(path) as made:
         motion = moved(made)
         return made.contents, motion, _scalable(drawn(made)), "Four pictures of the states in the file.", str(findings), (note, *_left_out(motion))
@@ -99,7 +99,7 @@ def _heading(path: Path, contents: H5MDContents) -> str:
 
 
 def parameters(contents: H5MDContents) -> Rows:
-    """What was run, in the units of the system; times and what is made of them in ps, or τ."""
+    """System, method and potentials, in the units of the system; times and rates in ps, or τ."""
     system, units = contents.system, contents.system.units
     mass, picosecond = ("u", f", of which {units.to_picosecond**-1:.5g} make a ps") if units is ASE else ("m", "")
     words = f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, times in {units.time}{picosecond}"
@@ -119,7 +119,7 @@ def parameters(contents: H5MDContents) -> Rows:
 
 
 def _left_out(motion: Motion, repaired: str = "") -> tuple[str, ...]:
-    """What is thinned or was damaged, in sentences."""
+    """Sentences about frames and atoms that are not shown, and about a damaged restart."""
     frames = f"{len(motion.frames)} of {motion.n_frames} frames are shown." if len(motion.frames) < motion.n_frames else ""
     atoms = f"{len(motion.atoms)} of {motion.n_atoms} atoms are shown, evenly chosen." if len(motion.atoms) < motion.n_atoms else ""
     return tuple(words for words in (frames, atoms, repaired and f"{repaired}.") if words)

@@ -1,4 +1,4 @@
-"""What users call: a run, or the file that a failed one left, as a page that needs nothing but a browser."""
+"""minimd.view: a run, or the file that a failed run left, as a page that needs only a browser."""
 
 import html
 from collections.abc import Sequence
@@ -9,15 +9,15 @@ from minimd.engine.record import Record
 from minimd.forces.forces import Potential
 from minimd.structure.checks import checked_count
 
-FRAMES = 200  # at most, if nothing else is asked for
-HEIGHT = 720  # of the page in a cell of a notebook, in its pixels
+FRAMES = 200  # largest number of frames if not given
+HEIGHT = 720  # of the page in a notebook [pixels]
 
 
 @dataclass(frozen=True, repr=False)
 class View:
-    """A page of HTML with everything in it: it makes no request, and its own policy forbids them to the browser.
+    """An HTML page that contains everything: it makes no requests, and its policy forbids the browser to make any.
 
-    In a notebook it appears in the cell.  html : the page.  file : the file of the run.  summary : what it shows, in words.
+    A notebook shows it.  html : the page.  file : the file of the run.  summary : what it shows, in words.
     """
 
     html: str
@@ -25,7 +25,7 @@ class View:
     summary: str
 
     def save(self, page: str | Path | None = None) -> Path:
-        """Write the page and return its name: that of the run with .html if not given. A file of that name is replaced.
+        """Write the page and return its name; if not given, that of the run with .html. A file with this name is replaced.
 
         Raises OSError if it cannot be written.
         """
@@ -47,20 +47,19 @@ class View:
 def view(file: str | Path, *, frames: int = FRAMES, potentials: Potential | Sequence[Potential] | None = None) -> View:
     """A run as a page: its report, its pictures, and its atoms in motion with cell, bonds and species.
 
-    Of a failed run (.crash.h5md) the page shows the last steps, made again one by one, and marks the pair to blame.
+    For a failed run (.crash.h5md) the page shows the last steps, made again one by one, and marks the pair of atoms that caused the failure.
 
     Parameters
     ----------
     file : .h5md file of a run, or .crash.h5md that a failed run left.
-    frames : how many at most; evenly chosen from those in the file, and fewer where the atoms are many.
-    potentials : of a failed run only; if not given, those of the scene that is stored in the file. Without either the page shows the two
-        states that the file holds.
+    frames : largest number of frames, evenly chosen from those in the file; fewer are shown if there are many atoms.
+    potentials : for a failed run only; if not given, those of the scene that is stored in the file. Without both, the page shows the two
+        states in the file.
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as md.replay for a failed run, else as minimd.mdanalysis.universe; or if potentials are given for
-        a run that did not fail. Likewise unless frames is a whole number,
-        at least 2.
+    FileNotFoundError, OSError, ValueError : as md.replay for a failed run, else as minimd.mdanalysis.universe.  ValueError also if potentials
+        are given for a run that did not fail, or if frames is not a whole number of at least 2.
     """
     frames, path = checked_count("frames", frames, least=2), Path(file)
     from minimd.files.crash_file import is_crash_file  # these load h5py, MDAnalysis and matplotlib
@@ -72,17 +71,17 @@ def view(file: str | Path, *, frames: int = FRAMES, potentials: Potential | Sequ
     if is_crash_file(path):
         story = failure_story(path, frames, potentials)
     elif potentials is not None:
-        raise ValueError(f"potentials are needed for a failed run only; {str(path)!r} holds one that did not fail: leave them out")
+        raise ValueError(f"potentials are used for a failed run only; {str(path)!r} holds a run that did not fail: leave them out")
     else:
         story = run_story(path, frames)
     return View(page(story), path, story.summary)
 
 
 def view_record(record: Record) -> View:
-    """The page of the run that a record belongs to, from the .h5md file that it wrote.
+    """The page of the run to which a record belongs, from the .h5md file of the run.
 
-    Raises ValueError if it wrote none.  And as view.
+    Raises ValueError if the run wrote no such file.  Others as view.
     """
     if record.trajectory is None:
-        raise ValueError("a page needs the frames of the run, and it wrote no .h5md file; run with trajectory='run.h5md'")
+        raise ValueError("a page needs the frames of the run, but the run wrote no .h5md file; run with trajectory='run.h5md'")
     return view(record.trajectory)

@@ -7,6 +7,7 @@ frames up to a commit, and the restart of that commit.
 
 import signal
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,7 @@ from minimd.files.journaled_file import JournaledFile
 from minimd.files.rehearsal import rehearse
 from minimd.observers.accumulator import Accumulator
 from minimd.structure.checks import listed
+from minimd.structure.console import outside_minimd
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 MOST_OFTEN = 50.0  # times as long as a flush takes, which then takes no more than 2 % of the time; sooner if there is no memory for more frames
@@ -82,6 +84,8 @@ class H5MDWriter:
         Forces are written if the file has them. A frame at the step of the restart is not doubled. Observers that have not looked yet take the
         state of those in the file with the same names.
 
+        Warns if the steps to come are those of another method, bath or precision.
+
         Raises ValueError if the file holds another system or other constraints, no forces although store_forces, or if the simulation does not
         stand at the step of the restart.  OSError if the file cannot be written, or is damaged.
         """
@@ -103,6 +107,9 @@ class H5MDWriter:
         """Take up the file where its restart is.  Raises as append_to."""
         contents = contents_of(self._h5, file)
         _check_continues(Path(file), contents, self._engine, self._store_forces)
+        if other := layout.other_method(contents.method, contents.parameters, contents.precision, self._engine):
+            words = "frames before and after belong to different runs"
+            warnings.warn(f"the run in {str(file)!r} goes on with other steps: {other}; {words}", stacklevel=outside_minimd())
         restore_observers(self._h5, file, observers)
         self._observers = observers
         self._store_forces, self._every = contents.has_forces, every if f"observables/{layout.SPACING}" in self._h5 else None
@@ -283,9 +290,8 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
     if engine.step != contents.step:
         raise ValueError(f"trajectory {str(file)!r} continues from step {contents.step}; the simulation stands at step {engine.step}")
     if engine.barostat != contents.barostat:
-        raise ValueError(
-            f"trajectory {str(file)!r} holds a run with barostat {contents.barostat}; the simulation has {engine.barostat}: write to a new file"
-        )
+        before, now = (repr(bath) if bath is not None else "no barostat" for bath in (contents.barostat, engine.barostat))
+        raise ValueError(f"trajectory {str(file)!r} holds a run with {before}; the simulation has {now}: write to a new file")
     if engine.has_bath != ("conserved_energy" in contents.record):
         raise ValueError(
             f"trajectory {str(file)!r} was written {'without' if engine.method.is_thermostat else 'with'} a thermostat, "

@@ -13,6 +13,7 @@ from minimd.diagnosis.contacts import contacts
 from minimd.diagnosis.crash_report import examine
 from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_reader import read_file
+from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM
 
 LJ = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
@@ -74,6 +75,19 @@ def test_the_cause_is_told(kind):
     if atoms:
         assert {found.pair.first, found.pair.second} == set(atoms)
     assert error.file is None
+
+
+def test_a_step_that_drives_atoms_into_each_other_is_told_by_their_distance_then():
+    """In a crystal at rest no pair is stiff: Δt·ω = 0.3 before the first step is not why it fails."""
+    crystal = liquid(5, temperature=3.0, jitter=0.0)
+    found = failing(md.Simulation(crystal, md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.06))).crash_report
+    assert (found.kind, found.step) == ("pair", 1)
+    moved = md.System(crystal.positions + 0.06 * crystal.velocities, cell=crystal.cell)  # forces of the crystal are zero
+    (first, second, distance) = closest_pair(moved)
+    assert {found.pair.first, found.pair.second} == {first, second}
+    assert found.pair.distance == pytest.approx(distance, rel=1e-9)  # rounding
+    assert found.pair.frequency * 0.06 > 2.0
+    assert f"step 1 drives atoms {found.pair.first} and {found.pair.second} into each other, {distance:.3g} σ apart" in found.cause
 
 
 def test_an_examination_sees_the_energy_of_each_atom(monkeypatch):

@@ -1,5 +1,7 @@
 """The H5MD file: what MDAnalysis reads is what was run, what resumes is what stopped, and no failure spoils it."""
 
+import warnings
+
 import h5py
 import numpy as np
 import pytest
@@ -107,6 +109,56 @@ def test_appended_run_continues_on_the_grid_of_the_first_one(tmp_path, n_steps):
     frames = opened(path).trajectory
     assert len(frames) == 9
     assert len(frames[-1].forces) == 27
+
+
+BATHS = {
+    "method": (
+        md.VelocityVerlet(0.002),
+        md.PositionVerlet(0.002),
+        r"velocity-verlet\(timestep=0.002\) before, position-verlet\(timestep=0.002\) now",
+    ),
+    "time step": (md.VelocityVerlet(0.002), md.VelocityVerlet(0.001), r"\(timestep=0.002\) before, velocity-verlet\(timestep=0.001\) now"),
+    "temperature": (
+        md.LangevinBAOAB(0.002, 1.0, 1.0, 3),
+        md.LangevinBAOAB(0.002, 2.0, 1.0, 3),
+        r"temperature=1, .* before, .* temperature=2, .* now",
+    ),
+    "seed": (md.LangevinBAOAB(0.002, 1.0, 1.0, 3), md.LangevinBAOAB(0.002, 1.0, 1.0, 4), r"seed=3\) before, .* seed=4\) now"),
+}
+
+
+@pytest.mark.parametrize("what", BATHS)
+def test_a_run_that_goes_on_with_other_steps_says_so(what, tmp_path):
+    before, now, told = BATHS[what]
+    sim, path = simulation(), tmp_path / "a.h5md"
+    sim.method = before
+    sim.run(4, every=2, trajectory=path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sim.run(4, every=2, trajectory=path, append=True)  # with the same ones it is silent
+        resumed(path).run(4, every=2, trajectory=path, append=True)
+    again = resumed(path)
+    again.method = now
+    with pytest.warns(UserWarning, match=f"goes on with other steps: .*{told}; frames before and after belong to different runs") as caught:
+        again.run(4, every=2, trajectory=path, append=True)
+    assert caught[0].filename == __file__
+    assert read_file(path).parameters == now.parameters
+
+
+def test_another_barostat_and_a_bath_that_was_not_there_are_refused(tmp_path):
+    sim, path = simulation(), tmp_path / "a.h5md"
+    sim.run(4, every=2, trajectory=path)
+    sim.method = md.LangevinBAOAB(0.002, 1.0, 1.0, 3)
+    with pytest.raises(ValueError, match="was written without a thermostat, langevin-baoab would continue it otherwise; write to a new file"):
+        sim.run(4, every=2, trajectory=path, append=True)
+    one, other = (md.StochasticCellRescaling(p, 0.1, 1.0, seed=1, temperature=1.0) for p in (1.0, 2.0))
+    at_one, at_other = (md.Simulation(simulation().system, sim.potentials, md.VelocityVerlet(0.002), barostat=bath) for bath in (one, other))
+    at_one.run(4, every=2, trajectory=tmp_path / "b.h5md")
+    at_other.restore(at_one.snapshot())
+    with pytest.raises(
+        ValueError, match=r"holds a run with \w+\(pressure=1\.0, .*; the simulation has \w+\(pressure=2\.0, .*\): write to a new file"
+    ):
+        at_other.run(4, every=2, trajectory=tmp_path / "b.h5md", append=True)
 
 
 def test_a_title_and_a_scene_can_be_stored(tmp_path):

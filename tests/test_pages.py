@@ -12,6 +12,8 @@ import pytest
 import minimd as md
 from minimd.engine.observation import OBSERVABLES
 from minimd.engine.record import SERIES
+from minimd.files.crash_file import read_crash_report
+from minimd.files.h5md_reader import read_file
 
 REPOSITORY = Path(__file__).parents[1]
 DOCS = REPOSITORY / "docs"
@@ -69,6 +71,21 @@ def test_the_code_of_the_page_runs(page, tmp_path, monkeypatch, capsys, observab
         code = code.replace(long, short)
     exec(compile(code, str(page), "exec"), {"__name__": "__main__"})
     assert capsys.readouterr().out.strip()
+
+
+@pytest.mark.filterwarnings("ignore:timestep 0.02 τ is long")
+def test_the_blow_up_on_its_page_lives_for_some_time_and_names_its_cause(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec("\n".join(blocks(DOCS / "blow-up.md", "python")), names)
+    run, found, told = names["hot"], read_crash_report("hot.crash.h5md").findings, capsys.readouterr().out
+    assert run.step > 100
+    assert len(run.record) > 5
+    assert found.kind == "pair"
+    assert found.pair.frequency * 0.02 > 2.0  # beyond the limit of velocity Verlet
+    assert f"for the pair of {found.pair.atoms}" in told
+    assert read_file("hot.replay.h5md").n_frames > 20
+    assert md.view("hot.crash.h5md", potentials=names["lj"]).summary == f"{read_file('hot.replay.h5md').n_frames} frames of 500 atoms"
 
 
 @pytest.mark.parametrize("page", [path for path in PAGES if blocks(path, "toml")], ids=name_of)

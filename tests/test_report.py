@@ -1,10 +1,14 @@
 """The conservation report: what it calls conserved, and how sure it is."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from references import liquid
 
 import minimd as md
+from minimd.compiled import machine
+from minimd.compiled.machine import peak_memory
 from minimd.diagnosis.report import conservation_report, drift, drift_of_walk
 from minimd.engine.record import SERIES, Record
 
@@ -115,3 +119,21 @@ def test_a_series_that_is_not_finite_has_a_drift(slope):
     t, series = np.linspace(0.0, 1.0, 50), np.ones(50)
     series[20] = np.nan
     assert slope(t, series).is_significant
+
+
+@pytest.mark.skipif(peak_memory() is None, reason="the operating system does not tell")
+def test_memory_is_the_peak_of_the_process(monkeypatch):
+    simulation = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85), md.VelocityVerlet(0.002))
+    simulation.run(10)
+    before = simulation.report().cost.peak_memory
+    held = np.ones(int(before // 8) + 10**7)  # 80 MB more than the process has ever held, whatever was freed of it
+    assert simulation.report().cost.peak_memory >= before + 80e6
+    del held
+    assert simulation.report().cost.peak_memory >= before + 80e6
+    assert f"\nmemory         {peak_memory() / 1e6:.4g} MB at most so far, of the whole process\n" in str(simulation.report())
+    monkeypatch.setattr(machine, "STATUS", Path("nowhere"))
+    monkeypatch.setattr(machine.platform, "system", lambda: "Windows")
+    assert simulation.report().cost.peak_memory is None
+    assert "memory" not in str(simulation.report())
+    monkeypatch.setattr(machine.platform, "system", lambda: "Darwin")
+    assert machine.peak_memory() > 0

@@ -5,6 +5,19 @@ from scene_texts import ARGON, REDUCED, everything_of, scene_of
 
 from minimd.scene import load_scene
 
+SLAB = """[structure]
+file = "two.xyz"
+{}
+[[potential]]
+type = "lennard-jones"
+epsilon_K = 120.0
+sigma_A = 3.4
+cutoff_A = 8.5
+[dynamics]
+timestep_fs = 5.0
+steps = 1
+"""
+
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
@@ -53,6 +66,27 @@ def test_wrong_entry_is_answered_with_one_sentence(old, new, words):
         everything_of(REDUCED.replace(old, new, 1))
     assert "\n" not in str(caught.value)
     assert [word for word in words if word not in str(caught.value)] == [], caught.value
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("cell_A = [20, 20]", ["structure.cell_A must have at least 3 entries", "= [20, 20]: give all three edges, 0 along", "[20, 20, 0] with pbc"]),
+        ("cell_A = [20, 20, 20, 20]", ["structure.cell_A must have at most 3 entries", "give all three edges"]),
+        (
+            "pbc = [true, true]",
+            ["structure.pbc must be", "= [true, true]: give one for all directions, or three", "[true, true, false]"],
+        ),
+    ],
+)
+def test_edges_that_are_not_three_are_answered_with_what_to_write(tmp_path, entry, words):
+    (tmp_path / "two.xyz").write_text("2\n\nAr 0 0 0\nAr 4 0 0\n")
+    with pytest.raises(ValueError, match=r"structure\.") as caught:
+        scene_of(SLAB.format(entry))
+    assert [word for word in words if word not in str(caught.value)] == [], caught.value
+    path = tmp_path / "scene.toml"
+    path.write_text(SLAB.format("cell_A = [20, 20, 0]\npbc = [true, true, false]"))  # as the message says
+    assert load_scene(path).simulation().system.cell.pbc.tolist() == [True, True, False]
 
 
 def test_pairs_of_a_misspelt_species_are_refused():

@@ -3,15 +3,15 @@
 import subprocess
 import sys
 from collections.abc import Callable
-from pathlib import Path
+from math import nan
 
 from minimd.bench.engines import SKIN_LAMMPS, Minimd, Precision, preload_mpi
 from minimd.bench.scenes import CUTOFF, MELT_DENSITY, MELT_TEMPERATURE, SCENES, SEED, TIMESTEP
+from minimd.compiled.machine import STATUS, peak_memory
 
 FROM_ATOMS = 256_000  # with fewer atoms, the memory of Python and of the kernels hides that of the atoms
 SMALL = 20  # a first scene of 32 000 atoms loads the kernels
 STEPS = 120  # enough for the snapshots to which a failed run goes back
-STATUS = Path("/proc/self/status")  # of Linux; getrusage may give the peak of the parent process
 
 
 def bytes_per_atom(scene: str, n: int, threads: int, precision: str) -> float | None:
@@ -40,8 +40,8 @@ def _in_a_process(call: str) -> float | None:
 
 def peak_per_atom(run: Callable[[int], int], n: int) -> float:
     """As bytes_per_atom, in this process, which must be new.  run : function of a size that runs it and returns the number of atoms."""
-    few, before = run(SMALL), _peak()
-    many, after = run(n), _peak()
+    few, before = run(SMALL), peak_memory() or nan
+    many, after = run(n), peak_memory() or nan
     return (after - before) / (many - few)
 
 
@@ -70,9 +70,3 @@ def lammps_peak(n: int) -> int:
         f"neigh_modify delay 0 every 20 check no\nfix 1 all nve\ntimestep {TIMESTEP}\nrun {STEPS}"
     )
     return int(engine.get_natoms())
-
-
-def _peak() -> float:
-    """The largest memory of this process so far [bytes]."""
-    peak = next(line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM:"))  # "VmHWM:   178012 kB"
-    return 1024.0 * float(peak.split()[1])

@@ -12,6 +12,7 @@ import numpy as np
 
 EPS = float(np.finfo(float).eps)  # of 1: the relative spacing of numbers
 MISSING = "MISSING"
+STATUS = Path("/proc/self/status")  # of Linux, where the peak of getrusage can be that of the parent process
 _threads: ContextVar[int | None] = ContextVar("_threads", default=None)
 
 
@@ -50,3 +51,16 @@ def processor_name() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
+
+
+def peak_memory() -> int | None:
+    """Bytes of memory that this process has held at most so far; None where the operating system does not tell, as on Windows."""
+    with suppress(OSError):
+        for line in STATUS.read_text().splitlines():
+            if line.startswith("VmHWM:"):  # "VmHWM:   178012 kB"
+                return 1024 * int(line.split()[1])
+    if platform.system() != "Darwin":
+        return None
+    from resource import RUSAGE_SELF, getrusage  # which Windows does not have
+
+    return getrusage(RUSAGE_SELF).ru_maxrss  # in bytes there

@@ -117,18 +117,21 @@ class Evidence:
     """What is known about a failure.
 
     suspects : atoms whose contacts are examined.  found : their contacts in the last good state, and those without a finite force at the
-    moment of the failure.  strongest : the contact with the largest force, or None.
+    moment of the failure.  strongest : the contact with the largest force, or None.  met : the same of the closest pair at that moment.
     """
 
     def __init__(self, engine: Engine, failure: Failure, suspects: list[int]) -> None:
         self.engine, self.failure, self.system = engine, failure, engine.system
         self.timestep = abs(engine.method.timestep)
         self.shown_timestep = engine.system.units.shown(self.timestep)
-        self.found = self.contacts(self.system, suspects)
+        self.found, self.met = self.contacts(self.system, suspects), None
+        self.longest_stable = stability_limit(engine.method.sequence())
         if failure.at is not None and (np.abs(failure.at) <= LARGEST).all():
-            self.found += [one for one in self.contacts(self.moved(failure.at), suspects) if not one.is_finite]
+            failed = self.moved(failure.at)
+            self.found += [one for one in self.contacts(failed, suspects) if not one.is_finite]
+            self.met = _strongest(self.contacts(failed, list((closest_pair(failed) or ())[:2])))
         self._advice: list[StepAdvice | None] = []
-        self.strongest = max((one for one in self.found if one.is_finite), key=lambda one: abs(one.force), default=None)
+        self.strongest = _strongest(self.found)
 
     @property
     def advice(self) -> StepAdvice | None:
@@ -212,10 +215,10 @@ def unstable_bond(evidence: Evidence) -> Verdict | None:
     """A bond whose Δt·ω is beyond the limit of the method."""
     bonds = [(one.frequency * evidence.timestep, one) for one in evidence.found if one.is_bond and one.frequency]
     x, stiffest = max(bonds, key=lambda bond: bond[0], default=(0.0, None))
-    limit = stability_limit(evidence.engine.method.sequence())
-    if stiffest is None or x <= limit:
+    if stiffest is None or x <= evidence.longest_stable:
         return None
-    cause = f"timestep {evidence.shown_timestep} too large for the bond of {stiffest.atoms}: Δt·ω = {x:.3g} (stable to {limit:.3g})"
+    stable = f"(stable to {evidence.longest_stable:.3g})"
+    cause = f"timestep {evidence.shown_timestep} too large for the bond of {stiffest.atoms}: Δt·ω = {x:.3g} {stable}"
     return Verdict("bond", stiffest, cause, f"{evidence.recommended}; or hold the bond rigid")
 
 
@@ -253,6 +256,17 @@ def too_hot(evidence: Evidence) -> Verdict | None:
     return Verdict("hot", evidence.strongest, cause, "start at a lower temperature, or reduce the timestep in proportion to the speed")
 
 
+def collision_in_a_step(evidence: Evidence) -> Verdict | None:
+    """Two atoms that the step that failed has brought together, where before it no pair was stiff."""
+    met, limit = evidence.met, evidence.longest_stable
+    before = max((one.frequency or 0.0 for one in evidence.found), default=0.0)
+    if met is None or before * evidence.timestep > NEAR_LIMIT * limit or not (met.frequency or 0.0) * evidence.timestep > limit:
+        return None
+    there = f"{met.apart(evidence.system.units.length)}{met.stiffness(evidence.timestep)}"
+    cause = f"timestep {evidence.shown_timestep} too large: step {evidence.failure.step} drives {met.atoms} into each other, {there}"
+    return Verdict("pair", met, cause, "halve the timestep until the energy is conserved")
+
+
 def long_step(evidence: Evidence) -> Verdict:
     """What is left: the pair with the largest force, if there is one."""
     pair = evidence.strongest
@@ -284,8 +298,14 @@ RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (
     unstable_bond,
     bottomless_law,
     too_hot,
+    collision_in_a_step,
     long_step,
 )
+
+
+def _strongest(found: list[Contact]) -> Contact | None:
+    """The contact with the largest finite force, or None."""
+    return max((one for one in found if one.is_finite), key=lambda one: abs(one.force), default=None)
 
 
 def _is_overlap(contact: Contact) -> bool:

@@ -131,7 +131,10 @@ def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run cost: steps, seconds, list builds, force evaluations; and in words its lists, its constraints and the work it did not need."""
+    """What a run cost: steps, seconds, list builds, force evaluations; and in words its lists, its constraints and the work it did not need.
+
+    peak_memory : bytes that the process has held at most so far, or None if that is unknown.
+    """
 
     n_steps: int
     seconds: float
@@ -140,12 +143,15 @@ class Cost:
     pair_search: str
     skipped: list[str]
     constraints: str = ""
+    peak_memory: int | None = None
 
     def lines(self) -> list[str]:
         """Lines of a report."""
         speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
         lines = [f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"]
         lines += [f"constraints    {self.constraints}"] if self.constraints else []
+        if self.peak_memory is not None:
+            lines.append(f"memory         {self.peak_memory / 1e6:.4g} MB at most so far, of the whole process")
         return lines + ([f"not needed     {', '.join(self.skipped)}"] if self.skipped else [])
 
 

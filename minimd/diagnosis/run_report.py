@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from minimd.compiled.machine import peak_memory
 from minimd.diagnosis.first_hints import too_long_a_step
 from minimd.diagnosis.pressure import pressure_lines
 from minimd.diagnosis.report import Cost, Report, conservation_report
@@ -24,6 +25,7 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
         pair_search=interactions.pair_search,
         skipped=interactions.skipped(),
         constraints=f"{bonds.summary}; at most {bonds.iterations} iterations in a drift" if bonds else "",
+        peak_memory=peak_memory(),
     )
     angular, lines = is_free and not engine.system.cell.is_periodic, static_checks(engine, reversibility)
     lines += pressure_lines(record, engine.barostat, is_free)

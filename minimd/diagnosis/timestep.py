@@ -24,6 +24,7 @@ from minimd.structure.checks import shown
 from minimd.structure.constraints import Constraint
 from minimd.structure.display import Displayed
 from minimd.structure.errors import NonFiniteError
+from minimd.structure.keywords import names_keywords
 from minimd.structure.system import AnySystem, System
 from minimd.structure.units import UnitSystem
 
@@ -104,6 +105,7 @@ class StepAdvice(Displayed):
         ]
 
 
+@names_keywords
 def advise_timestep(
     system: AnySystem,
     potentials: Potential | Sequence[Potential],

@@ -25,6 +25,7 @@ from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag, shown
 from minimd.structure.console import Terminated, outside_minimd, progress_of, raising_on_signals, stop_runs_of_threads
 from minimd.structure.errors import Interrupted, sentence
+from minimd.structure.keywords import names_keywords
 
 MOST_WAITING = 4096  # members submitted at a time to an executor that the caller brings
 TOLD = 3  # failures that a warning names
@@ -38,6 +39,7 @@ class EnsembleError(RuntimeError):
 Parameters = int | Mapping[str, Sequence[Any]] | Sequence[Mapping[str, Any]]
 
 
+@names_keywords
 def ensemble(
     build: Callable[[Member], Simulation],
     parameters: Parameters,

@@ -18,6 +18,7 @@ from minimd.ensemble.member import file_of
 from minimd.ensemble.work import BEGUN, DONE, FAILED, MISSING, Row
 from minimd.structure.checks import near
 from minimd.structure.display import Displayed, Rows
+from minimd.structure.statistics import with_error
 from minimd.structure.units import SYSTEMS, UnitSystem
 
 if TYPE_CHECKING:
@@ -118,15 +119,25 @@ class EnsembleTable(Displayed):
             values = self[name]
             limits = f", {values.min()} to {values.max()}" if values.dtype.kind in "if" else ""
             rows.append((name, f"{len(set(values.tolist()))} values{limits}"))
-        for name in (one for one in self.observables if "momentum" not in one and self.done.any()):
-            means = self[f"{name}_mean"][self.done]
-            rows.append((f"mean {name}".replace("_", " "), f"from {means.min():.6g} to {means.max():.6g} {self.unit(name)}".rstrip()))
+        averages = self.averaged()
+        for name in (one for one in self.observables if "momentum" not in one and len(averages)):
+            limits = _limits(averages[f"{name}_mean"], averages[f"{name}_error"])
+            rows.append((f"mean {name}".replace("_", " "), f"{limits} {self.unit(name)}".rstrip()))
         several = list(self.failures())
         rows += [("FAILED", sentence) for sentence in several[:SHOWN_FAILURES]]
         return rows + ([("", f"and {len(several) - SHOWN_FAILURES} more")] if len(several) > SHOWN_FAILURES else [])
 
     def __repr__(self) -> str:
         return f"EnsembleTable({len(self)} members, {', '.join([*self.parameters, *self.observables])})"
+
+
+def _limits(means: Floats, errors: Floats) -> str:
+    """The lowest and the highest of the means of several sets of parameters, with their errors where these are known; that of one set."""
+    if np.isnan(means).all():
+        return "not known"
+    lowest, highest = int(np.nanargmin(means)), int(np.nanargmax(means))
+    told = [with_error(means[k], errors[k]) for k in (lowest, highest)]
+    return f"from {told[0]} to {told[1]}" if lowest != highest else told[0]
 
 
 def _groups(columns: Sequence[NDArray[Any]], n_rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

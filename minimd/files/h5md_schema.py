@@ -14,7 +14,7 @@ P. de Buyl, P. H. Colberg, F. Höfling, Comput. Phys. Commun. 185, 1546 (2014); 
 
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,6 +29,7 @@ from minimd.engine.record import SERIES, Frame
 from minimd.files.h5md_constraints import describe_constraints
 from minimd.files.journaled_file import repair
 from minimd.structure.cell import Cell
+from minimd.structure.display import as_text
 from minimd.structure.errors import sentence
 from minimd.structure.system import System
 
@@ -135,6 +136,16 @@ def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
         return ""
     was, becomes = ([one for one in several if one not in others] for several, others in ((before, now), (now, before)))
     return f"{'; '.join(was) or 'none'} before, {'; '.join(becomes) or 'none'} now"
+
+
+def other_method(name: str, parameters: Mapping[str, Any], precision: str, engine: Engine) -> str:
+    """The method, bath and precision of the last steps in a file beside those with which its run goes on, in words; empty if they are the same."""
+    ours = engine.method.name, json.loads(json.dumps(engine.method.parameters)), engine.interactions.options.precision
+    if ours == (name, parameters, precision):
+        return ""
+    before, now = (f"{one}({', '.join(f'{key}={as_text(value)}' for key, value in given.items())})" for one, given in ((name, parameters), ours[:2]))
+    in_precision = ("", "") if ours[2] == precision else (f" in {precision} precision", f" in {ours[2]} precision")
+    return f"{before}{in_precision[0]} before, {now}{in_precision[1]} now"
 
 
 def describe_method(group: h5py.Group, engine: Engine) -> None:

@@ -7,6 +7,7 @@ to a commit, and the restart of that commit.
 
 import signal
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,7 @@ from minimd.files.journaled_file import JournaledFile
 from minimd.files.rehearsal import rehearse
 from minimd.observers.accumulator import Accumulator
 from minimd.structure.checks import listed
+from minimd.structure.console import outside_minimd
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 MOST_OFTEN = 50.0  # shortest time between flushes, in durations of a flush: 2 % of the time; less if the block of frames is full
@@ -79,10 +81,10 @@ class H5MDWriter:
     ) -> "H5MDWriter":
         """A writer that continues a file from its restart; frames after the restart are removed.
 
-
-
         Forces are written if the file has them. A frame at the step of the restart is not written twice. Observers that have not looked yet
         take over the state of those in the file with the same names.
+
+        Warns if the steps to come are those of another method, bath or precision.
 
         Raises ValueError if the file holds another system, other constraints, another barostat or other observables, if it has no forces
         and store_forces asks for them, or if the simulation is not at the step of the restart.  OSError if the file cannot be written, or is
@@ -106,6 +108,9 @@ class H5MDWriter:
         """Continue the file from its restart.  Raises as append_to."""
         contents = contents_of(self._h5, file)
         _check_continues(Path(file), contents, self._engine, self._store_forces)
+        if other := layout.other_method(contents.method, contents.parameters, contents.precision, self._engine):
+            words = "frames before and after belong to different runs"
+            warnings.warn(f"the run in {str(file)!r} goes on with other steps: {other}; {words}", stacklevel=outside_minimd())
         restore_observers(self._h5, file, observers)
         self._observers = observers
         self._store_forces, self._every = contents.has_forces, every if f"observables/{layout.SPACING}" in self._h5 else None
@@ -291,9 +296,8 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
             "with minimd.Simulation.resume, or write to a new file"
         )
     if engine.barostat != contents.barostat:
-        raise ValueError(
-            f"trajectory {str(file)!r} holds a run with the barostat {contents.barostat}; the simulation has {engine.barostat}: write to a new file"
-        )
+        before, now = (repr(bath) if bath is not None else "no barostat" for bath in (contents.barostat, engine.barostat))
+        raise ValueError(f"trajectory {str(file)!r} holds a run with {before}; the simulation has {now}: write to a new file")
     if engine.has_bath != ("conserved_energy" in contents.record):
         raise ValueError(
             f"trajectory {str(file)!r} was written {'without' if engine.method.is_thermostat else 'with'} a thermostat; it cannot be continued "

@@ -15,6 +15,7 @@ from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import NonFiniteError
+from minimd.structure.keywords import names_keywords
 from minimd.structure.observables import longest
 from minimd.structure.system import System
 
@@ -46,6 +47,7 @@ class Evaluation(Displayed):
         return [("energy", energy), ("", energies), ("largest force", largest), *zip(("virial", "", ""), virial, strict=True)]
 
 
+@names_keywords
 def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potential]) -> Evaluation:
     """Potential energy, forces, virial and energies per atom of a System, or of ase.Atoms, as they stand.
 

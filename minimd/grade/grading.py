@@ -14,8 +14,10 @@ from minimd.grade.force_calling import KINDS
 from minimd.grade.forces import grade_forces
 from minimd.grade.steps import grade_step
 from minimd.structure.checks import checked_count, checked_number, shown
+from minimd.structure.keywords import names_keywords
 
 
+@names_keywords
 def grade(
     function: Callable[..., Any],
     potential: Any = None,

@@ -17,6 +17,7 @@ from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
 from minimd.structure.display import Displayed
 from minimd.structure.errors import Interrupted
+from minimd.structure.keywords import names_keywords
 from minimd.structure.system import AnySystem, System
 
 FORCE_TOLERANCE = 1e-6  # [energy/length], in reduced units and in eV/Å
@@ -57,6 +58,7 @@ class Minimization(Displayed):
         )
 
 
+@names_keywords
 def minimize(
     system: AnySystem,
     potentials: Potential | Sequence[Potential],

@@ -20,6 +20,13 @@ PLAIN = {  # words of pydantic: words of minimd
     "items after validation": "entries",
     "Value error, ": "",
 }
+THREE = {  # lists of the wrong length: what to write
+    (
+        "structure",
+        "cell",
+    ): ": give all three edges, 0 along a direction that does not repeat, as of a slab: [20, 20, 0] with pbc = [true, true, false]",
+    ("structure", "pbc"): ": give one for all directions, or three, as of a slab: [true, true, false]",
+}
 
 
 def problems(reading: Reading, error: ValidationError) -> list[str]:
@@ -60,7 +67,8 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
     for theirs, ours in PLAIN.items():
         words = words.replace(theirs, ours)
     words = words.partition(" after validation")[0]
-    return place, f"{place} {words}".strip() + ("" if isinstance(value, dict) else f"; {place} = {_shown(value)}")
+    hint = THREE.get(loc[:2], "") if isinstance(value, list) and len(value) != 3 else ""
+    return place, f"{place} {words}".strip() + ("" if isinstance(value, dict) else f"; {place} = {_shown(value)}") + hint
 
 
 def _keys_of(name: str, reading: Reading) -> Keys:

@@ -13,6 +13,7 @@ from minimd.simulation.resuming import Potentials, check_is_fixed, go_to
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count
 from minimd.structure.display import Displayed
+from minimd.structure.keywords import names_keywords
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Archive(Displayed):
         return f"{what}\nany step       minimd frames {self.file} --at STEP"
 
 
+@names_keywords
 def archive(file: str | Path, out: str | Path, every: int, potentials: Potentials = None, overwrite: bool = False) -> Archive:
     """Write a file with few frames of a run in fixed-point arithmetic, from which all others can be made again, to the last bit.
 

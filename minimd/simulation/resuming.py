@@ -13,6 +13,7 @@ from minimd.engine.observation import extras_in
 from minimd.engine.snapshots import Snapshot
 from minimd.forces.forces import Potential
 from minimd.structure.checks import checked_count
+from minimd.structure.console import outside_minimd
 
 if TYPE_CHECKING:
     from minimd.files.h5md_reader import H5MDContents
@@ -35,9 +36,11 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     simulation.engine.notes.update(title=contents.title, scene=contents.scene)
     simulation.engine.go_on_from(contents.restart)
     if other := other_potentials(contents.potentials, simulation.potentials):
-        warnings.warn(f"the potentials are not those of the last steps in {str(file)!r}: {other}; energies jump at this step", stacklevel=3)
+        warnings.warn(
+            f"the potentials are not those of the last steps in {str(file)!r}: {other}; energies jump at this step", stacklevel=outside_minimd()
+        )
     if contents.repaired:
-        warnings.warn(contents.repaired, stacklevel=3)
+        warnings.warn(contents.repaired, stacklevel=outside_minimd())
     if step is not None:
         _make_again(simulation, file, contents, checked_count("step", step, 0))
     return simulation

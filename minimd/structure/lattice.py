@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.structure.checks import MOST_ATOMS, checked_choice, checked_indices, checked_number, shown
+from minimd.structure.keywords import names_keywords
 
 __all__ = ["BASES", "constant_from_density", "crystal"]
 _FCC = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0))
@@ -18,6 +19,7 @@ BASES = {  # atoms of the cubic unit cell, in units of its edge
 }
 
 
+@names_keywords
 def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions (N, 3) and the three edges of the cell (3,) of a block of cubic unit cells, both [length].
 

@@ -119,7 +119,7 @@ def same_bits() -> Finding:
     different = [n for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
-        return False, f"positions differ {on}: those on {' and '.join(map(str, different))} from those on 1"
+        return False, f"positions differ {on}: those on {' and '.join(map(str, different))} from 1"
     return True, f"positions are equal to the last bit {on}; a task for all threads starts and ends in {_microseconds_of_a_task():.1f} µs"
 
 

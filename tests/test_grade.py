@@ -47,6 +47,22 @@ def test_figures_of_a_grade_are_those_of_theory():
     assert symplectic["reversible"].passed is False
 
 
+def test_a_right_composition_that_has_no_name_is_no_fault():
+    """Velocity Verlet seven times, in M. Suzuki's way: of order 4, and asked to be so."""
+    w = 1.0 / (6.0 - 6.0 ** (1.0 / 3.0))
+
+    def step(x, v, force, dt):
+        for part in (w, w, w, 1.0 - 6.0 * w, w, w, w):
+            v = v + 0.5 * part * dt * force(x)
+            x = x + part * dt * v
+            v = v + 0.5 * part * dt * force(x)
+        return x, v
+
+    grade = md.grade(step, order=4)
+    assert grade.findings[0].value == pytest.approx(4.0, abs=0.2)
+    assert grade.faults == (), str(grade)
+
+
 def test_wrong_weights_of_a_composition_are_named():
     def forest_ruth(x, v, force, dt, sign=-1.0):
         w = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))

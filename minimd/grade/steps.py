@@ -216,7 +216,7 @@ def _is_plain(parts: list[tuple[str, float]]) -> bool:
 def _of_substeps(parts: list[tuple[str, float]], findings: list[Finding], order: int) -> list[str]:
     """The fault of a sequence of three kicks or more whose order is no higher than expected: weights are wrong."""
     kicks, reached = sum(kind == "kick" for kind, _ in parts), findings[0].value
-    if kicks < FEW or reached > max(order, 2) + 0.5:
+    if kicks < FEW or reached > max(order - 0.5, 2.5):
         return []
     near = nearest_method(parts)
     near = (

@@ -18,7 +18,7 @@ from test_kills import assert_same_file
 
 import minimd as md
 from minimd.files.h5md_reader import read_file
-from minimd.structure.console import SIGNALS, Terminated, stop_on_signals
+from minimd.structure.console import SIGNALS, Terminated, endings_are_told, stop_on_signals
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -121,6 +121,25 @@ def test_outside_the_main_thread_no_handler_is_touched():
     thread.start()
     thread.join()
     assert during == before
+
+
+@pytest.mark.parametrize("number", [one for one in SIGNALS if one != signal.SIGINT])
+def test_a_script_that_is_terminated_says_at_which_step_and_what_is_kept(number, tmp_path, capsys):
+    def inner(_sim):
+        simulation().run(100, every=10, observers=[lambda one: signal.raise_signal(number) if one.step == 30 else None])
+
+    with endings(number, "stopped after step"):
+        simulation().run(
+            100, every=10, trajectory=tmp_path / "a.h5md", observers=[lambda sim: signal.raise_signal(number) if sim.step == 20 else None]
+        )
+    told = f"by {signal.Signals(number).name}"
+    assert capsys.readouterr().err == f"minimd: stopped after step 21 {told}; what was written is kept in {tmp_path / 'a.h5md'}\n"
+    with endings(number, "stopped after step"):
+        simulation().run(100, every=10, observers=[inner])  # both runs stop, and one sentence is enough
+    assert capsys.readouterr().err == f"minimd: stopped after step 31 {told}\n"
+    with endings(number, "stopped after step"), endings_are_told():
+        simulation().run(100, every=10, observers=[inner])
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("number", SIGNALS)

@@ -11,7 +11,7 @@ from minimd.bench.outcome import DisagreementError
 from minimd.commands import archive, bench, check, doctor, frames, lammps, plot, replay, resume, run, scan, view
 from minimd.compiled.machine import version
 from minimd.ensemble.running import EnsembleError
-from minimd.structure.console import Terminated
+from minimd.structure.console import Terminated, endings_are_told
 from minimd.structure.errors import ConstraintError, HandOverError, NonFiniteError, sentence
 
 OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
@@ -36,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return OK
     try:
-        with warnings.catch_warnings():  # changes them for the whole process, which is this command
+        with endings_are_told(), warnings.catch_warnings():  # for the whole process, which is this command
             warnings.showwarning = _tell
             passed = arguments.command(arguments)  # None for a command without a judgement
         return OK if passed is None or passed else FAILED

@@ -23,7 +23,7 @@ from minimd.ensemble.work import FAILED, Plan, Row, work
 from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag, shown
-from minimd.structure.console import Terminated, outside_minimd, progress_of, raising_on_signals, stop_runs_of_threads
+from minimd.structure.console import Terminated, endings_are_told, outside_minimd, progress_of, raising_on_signals, stop_runs_of_threads, tell_ending
 from minimd.structure.errors import Interrupted, sentence
 from minimd.structure.keywords import names_keywords
 
@@ -96,6 +96,7 @@ def ensemble(
         jobs = ((Member(k, rows[k], entropy, steps, opened.file(k)), opened.rows.get(k, {}).get("is_blown_up", False)) for k in todo)
         try:
             with (
+                endings_are_told(),
                 raising_on_signals(),
                 _executor(executor, n_workers) as (chosen, most_waiting),
                 progress_of(len(rows), "ensemble", progress, "member") as tell,
@@ -108,7 +109,8 @@ def ensemble(
             table = _written(opened, asked, len(rows))
             told = f"{int(table.done.sum())} of {len(rows)} members are done and kept in {place}; the same call goes on"
             if isinstance(stopped, Terminated):
-                stopped.words += f"; {told}"
+                stopped.words, stopped.kept = f"{stopped.words}; {told}", ()
+                tell_ending(stopped)
                 raise
             raise Interrupted(f"interrupted: {told}", table) from None
         table = _written(opened, asked, len(rows))

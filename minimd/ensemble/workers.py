@@ -15,6 +15,7 @@ from contextlib import suppress
 from typing import Any
 
 from minimd.files.first_look import end_with
+from minimd.structure.console import endings_are_told
 
 READY = b"ready"
 
@@ -113,7 +114,7 @@ def serve(pipe: Any, parent: int) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(parent, signal.SIGTERM)
-    with suppress(EOFError, OSError):  # the other end of the pipe is closed
+    with endings_are_told(), suppress(EOFError, OSError):  # the other end of the pipe is closed
         pipe.send_bytes(READY)
         while True:
             pipe.send_bytes(_answer(pipe.recv_bytes()))

@@ -64,7 +64,11 @@ def open_trajectories(
         for file in files:
             writers.append(_continued(file, engine, options) if append else _new(file, engine, options, overwrite))
             closing.callback(writers[-1].close)
-        yield writers
+        try:
+            yield writers
+        except KeyboardInterrupt as stopped:  # also by other signals; see console.Terminated
+            stopped.__dict__["kept"] = tuple(files)
+            raise
 
 
 def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -> Writer:

@@ -3,8 +3,9 @@
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, Protocol
 
@@ -62,20 +63,53 @@ def stop_on_signals(run: Stoppable) -> Iterator[None]:
     stop_runs_of_threads stops a run.
 
     A second Ctrl-C does not wait for the end of the step. A run inside another one, in an observer, stops first; its exception ends the outer one.
+    Python says nothing as it ends by Terminated: a sentence on standard error does, unless a caller tells it, see endings_are_told.
     """
     requests = StopRequests(run)
+    try:
+        with _stopping(requests):
+            yield
+    except Terminated as ended:
+        if requests.is_outermost:
+            tell_ending(ended)
+        raise
+
+
+@contextmanager
+def _stopping(requests: "StopRequests") -> Iterator[None]:
+    """The handlers of stop_on_signals, and its exceptions."""
     try:
         requests.begin()
         yield
     except KeyboardInterrupt as stopped:
         if requests.received and requests.received[0] != signal.SIGINT:
-            raise Terminated(requests.received[0], str(stopped)) from None
+            raise Terminated(requests.received[0], str(stopped), getattr(stopped, "kept", ())) from None
         raise
     finally:
         requests.end()
     if requests.received:
         words = "stopped after the last step"
         raise KeyboardInterrupt(words) if requests.received[0] == signal.SIGINT else Terminated(requests.received[0], words)
+
+
+def tell_ending(ended: "Terminated") -> None:
+    """Tell on standard error how runs were ended by a signal, unless a caller does."""
+    if not _callers and sys.stderr is not None:
+        kept = ", ".join(str(file) for file in ended.kept if file.exists())
+        print(f"minimd: {ended}{f'; what was written is kept in {kept}' if kept else ''}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def endings_are_told() -> Iterator[None]:
+    """Context of a caller that tells itself how runs were ended by a signal, or has nobody to tell."""
+    _callers.append(None)
+    try:
+        yield
+    finally:
+        _callers.pop()
+
+
+_callers: list[None] = []  # those within endings_are_told
 
 
 def stop_runs_of_threads() -> None:
@@ -108,11 +142,12 @@ RUNS_OF_THREADS: dict[int, Stoppable] = {}  # by id
 class StopRequests:
     """The handler of signals during a run; it replaces the default handlers, and the handler of an enclosing run.
 
-    received : numbers of the signals that came, in order.
+    received : numbers of the signals that came, in order.  is_outermost : whether it is that of a run in no other run.
     """
 
     def __init__(self, run: Stoppable) -> None:
         self._run, self._before = run, dict[int, Any]()
+        self.is_outermost = True
         self.received: list[int] = []
 
     def __call__(self, number: int, _frame: FrameType | None) -> None:
@@ -130,6 +165,7 @@ class StopRequests:
         else:
             for number in SIGNALS:
                 handler = signal.getsignal(number)
+                self.is_outermost = self.is_outermost and not isinstance(handler, StopRequests)
                 if isinstance(handler, StopRequests) or handler in DEFAULT_HANDLERS:
                     self._before[number] = handler
                     signal.signal(number, self)
@@ -148,10 +184,14 @@ class StopRequests:
 
 
 class Terminated(SystemExit):
-    """A run was ended by SIGTERM or SIGHUP, after a whole step. The exit code is 128 + the number of the signal, as in shells."""
+    """A run was ended by SIGTERM or SIGHUP, after a whole step. The exit code is 128 + the number of the signal, as in shells.
 
-    def __init__(self, number: int, words: str) -> None:
+    kept : files of the run.
+    """
+
+    def __init__(self, number: int, words: str, kept: Sequence[Path] = ()) -> None:
         super().__init__(128 + number)
+        self.kept = kept
         self.words = f"{words} by {signal.Signals(number).name}"
 
     def __str__(self) -> str:

@@ -132,6 +132,7 @@ class ClusterTerm(OwnTerm):
                 self._prepared_for = self.list.n_builds, int(self.list.rows.layers[0])
             else:
                 course[MADE] += self._pool.run(evaluate_clusters, *evaluation, calls=calls)
+            del evaluation  # it would hold the old memory of the list while the new is taken
             if isinstance(state, GridState):
                 self._check(state)
         if contact is not None:
@@ -171,16 +172,16 @@ class ClusterTerm(OwnTerm):
             are_same = bool((state.inverse_masses == state.inverse_masses[0]).all())
             masses = self._memory.array("own inverse masses", np.float64, self.list.lanes.size if are_same else len(self.list.clusters.atom))
             masses[:] = state.inverse_masses[0]
-            positions, velocities = self.list.idle
-            self._atoms = Atoms(state.velocities, state.inverse_masses, 0 if are_same else 1, positions, velocities, masses)
+            positions = self.list.idle
+            self._atoms = Atoms(state.velocities, state.inverse_masses, 0 if are_same else 1, positions, state.room(positions.size), masses)
         return self._atoms
 
     def _totals(self) -> Work:
         """Work with accumulators of each cluster, which are zero, in idle memory; it is kept, because small scenes are observed often."""
         n = self.list.n_clusters
         if self._work_of_totals is None or len(self._work_of_totals.sums.energies) != n:
-            energies, virials = self.list.idle
-            self._work_of_totals = self._work_with(energies[:n], virials[: 6 * n].reshape(n, 6), NONE, TOTALS)
+            energies, virials = self.list.idle[:n], self.list.idle[n : 7 * n].reshape(n, 6)
+            self._work_of_totals = self._work_with(energies, virials, NONE, TOTALS)
         self._work_of_totals.sums.energies[:], self._work_of_totals.sums.virials[:] = 0.0, 0.0
         return self._work_of_totals
 

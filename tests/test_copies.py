@@ -65,6 +65,20 @@ def test_a_copy_of_a_simulation_makes_the_same_steps(scene, method, way):
     assert str(WAYS[way](one).report()).split("speed")[0] == str(one.report()).split("speed")[0]
 
 
+@pytest.mark.parametrize(
+    ("scene", "method"), [("plain", "velocity-verlet"), ("rigid", "velocity-verlet"), ("few", "position-verlet"), ("plain", "leapfrog")]
+)
+def test_a_checkpoint_stays_as_it_is_when_the_run_goes_on(scene, method):
+    one = SCENES[scene](method_of(method))
+    one.run(37)
+    checkpoint = one.engine.checkpoint()
+    one.run(50)
+    there = one.positions.copy()
+    one.engine.go_on_from(checkpoint)
+    one.run(50)
+    np.testing.assert_array_equal(one.positions, there)
+
+
 def test_a_copy_knows_that_its_state_was_changed():
     one = SCENES["plain"]()
     one.run(20)

@@ -6,7 +6,7 @@ import numpy as np
 
 from minimd.engine.engine import Engine
 from minimd.structure.checks import LARGEST
-from minimd.structure.observables import longest
+from minimd.structure.observables import largest_component, longest
 
 RUNAWAY = 1e4  # growth of the energies: an unstable mode passes it within a few hundred steps, a stable run never does
 GROWTH = 2.0  # the same in a run that is known to have run away: states beyond it are not good
@@ -54,7 +54,7 @@ def runaway(engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY,
     """
     system, kinetic, potential = engine.system, engine.kinetic_energy, engine.interactions.potential_energy
     with np.errstate(over="ignore"):  # infinite for time steps that nobody needs
-        rounding = system.masses.sum() * np.square(np.spacing(np.abs(system.positions).max()) / engine.method.timestep)
+        rounding = system.masses.sum() * np.square(np.spacing(largest_component(system.positions)) / engine.method.timestep)
     name = "conserved_energy" if engine.has_bath else "total_energy"
     energy = kinetic + potential - engine.work - (engine.reservoir_energy if engine.has_bath else 0.0)
     start = first[name] - (0.0 if engine.has_bath else first.get("work", 0.0))

@@ -134,7 +134,7 @@ class RunGuard:
         self._before = None
         if is_due:
             del self._snapshots[: max(0, len(self._snapshots) + 1 - kept)]  # makes room for the new one
-        self._before = before = engine.snapshot()._replace(open_end=None)  # whose velocities would be as many numbers more
+        self._before = before = engine.closed_snapshot()
         if is_due:
             self._snapshots.append(before)
         is_whole, engine.is_whole = engine.is_whole, False  # until the steps are counted

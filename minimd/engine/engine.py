@@ -215,9 +215,13 @@ class Engine:
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""
-        arrays, end = (self.positions.copy(), self.velocities.copy()), self.surroundings.open_end
-        cell = None if self.barostat is None else self.system.cell
-        return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, end, self._clock, self.work, cell)
+        end = self.surroundings.open_end
+        return self.closed_snapshot()._replace(open_end=None if end is None else end.copy())
+
+    def closed_snapshot(self) -> Snapshot:
+        """The same without the open end of the last block, whose velocities would be as many numbers more."""
+        arrays, cell = (self.positions.copy(), self.velocities.copy()), None if self.barostat is None else self.system.cell
+        return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, None, self._clock, self.work, cell)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot."""

@@ -70,7 +70,7 @@ class ClusterTerm(OwnTerm):
     def add_to(self, system: System, detail: int, sums: Any) -> None:
         """See Term."""
         self._update(system)
-        work = self._work if detail == FORCES else self._totals() if detail == TOTALS else self._work_with(PER_ATOM)
+        work = self._work if detail == FORCES else self._totals() if detail == TOTALS else self._each()
         motion = AT_REST._replace(steps=self._steps(sums.steps)) if isinstance(sums, GridSums) else AT_REST
         self._pool.run(evaluate_clusters, *self._evaluation(system, work, sums[0], motion), calls=self._calls[FORCES])
         if detail == TOTALS:
@@ -132,6 +132,7 @@ class ClusterTerm(OwnTerm):
                 self._prepared_for = self.list.n_builds, int(self.list.rows.layers[0])
             else:
                 course[MADE] += self._pool.run(evaluate_clusters, *evaluation, calls=calls)
+            del evaluation  # it would hold the old memory of the list while the new is taken
             if isinstance(state, GridState):
                 self._check(state)
         if contact is not None:
@@ -171,22 +172,27 @@ class ClusterTerm(OwnTerm):
             are_same = bool((state.inverse_masses == state.inverse_masses[0]).all())
             masses = self._memory.array("own inverse masses", np.float64, self.list.lanes.size if are_same else len(self.list.clusters.atom))
             masses[:] = state.inverse_masses[0]
-            positions, velocities = self.list.idle
-            self._atoms = Atoms(state.velocities, state.inverse_masses, 0 if are_same else 1, positions, velocities, masses)
+            positions = self.list.idle
+            self._atoms = Atoms(state.velocities, state.inverse_masses, 0 if are_same else 1, positions, state.room(positions.size), masses)
         return self._atoms
 
     def _totals(self) -> Work:
-        """Work with the accumulators of totals, which are zero; they are kept, because small scenes are observed often."""
-        if self._work_of_totals is None or len(self._work_of_totals.sums.energies) != self.list.n_clusters:
-            self._work_of_totals = self._work_with(TOTALS)
+        """Work with accumulators of each cluster, which are zero, in idle memory; it is kept, because small scenes are observed often."""
+        n = self.list.n_clusters
+        if self._work_of_totals is None or len(self._work_of_totals.sums.energies) != n:
+            energies, virials = self.list.idle[:n], self.list.idle[n : 7 * n].reshape(n, 6)
+            self._work_of_totals = self._work_with(energies, virials, NONE, TOTALS)
         self._work_of_totals.sums.energies[:], self._work_of_totals.sums.virials[:] = 0.0, 0.0
         return self._work_of_totals
 
-    def _work_with(self, detail: int) -> Work:
-        """Work with accumulators that are zero: one for each cluster if only totals are wanted, else for each slot and each lane of a ghost."""
-        n = self.list.n_clusters * (1 if detail == TOTALS else self.list.lanes.size)
-        lane_sums = np.zeros(int(self.list.domains.window[-1]) * self.list.lanes.size * LANE_SUMS if detail == PER_ATOM else 0)
-        return Work(self._laws, Sums(self.list.memory.forces, np.zeros(n), np.zeros((n, 6)), lane_sums, detail))
+    def _each(self) -> Work:
+        """Work with accumulators of each slot and each lane of a ghost, which are zero."""
+        n_lanes = self.list.lanes.size
+        n, n_sums = self.list.n_clusters * n_lanes, int(self.list.domains.window[-1]) * n_lanes * LANE_SUMS
+        return self._work_with(np.zeros(n), np.zeros((n, 6)), np.zeros(n_sums), PER_ATOM)
+
+    def _work_with(self, energies: NDArray, virials: NDArray, lane_sums: NDArray, detail: int) -> Work:
+        return Work(self._laws, Sums(self.list.memory.forces, energies, virials, lane_sums, detail))
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
         """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""

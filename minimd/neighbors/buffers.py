@@ -37,14 +37,14 @@ class Buffers:
 
         in_page : where in a page it begins, a multiple of 64.  spare : memory in units of what was asked for, if there is none yet.
         """
-        kept = self._all.get(name)
-        if kept is None or n > len(kept):
+        if name not in self._all or n > len(self._all[name]):
+            self._all.pop(name, None)  # first: the old one is not needed beside the new one
             rows, item = int(spare * n) + 1, np.dtype(dtype).itemsize
             size = rows * prod(more)
             raw: NDArray[Any] = np.empty(size + PAGE // item, dtype)
             first = ((in_page - raw.ctypes.data) % PAGE) // item
-            kept = self._all[name] = raw[first : first + size].reshape(rows, *more)
-        return kept[:n]
+            self._all[name] = raw[first : first + size].reshape(rows, *more)
+        return self._all[name][:n]
 
     def overlaid(self, name: str, *uses: Fields, spare: float = SPARE) -> list[list[NDArray[Any]]]:
         """For each of several uses of one piece of memory the arrays, one after the other: only one of the uses can be made at a time.

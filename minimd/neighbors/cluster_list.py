@@ -70,7 +70,7 @@ class ClusterList(VerletList):
     lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.  n_domains : number of chunks of a task.
     arrays : what the loop needs of them. They have room for more, and are the same arrays until it is used up.
     n_arranged : how often they were replaced.  building : what build_clusters needs.
-    idle : two arrays, flat, a block for each cluster, that are free between two builds.
+    idle : flat, a block for each cluster, memory that is free between two builds.
     """
 
     clusters: Clusters
@@ -82,7 +82,9 @@ class ClusterList(VerletList):
     building: Building
     _columns: Columns
     _bins: Binned
+    _entries: NDArray[np.uint32]
     _exact: NDArray[np.float64]
+    idle: NDArray[np.float64]
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool) -> None:
         super().__init__(cutoff, skin)
@@ -93,8 +95,8 @@ class ClusterList(VerletList):
         self._calls = DirectCalls()
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
         self._room: tuple[int, ...] = (0, 0, 0)
-        self._entry_start, self._entries = np.zeros(1, dtype=np.int64), np.empty(AHEAD, dtype=np.uint32)
-        self._memory, self.n_arranged, self._shifts = Buffers(), 0, np.zeros((IMAGES, DIMENSIONS))
+        self._entry_start, self._shifts = np.zeros(1, dtype=np.int64), np.zeros((IMAGES, DIMENSIONS))
+        self._memory, self.n_arranged = Buffers(), 0
         sets = far(self.lanes.size)
         self._far = self._memory.array("far", np.float32 if self._is_mixed else np.float64, len(sets))
         self._far[:] = sets
@@ -176,7 +178,9 @@ class ClusterList(VerletList):
                 self._make_clusters()
             self._columns_of = cell
         while not self._pool.run(build_clusters, positions, self.building, calls=self._calls):
+            self._columns_of = None  # what follows may fail: there must be a whole list or none
             self._make_room()
+            self._columns_of = cell
         if self._is_mixed:
             self._lay_grid()
         if self._excluded is not None:
@@ -206,11 +210,12 @@ class ClusterList(VerletList):
         self._arrange()
 
     def _make_entries(self, room: NDArray[np.int64]) -> None:
-        """Memory for so many entries of each domain."""
+        """Room for so many entries of each domain."""
         start, most = np.concatenate([[0], np.cumsum(room)]), np.iinfo(np.int32).max
         if start[-1] > most:
             raise ValueError(f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: reduce cutoff or skin, or simulate fewer atoms")
-        self._entry_start, self._entries = start, np.empty(start[-1] + AHEAD, dtype=np.uint32)
+        self._entry_start = start
+        del self._entries, self._bins, self.rows, self.arrays, self.building  # they hold the old memory, and _arrange takes the new
 
     def _arrange(self) -> None:
         """All arrays, with the room that there is now."""
@@ -238,13 +243,17 @@ class ClusterList(VerletList):
         return 1.0 if self._columns.pbc.all() else SPARE
 
     def _share_memory(self) -> None:
-        """Arrays of clusters and ghosts. What is needed only to sort atoms, or only to find rows, and idle share one piece of memory."""
+        """Arrays of clusters and ghosts, and the entries of rows. What only the search needs shares memory with idle.
+
+        Atoms are sorted where the entries are written afterwards.
+        """
         memory, spare, (n_ghosts, n_in_windows, _) = self._memory, self._spare, self._room
         n_clusters, n_coordinates = most_clusters(self._n_atoms, self._columns, self.lanes), n_ghosts * self.lanes.size * DIMENSIONS
         own, exact = (np.float64, (n_clusters * self.lanes.size * DIMENSIONS,)), (np.float64, (n_coordinates if self._is_mixed else 0,))
         always, search = clusters_for_build(n_clusters), (*ghosts_for_search(n_ghosts, n_in_windows), exact)
-        uses = (*always, *bins_for_sort(self._n_atoms, self._columns)), (*always, *search), (own, own)
-        (bottom, top, boxes, *bins), (_, _, _, *for_search, in_mixed), self.idle = memory.overlaid("scratch", *uses, spare=spare)
+        (bottom, top, boxes, *for_search, in_mixed), (self.idle,) = memory.overlaid("scratch", (*always, *search), (own,), spare=spare)
+        n_entries = max(int(self._entry_start[-1]), n_clusters * self.lanes.size * ENTRIES_GUESSED) + AHEAD
+        bins, (self._entries,) = memory.overlaid("entries", bins_for_sort(self._n_atoms, self._columns), ((np.uint32, (n_entries,)),), spare=1.0)
         self._bins, self._exact = Binned(*bins), in_mixed if self._is_mixed else memory.array("coordinates", np.float64, n_coordinates, spare=1.0)
         self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes), memory, spare)
         self.ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, for_search, memory)

@@ -13,6 +13,7 @@ from minimd.structure.cell import Cell
 from minimd.structure.checks import shown
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import RangeError
+from minimd.structure.observables import largest_component
 from minimd.structure.system import System
 
 FARTHEST = 2.0**52  # steps of length: sums of two positions are still exact
@@ -68,7 +69,7 @@ class Grid(Displayed):
         """
         cell = system.cell
         lengths = np.linalg.norm(cell.vectors[cell.pbc], axis=1)
-        size = max(float(np.abs(system.positions).max()), float(np.ptp(system.positions, axis=0).max()), float(lengths.max(initial=0.0)))
+        size = max(largest_component(system.positions), float(np.ptp(system.positions, axis=0).max()), float(lengths.max(initial=0.0)))
         heaviest, timestep = float(system.masses.max()), abs(timestep)
         fastest = float(np.abs(system.masses[:, None] * system.velocities).max())
         momentum = max(fastest, (2.0 * heaviest * DEEP * depth) ** 0.5) or heaviest * SLOW * (size or 1.0) / timestep
@@ -79,7 +80,7 @@ class Grid(Displayed):
     def has_room_for(self, system: System) -> bool:
         """Whether positions and momenta of a system are in the inner half of the range."""
         momenta = system.masses[:, None] * system.velocities
-        return bool(np.abs(system.positions).max() <= 0.5 * FARTHEST * self.length and np.abs(momenta).max() <= 0.5 * MOST * self.momentum)
+        return bool(largest_component(system.positions) <= 0.5 * FARTHEST * self.length and largest_component(momenta) <= 0.5 * MOST * self.momentum)
 
     def widened(self, other: Grid) -> Grid:
         """The larger steps of two grids."""
@@ -118,7 +119,7 @@ class Grid(Displayed):
     def check_momenta(self, velocities: Array, inverse_masses: Array) -> None:
         """Raise RangeError if a momentum is beyond the range of the grid."""
         momenta = self.momenta(velocities, inverse_masses)
-        if not np.abs(momenta).max() <= MOST:
+        if not largest_component(momenta) <= MOST:
             atom = int(np.argmax(np.abs(momenta).max(axis=1)))
             largest, most = np.abs(momenta).max() * self.momentum, MOST * self.momentum
             hint = f"grid=minimd.Grid(...) with a larger step of momentum than {self.momentum:.3g}"
@@ -126,7 +127,7 @@ class Grid(Displayed):
 
     def check_positions(self, positions: Array) -> None:
         """Raise RangeError if a position is beyond the range of the grid."""
-        if not np.abs(positions).max() <= FARTHEST * self.length:
+        if not largest_component(positions) <= FARTHEST * self.length:
             atom = int(np.argmax(np.abs(positions).max(axis=1)))
             hint = "in a periodic cell, wrap the positions: simulation.positions[:] = simulation.system.cell.wrapped(simulation.positions)"
             largest, most = np.abs(positions).max(), FARTHEST * self.length

@@ -111,6 +111,11 @@ def longest(vectors):
     return where, sqrt(longest2)
 
 
+def largest_component(vectors: Array) -> float:
+    """The largest |x| of all numbers in an array, of any shape; NaN if one of them is."""
+    return float(np.maximum(vectors.max(), -vectors.min()))
+
+
 @kernel
 def angular_momentum(positions, velocities, masses):
     """L = Σ m r × v about the origin [mass length²/time], (3,); constant only if nothing is periodic."""

@@ -15,6 +15,7 @@ from minimd.structure.cell import Cell
 from minimd.structure.checks import LARGEST, MOST_ATOMS, SMALLEST, checked_numbers, shown
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.display import Displayed, Rows
+from minimd.structure.observables import largest_component
 from minimd.structure.units import UnitSystem
 
 if TYPE_CHECKING:
@@ -211,8 +212,8 @@ def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArra
     if n_atoms is not None and len(array) != n_atoms:
         raise ValueError(f"{name} must have one row for each of the {n_atoms} atoms; it has {len(array)}")
     _demand(name, "finite", np.isfinite(array).all(axis=1), array)
-    if np.abs(array).max() > LARGEST:
-        raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {np.abs(array).max():g}: take other units")
+    if (largest := largest_component(array)) > LARGEST:
+        raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {largest:g}: take other units")
     return array
 
 
@@ -270,7 +271,7 @@ def _constraints(constraints: Any) -> tuple[Constraint, ...]:
 
 def check_resolution(system: System, length: float, name: str) -> None:
     """Raise ValueError if separations of atoms have rounding errors of more than RESOLVED of a length.  name : of the length, in words."""
-    farthest = float(np.abs(system.positions).max())
+    farthest = largest_component(system.positions)
     if EPS * farthest > RESOLVED * length:
         error, most = f"{EPS * farthest:.1g}, more than a millionth of {name}, {length:.3g}", RESOLVED * length / EPS
         given = f"the largest is {farthest:.1e}, where rounding moves atoms by {error}"

@@ -15,6 +15,7 @@ from minimd.constraints.solver import ConstraintSolver
 from minimd.integrators.method import Array
 from minimd.integrators.splitting.flows import drift, drift_on_grid, kick, kick_on_grid
 from minimd.integrators.splitting.substeps import Drift, Substeps, mechanical
+from minimd.neighbors.buffers import HALF_A_PAGE, Buffers
 from minimd.structure.grid import Grid
 from minimd.structure.observables import kinetic_energy, momentum
 
@@ -37,6 +38,11 @@ class State:
     inverse_masses: Array
     forces_are_current: bool = False
     unit: float = 1.0
+    _memory: Buffers = field(default_factory=Buffers, repr=False)
+
+    def room(self, n: int) -> Array:
+        """Flat memory for n numbers, velocities beside those of the state: of a March, or, between two blocks of steps, of an open end."""
+        return self._memory.array("velocities", np.float64, n, in_page=HALF_A_PAGE, spare=1.0)
 
     def has_forces_over(self, unit: float) -> bool:
         """Whether the forces of the next kick are already computed.  unit : the kick lasts a whole multiple of it; see Splitting.units [time]."""
@@ -179,7 +185,8 @@ class Cycle(NamedTuple):
 class OpenEnd(NamedTuple):
     """A state before the end of a block of steps: before the last half kick or drift, and before velocities were projected.
 
-    velocities : (N, 3), a copy.  positions : likewise, or None if they are those of the state.
+    velocities : (N, 3), in the room of the state, or, at the end of a block that changes them no more, those of the state itself.
+    positions : (N, 3), a copy, or None if they are those of the state.
     drifts_next : whether the next block moves the atoms before it needs forces; it then never needs the forces at the present positions.
     work : see Surroundings [energy].
     """
@@ -188,6 +195,10 @@ class OpenEnd(NamedTuple):
     positions: Array | None
     drifts_next: bool
     work: float = 0.0
+
+    def copy(self) -> "OpenEnd":
+        """One that stays as it is when atoms move on."""
+        return self._replace(velocities=self.velocities.copy())
 
 
 @dataclass
@@ -215,7 +226,10 @@ class Surroundings:
         """Keep the open end of a block.  end : the substeps that end it.  cycle : the substeps of the next step, if the run continues."""
         if not self.keeps_open_end:
             return
-        velocities = state.velocities.copy() if end or self.constraints is not None else state.velocities
+        velocities = state.velocities
+        if end or self.constraints is not None:
+            velocities = state.room(velocities.size).reshape(velocities.shape)
+            velocities[:] = state.velocities
         positions = state.positions.copy() if any(isinstance(substep, Drift) for substep in end) else None
         self.open_end = OpenEnd(velocities, positions, drifts_next=isinstance(mechanical(cycle)[0], Drift), work=self.work)
 

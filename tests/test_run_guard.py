@@ -47,14 +47,14 @@ def test_a_failure_is_judged_by_the_energy_of_its_own_positions(monkeypatch):
 
 @pytest.mark.parametrize(("room", "n_kept"), [(1, 1), (300, 2)])
 def test_states_to_go_back_to_are_as_many_as_there_is_room_for(monkeypatch, room, n_kept):
-    made, snapshot = [], Engine.snapshot
+    made, snapshot = [], Engine.closed_snapshot
 
     def noted(engine):
         one = snapshot(engine)
         made.append(weakref.ref(one.positions))
         return one
 
-    monkeypatch.setattr(Engine, "snapshot", noted)
+    monkeypatch.setattr(Engine, "closed_snapshot", noted)
     monkeypatch.setattr(run_guard, "ROOM", room)
     sim = liquid_run()
     sim.run(300, every=60)

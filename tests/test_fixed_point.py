@@ -134,7 +134,7 @@ def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
     assert "momentum       exactly constant" in str(check)
     assert bits(md.Simulation.resume(small, LAW, step=47)) == bits(other)
     assert bits(md.Simulation.resume(small, LAW)) == bits(run)
-    with pytest.raises(ValueError, match="has the steps 3 to 100; step = 101"):
+    with pytest.raises(ValueError, match="has the steps 3 to 100; step must be one of them, but step = 101"):
         md.Simulation.resume(small, LAW, step=101)
     with pytest.raises(ValueError, match="give the potentials of the run"):
         md.archive(file, tmp_path / "other.h5md", 50, md.LennardJones({"A": (1.0, 1.0), "B": (0.6, 0.9)}, cutoff=1.8, mixing="lorentz-berthelot"))

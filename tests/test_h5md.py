@@ -149,7 +149,7 @@ def test_another_barostat_and_a_bath_that_was_not_there_are_refused(tmp_path):
     sim, path = simulation(), tmp_path / "a.h5md"
     sim.run(4, every=2, trajectory=path)
     sim.method = md.LangevinBAOAB(0.002, 1.0, 1.0, 3)
-    with pytest.raises(ValueError, match="was written without a thermostat, langevin-baoab would continue it otherwise; write to a new file"):
+    with pytest.raises(ValueError, match="was written without a thermostat; it cannot be continued with langevin-baoab: write to a new file"):
         sim.run(4, every=2, trajectory=path, append=True)
     one, other = (md.StochasticCellRescaling(p, 0.1, 1.0, seed=1, temperature=1.0) for p in (1.0, 2.0))
     at_one, at_other = (md.Simulation(simulation().system, sim.potentials, md.VelocityVerlet(0.002), barostat=bath) for bath in (one, other))

@@ -69,7 +69,7 @@ def test_signatures_names_and_help_are_those_of_the_functions():
     assert list(inspect.signature(md.LennardJones).parameters)[:3] == ["epsilon", "sigma", "cutoff"]
     assert inspect.signature(md.Simulation.run).parameters["every"].default == 100
     assert md.Simulation.run.__qualname__ == "Simulation.run"
-    assert md.Simulation.resume.__doc__.startswith("The simulation in the restart")
+    assert md.Simulation.resume.__doc__.startswith("The simulation at the restart")
     assert inspect.getsource(md.evaluate).partition("def ")[2].startswith("evaluate(")
 
 

@@ -179,3 +179,11 @@ def test_a_time_step_in_seconds_and_a_pressure_in_bar_are_pointed_out(timestep, 
     simulation = md.Simulation(system, argon, md.VelocityVerlet(timestep), barostat=barostat)
     with pytest.warns(UserWarning, match=words):
         simulation.run(0)
+
+
+def test_a_step_that_no_slip_of_a_unit_makes_is_meant(recwarn):
+    """As in ASE's own tests, which ask for atoms that stand still."""
+    positions, edges = md.lattice.crystal("fcc", [4, 4, 4], 5.4)
+    system = md.System(positions, cell=edges, masses=39.9, units=md.units.ASE)
+    md.Simulation(system, md.LennardJones(0.0103, 3.4, 8.5), md.VelocityVerlet(1e-100)).run(0)
+    assert not recwarn.list

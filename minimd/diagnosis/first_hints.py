@@ -16,6 +16,7 @@ from minimd.structure.units import ASE, BAR
 QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth
 CRUSHING = 0.5  # eV/Å³: 80 GPa, far more than a Lennard-Jones solid is good for
 TOO_SHORT = 1e-6  # times 1/ω of a collision
+MEANT = 1e-30  # likewise: a step below this is no error of the unit, somebody wants atoms that stand still
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 
 
@@ -61,7 +62,7 @@ def _short_timestep(engine: Engine) -> str | None:
     system, timestep = engine.system, abs(engine.method.timestep)
     held = engine.constraint_set.bonds.pairs if engine.constraint_set.bonds else system.bonds[:0]
     share = timestep * collision_frequency(system, engine.interactions.potentials, held, at_rest=True)
-    if not 0.0 < share < TOO_SHORT:
+    if not MEANT < share < TOO_SHORT:
         return None
     meant = ", such as 5 * md.units.fs" if system.units == ASE else ""
     return f"timestep {system.units.shown(timestep)} is {share:.0e} of the time in which Lennard-Jones atoms collide: check its unit{meant}"

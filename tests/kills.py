@@ -31,19 +31,33 @@ def killed_at(k, work):
 
 def killed_after(seconds, work):
     """Do work in a child process, and kill it after some seconds; whether it was still at work."""
+    child = _at_work(work)
+    time.sleep(seconds)
+    os.kill(child, signal.SIGKILL)
+    status = os.waitpid(child, 0)[1]
+    time.sleep(0.05)  # children of its own die a moment later
+    return os.WIFSIGNALED(status)
+
+
+def seconds_of(work):
+    """How long a child process takes to do work."""
+    start = time.perf_counter()
+    os.waitpid(_at_work(work), 0)
+    return time.perf_counter() - start
+
+
+def _at_work(work):
+    """The number of a child process that does work."""
     child = os.fork()
     if child == 0:
+        signal.alarm(300)  # it ends, too, where the tests were ended before it
         try:
             work()
         except Exception:
             traceback.print_exc()
         finally:
             os._exit(0)
-    time.sleep(seconds)
-    os.kill(child, signal.SIGKILL)
-    status = os.waitpid(child, 0)[1]
-    time.sleep(0.05)  # children of its own die a moment later
-    return os.WIFSIGNALED(status)
+    return child
 
 
 def _die_at(k):

@@ -90,6 +90,14 @@ def test_a_step_that_drives_atoms_into_each_other_is_told_by_their_distance_then
     assert f"step 1 drives atoms {found.pair.first} and {found.pair.second} into each other, {distance:.3g} σ apart" in found.cause
 
 
+@pytest.mark.parametrize("term", [md.HarmonicBond(50.0, 1.0), md.HarmonicAngle(5.0, 2.0, [[0, 1, 2]]), LJ], ids=["bond", "angle", "pair law"])
+def test_bonded_atoms_at_one_place_are_the_cause(term):
+    system = md.System([[0, 0, 0], [1, 0, 0], [1, 0, 0]], bonds=[[1, 2]])
+    error = failing(md.Simulation(system, term, md.VelocityVerlet(0.01)))
+    assert error.crash_report.cause == "atoms 1 and 2 are at the same place, where the force between them is not defined"
+    assert error.crash_report.kind == "overlap"
+
+
 def test_an_examination_sees_the_energy_of_each_atom(monkeypatch):
     """Of clusters too, whose totals are booked on one atom."""
     seen = []

@@ -186,6 +186,15 @@ def overlap_at_start(evidence: Evidence) -> Verdict | None:
     return Verdict("overlap", worst, cause, "minimize moves atoms apart; or start from another state with less energy")
 
 
+def one_place(evidence: Evidence) -> Verdict | None:
+    """Two atoms, bonded ones among them, at the same place: no law gives a direction there."""
+    closest = closest_pair(evidence.system)
+    if closest is None or closest.distance > 0.0 or np.isfinite(evidence.engine.forces[list(closest[:2])]).all():
+        return None
+    cause = f"atoms {closest.first} and {closest.second} are at the same place, where the force between them is not defined"
+    return Verdict("overlap", None, cause, "move or remove one")
+
+
 def barostat(evidence: Evidence) -> Verdict | None:
     """A barostat that cannot go on, or that has made a gas of what was dense."""
     bath, volume, before = evidence.engine.barostat, evidence.system.volume, evidence.failure.first_volume
@@ -293,6 +302,7 @@ def _long_for_a_mode(evidence: Evidence) -> Verdict | None:
 RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (
     law_without_number,
     overlap_at_start,
+    one_place,
     barostat,
     broken_constraint,
     unstable_bond,

@@ -62,7 +62,7 @@ def test_a_bond_as_long_as_half_a_cell_is_taken_at_its_nearest_image(stretch):
     system = md.System([[0, 0, 0], [stretch * 4.0, 0, 0]], cell=4.0, bonds=[[0, 1]])
     expected = min(abs(stretch - np.rint(stretch)) * 4.0, 4.0)
     if expected == 0.0:
-        assert_stops("0 apart", lambda: ran(system, md.HarmonicBond(1.0, 1.0), 0.004, 10))
+        assert_stops("0 σ apart", lambda: ran(system, md.HarmonicBond(1.0, 1.0), 0.004, 10))
         return
     assert md.evaluate(system, md.HarmonicBond(1.0, 1.0)).potential_energy == pytest.approx(0.5 * (expected - 1.0) ** 2)
 
@@ -166,7 +166,7 @@ def test_an_attractive_law_without_a_core_collapses_and_is_told():
 def test_fixed_atoms_may_overlap_each_other_and_nothing_is_hidden():
     """Forces between walls are infinite though nothing moves: the energy is not a number, and that is said."""
     system = md.System([[0, 0, 0], [0, 0, 0], [BOTTOM, 0, 0]])
-    assert_stops("atoms 0 and 1, 0 apart", lambda: ran(system, OPEN, 0.004, 10, constraints=md.FixedAtoms([0, 1])))
+    assert_stops("atoms 0 and 1, 0 σ apart", lambda: ran(system, OPEN, 0.004, 10, constraints=md.FixedAtoms([0, 1])))
 
 
 def test_everything_fixed_is_refused():

@@ -33,7 +33,7 @@ def test_overlapping_atoms_are_named(scene, distance, precision):
     potential = OPEN if scene == "no cutoff" else SMOOTH
     message = assert_stops(LAST_GOOD, lambda: ran(system, potential, 0.004, 1000, precision=precision))
     assert "atoms 0 and 1 overlap" in message
-    assert f"atoms 0 and 1, {distance:.3g} apart" in message or (distance == 1e-30 and "atoms 0 and 1, 0 apart" in message)
+    assert f"atoms 0 and 1, {distance:.3g} σ apart" in message or (distance == 1e-30 and "atoms 0 and 1, 0 σ apart" in message)
 
 
 @pytest.mark.parametrize("scene", ["one spot", "modulo the cell", "modulo the cell, thousands of cells away"])
@@ -44,7 +44,7 @@ def test_atoms_on_one_spot_are_named(scene):
     else:
         edges = start.cell.vectors[0]
         system = md.System(np.vstack([start.positions, start.positions[:1] + edges * (1 if scene == "modulo the cell" else 4096)]), cell=start.cell)
-    assert "0 apart" in assert_stops(LAST_GOOD, lambda: ran(system, SMOOTH, 0.004, 10))
+    assert "0 σ apart" in assert_stops(LAST_GOOD, lambda: ran(system, SMOOTH, 0.004, 10))
     assert_stops("the closest pair is atoms 0 and", lambda: md.evaluate(system, SMOOTH))
 
 

@@ -5,6 +5,7 @@ import pytest
 from stress_scenes import SMOOTH, assert_stops, is_finite, oscillation, ran, solid
 
 import minimd as md
+from minimd.structure.checks import LARGEST, SMALLEST
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
 
@@ -64,12 +65,12 @@ def test_an_angle_near_0_or_180_degrees_swings_through(angle):
 
 def test_atoms_bonded_on_one_spot_are_named():
     straight = md.System([[0, 0, 0], [1, 0, 0], [1, 0, 0]], bonds=[[1, 2]])
-    assert_stops("atoms 1 and 2, 0 apart", lambda: ran(straight, md.HarmonicBond(50.0, 1.0), 0.01, 10))
-    assert_stops("atoms 1 and 2, 0 apart", lambda: ran(straight, md.HarmonicAngle(5.0, 2.0, [[0, 1, 2]]), 0.01, 10))
+    assert_stops("atoms 1 and 2, 0 σ apart", lambda: ran(straight, md.HarmonicBond(50.0, 1.0), 0.01, 10))
+    assert_stops("atoms 1 and 2, 0 σ apart", lambda: ran(straight, md.HarmonicAngle(5.0, 2.0, [[0, 1, 2]]), 0.01, 10))
     assert_stops("1 and 2 are at the same place", lambda: ran(straight, WEAK, 0.01, 10, constraints=md.DistanceConstraints([[1, 2]])), ValueError)
 
 
-@pytest.mark.parametrize("friction", [1e-300, 1e-3, 1.0, 1e3, 1e10, 1e300])
+@pytest.mark.parametrize("friction", [1e-300, 1e-3, 1.0, 1e3, 1e10, LARGEST])
 @pytest.mark.parametrize("temperature", [0.0, 1e-30, 1.0])
 def test_langevin_with_any_friction_is_finite_and_cools_or_keeps(friction, temperature):
     simulation = ran(solid(3), SMOOTH, 0.002, 300, temperature=1.0, method=md.LangevinBAOAB(0.002, temperature, friction, 1))
@@ -80,7 +81,7 @@ def test_langevin_with_any_friction_is_finite_and_cools_or_keeps(friction, tempe
         assert simulation.record.temperature[-1] == pytest.approx(temperature, rel=0.3, abs=1e-4)  # the last half kick comes after the bath
 
 
-@pytest.mark.parametrize("relaxation_time", [1e-300, 1e-3, 1e3, 1e300])
+@pytest.mark.parametrize("relaxation_time", [SMALLEST, 1e-3, 1e3, LARGEST])
 @pytest.mark.parametrize("temperature", [0.0, 1e-30, 1.0])
 def test_rescaling_with_any_relaxation_is_finite(relaxation_time, temperature):
     simulation = ran(solid(3), SMOOTH, 0.002, 300, temperature=1.0, method=md.StochasticVelocityRescaling(0.002, temperature, relaxation_time, 1))
@@ -113,7 +114,7 @@ def test_equilibration_does_not_hide_a_blow_up(k, start):
         md.System([[0, 0, 0], [start + 0.1 * (k > 1.0), 0, 0], [2, 2, 2]], bonds=[[0, 1]]), law, md.VelocityVerlet(3.0 / 800**0.5)
     )
     simulation.set_temperature(1.0, seed=1)
-    assert_stops("kinetic energy has gone to", lambda: simulation.equilibrate(2000, 1.0))
+    assert_stops("(kinetic|total) energy has gone", lambda: simulation.equilibrate(2000, 1.0))
     assert np.abs(simulation.positions).max() < 100.0
 
 

@@ -110,7 +110,8 @@ def test_a_hot_dense_start_is_conserved_with_a_small_step():
 
 def test_a_hot_dense_start_with_a_large_step_is_stopped():
     assert_stops(
-        f"moves .* in one step.*atoms .* apart.*timestep 0.01 τ too large.* {LAST_GOOD}", lambda: ran(solid(3), SMOOTH, 0.01, 2000, temperature=50.0)
+        f"too hot, timestep 0.01 τ too large.*\\n.*moves .* in one step.*atoms .* σ apart.* {LAST_GOOD}",
+        lambda: ran(solid(3), SMOOTH, 0.01, 2000, temperature=50.0),
     )
 
 

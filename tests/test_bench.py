@@ -9,7 +9,7 @@ import pytest
 
 import minimd as md
 from minimd.bench import engines, ingredients, memory, peers, scaling, scenes, turns
-from minimd.bench.outcome import as_json, markdown
+from minimd.bench.outcome import as_json, markdown, versions
 from minimd.bench.peers import PeersOptions, run_peers
 from minimd.commands import bench as command
 from minimd.commands import main as cli
@@ -123,6 +123,14 @@ def test_json_holds_every_turn_and_where_it_was_measured(fakes):
     assert own["minimd_is_faster_by"] is None
     assert fast["minimd_is_faster_by"]["median"] == pytest.approx(5.0)
     assert fast["bytes_per_atom"] is None
+
+
+def test_versions_of_programs_are_those_that_they_tell(tmp_path, monkeypatch):
+    program = tmp_path / "gmx"
+    program.write_text("#!/bin/sh\necho 'GROMACS - gmx --version'\necho 'GROMACS version:    2022.5-x'\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    assert versions(["gmx", "no such program"]) == versions([]) | {"gmx": "2022.5-x", "no such program": "MISSING"}
 
 
 def test_slow_peer_takes_part_in_large_scenes_if_asked_for(fakes):

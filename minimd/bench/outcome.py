@@ -2,6 +2,9 @@
 
 import json
 import platform
+import re
+import shutil
+import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from math import floor, log10
@@ -12,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import minimd as md
-from minimd.compiled.machine import available_cores, processor_name, version
+from minimd.compiled.machine import MISSING, available_cores, processor_name, version
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,8 +73,17 @@ def write(outcome: Outcome, folder: Path) -> None:
 
 
 def versions(packages: Sequence[str]) -> dict[str, str]:
-    """Versions of minimd, numba, numpy, and of the packages that took part."""
-    return {"minimd": md.__version__} | {name: version(name) for name in ("numba", "numpy", *packages)}
+    """Versions of minimd, numba, numpy, and of the packages and programs that took part."""
+    return {"minimd": md.__version__} | {name: _version(name) for name in ("numba", "numpy", *packages)}
+
+
+def _version(name: str) -> str:
+    """Of a package, or of a program on the path, as it says itself."""
+    if (found := version(name)) != MISSING or shutil.which(name) is None:
+        return found
+    told = subprocess.run([name, "--version"], capture_output=True, text=True, check=False).stdout
+    said = re.search(r"version:?[ \t]+(\d\S*)", told, re.IGNORECASE)
+    return said[1] if said else "of unknown version"
 
 
 def machine() -> dict[str, str | int]:

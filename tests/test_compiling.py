@@ -72,13 +72,29 @@ except numba.TypingError:
     assert answer.stdout == "free\n", answer.stderr
 
 
-def test_edited_sources_get_another_cache(tmp_path, monkeypatch):
-    (tmp_path / "minimd").mkdir()
-    (tmp_path / "minimd" / "law.py").write_text("a = 1")
-    monkeypatch.setattr(compiling, "__file__", str(tmp_path / "minimd" / "compiling.py"))
+KERNEL = "from minimd.compiled.kernels import scalar\nfrom minimd.numbers import HALF\n\n\n@scalar\ndef law(r):\n    return {} * r\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "compiles_anew"),
+    [
+        ("law.py", KERNEL.format("2 * HALF"), True),
+        ("numbers.py", "HALF = 0.25\n", True),
+        ("compiled/kernels.py", "b = 2\n", True),
+        ("grade.py", "from minimd.law import law\nc = 2\n", False),
+    ],
+)
+def test_edited_sources_of_kernels_and_no_others_get_another_cache(name, text, compiles_anew, tmp_path, monkeypatch):
+    package = tmp_path / "minimd"
+    (package / "compiled").mkdir(parents=True)
+    (package / "law.py").write_text(KERNEL.format("HALF"))
+    (package / "numbers.py").write_text("HALF = 0.5\n")
+    (package / "compiled" / "kernels.py").write_text("b = 1\n")
+    (package / "grade.py").write_text("from minimd.law import law\nc = 1\n")
+    monkeypatch.setattr(compiling, "__file__", str(package / "compiled" / "kernels.py"))
     before = compiling._source_hash()
-    (tmp_path / "minimd" / "law.py").write_text("a = 2")
-    assert compiling._source_hash() != before
+    (package / name).write_text(text)
+    assert (compiling._source_hash() != before) == compiles_anew
 
 
 POSIX = pytest.mark.skipif(not hasattr(os, "getuid"), reason="POSIX permissions")

@@ -1,13 +1,14 @@
 """How minimd compiles: a few decorators, one safe cache folder, one line for the user who waits.
 
 Numba's own cache does not notice that a function of *another* file has changed, and fails when neither the installation
-nor the home folder can be written. Compiled kernels therefore live in a folder named after a hash of all sources of
-minimd: edited sources never meet yesterday's machine code, and any writable place will do.
+nor the home folder can be written. Compiled kernels therefore live in a folder named after a hash of all sources that kernels
+depend on: edited sources never meet yesterday's machine code, other edits compile nothing, and any writable place will do.
 """
 
 import functools
 import hashlib
 import os
+import re
 import stat
 import sys
 import tempfile
@@ -31,12 +32,14 @@ from minimd.compiled.part_library import PartCompiler
 
 restrict_features(os.environ.get("MINIMD_VECTORS", NEWEST))
 
+HOLDS_KERNELS = re.compile(rb"^from minimd\.compiled\.kernels import .*\b(kernel|\w+_kernel|inlined|scalar|by_type|type_of)\b|^from numba\b", re.M)
+IMPORTED = re.compile(rb"^from (minimd\.[\w.]+) import ", re.M)
 WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
 
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """The folder for compiled code, one per source state; None if there is none, and each process compiles anew.
+    """The folder for compiled code, one per state of the kernels' sources; None if there is none, and each process compiles anew.
 
     It lies in the first of $NUMBA_CACHE_DIR, the user's cache folder and the temporary folder that can be written, and that nobody else can
     change: what is in it will be executed. Warns of one that others can change.
@@ -270,11 +273,18 @@ def _make(folder: Path) -> None:
 
 def _source_hash() -> str:
     digest = hashlib.sha256(numba.__version__.encode())
-    package = Path(__file__).parents[1]
-    for source in sorted(package.rglob("*.py")):
-        digest.update(str(source.relative_to(package)).encode())
-        digest.update(source.read_bytes())
+    for name, source in sorted(_kernel_sources(Path(__file__).parents[1]).items()):
+        digest.update(name.encode() + source)
     return digest.hexdigest()[:16]
+
+
+def _kernel_sources(package: Path) -> dict[str, bytes]:
+    """The sources on which machine code depends, by module: files with compiled functions, and those from which they import constants or types."""
+    folder = package.parent
+    texts = {".".join(file.relative_to(folder).with_suffix("").parts): file.read_bytes() for file in package.rglob("*.py")}
+    holders = [name for name, text in texts.items() if HOLDS_KERNELS.search(text) or name.startswith("minimd.compiled.")]
+    needed = {module.decode() for name in holders for module in IMPORTED.findall(texts[name])}
+    return {name: texts[name] for name in needed.union(holders) & texts.keys()}
 
 
 def _cache_bases() -> list[Path]:

@@ -34,8 +34,8 @@ from minimd.compiled.part_library import PartCompiler
 
 restrict_features(os.environ.get("MINIMD_VECTORS", NEWEST))
 
-DECORATORS = r"\b(kernel|\w+_kernel|inlined|scalar|by_type|type_of)\b"
-HOLDS_KERNELS = re.compile(rf"^from minimd\.compiled\.kernels import (\([^)]*)?.*{DECORATORS}|^from numba\b".encode(), re.M)
+DECORATED = rb"^from minimd\.compiled\.kernels import (\([^)]*)?.*\b(\w*kernel|inlined|scalar|by_type|type_of)\b"
+HOLDS_KERNELS = re.compile(DECORATED + rb"|^from numba\b", re.M)
 IMPORTED = re.compile(r"^from (minimd[\w.]*) import (\([^)]*\)|.*)", re.M)
 WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
 
@@ -294,8 +294,9 @@ def _kernel_sources(package: Path) -> dict[str, bytes]:
     while new:
         needed |= new
         imports = [pair for name in new for pair in IMPORTED.findall(texts[name].decode())]
-        found = {f"{module}.{word}" for module, words in imports for word in re.findall(r"\w+", words)}  # some are modules
-        new = found.union(module for module, _ in imports).intersection(texts) - needed
+        modules = {module for module, _ in imports}
+        modules.update(f"{module}.{word}" for module, words in imports for word in re.findall(r"\w+", words))
+        new = modules.intersection(texts) - needed
     return {name: texts[name] for name in needed}
 
 

@@ -1,4 +1,4 @@
-"""The program `minimd`: a signal ends it with one sentence, from its first line on, even while modules are loaded or compiled.
+"""The program `minimd`: from its first line on, a signal ends it with one sentence, whatever is being loaded or compiled.
 
 The codes are those of shells: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP.
 

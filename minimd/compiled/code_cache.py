@@ -3,7 +3,7 @@
 import os
 import pickle
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
@@ -31,7 +31,7 @@ class CodeFiles(IndexDataCacheFile):
     def save(self, key: Any, data: Any) -> None:
         """Called by Numba after a compilation."""
         name = self._data_name(uuid4().int)
-        self._save_data(name, data)
+        self._save(self._data_path(name), data)
         self._save_index({**self._load_index(), key: name})
 
     def _load_index(self) -> dict[Any, str]:
@@ -44,54 +44,38 @@ class CodeFiles(IndexDataCacheFile):
     def _load_data(self, name: str) -> Any:
         return self._load(self._data_path(name))
 
-    def _save_data(self, name: str, data: Any) -> None:
-        self._save(self._data_path(name), data)
-
     def _load(self, path: str) -> Any:
         """What is in a file; None if there is none, or it was damaged."""
-        with suppress(FileNotFoundError):
-            if (content := sound_content(path)) is not None:
-                return pickle.loads(content)
-            if not CodeFiles.is_told:
-                CodeFiles.is_told = True
-                words = f"minimd: compiled code in {self._cache_path} was damaged and is compiled anew"
-                print(words, file=sys.stderr, flush=True)
-            with suppress(OSError):
-                os.unlink(path)
+        if not os.path.exists(path):
+            return None
+        if (content := sound_content(path)) is not None:
+            return pickle.loads(content)
+        if not CodeFiles.is_told:
+            CodeFiles.is_told = True
+            print(f"minimd: compiled code in {self._cache_path} was damaged and is compiled anew", file=sys.stderr)
+        with suppress(OSError):
+            os.unlink(path)
         return None
 
     def _save(self, path: str, value: Any) -> None:
         """Write a file under another name, then rename it."""
-        content, part = self._dump(value), f"{path}.{uuid4().hex}"
+        content, part = self._dump(value), Path(f"{path}.{uuid4().hex}")
         try:
-            with open(part, "xb") as file:  # a new file: no link is followed
+            with part.open("xb") as file:  # a new file: no link is followed
                 file.write(sha256(content).digest())
                 file.write(content)
             os.replace(part, path)
-        except BaseException:
-            with suppress(OSError):
-                os.unlink(part)
-            raise
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def sound_content(path: str | Path) -> bytes | None:
-    """What a file of the cache holds behind its checksum; None if it is damaged.  Raises FileNotFoundError."""
-    try:
-        with open(path, "rb") as file:
-            checksum, content = file.read(CHECKSUM), file.read()
-    except FileNotFoundError:
-        raise
-    except OSError:  # it cannot be read
-        return None
-    return content if sha256(content).digest() == checksum else None
-
-
-def damaged_files(folder: Path) -> Iterator[Path]:
-    """The files in a cache folder that do not agree with their checksums; nothing of them is loaded."""
-    for file in folder.glob("*/*.nb[ic]"):
-        with suppress(FileNotFoundError):  # another process may have removed it
-            if sound_content(file) is None:
-                yield file
+    """What a file of the cache holds behind its checksum, as bytes; None if it is damaged or cannot be read."""
+    with suppress(OSError), open(path, "rb") as file:
+        checksum, content = file.read(CHECKSUM), file.read()
+        if sha256(content).digest() == checksum:
+            return content
+    return None
 
 
 class KernelCache(FunctionCache):

@@ -52,7 +52,9 @@ def cache_folder() -> Path | None:
         folder = Path(os.path.realpath(base / name))
         try:
             if not open_to_others(folder):
-                _make(folder)
+                for part in (*reversed(folder.parents), folder):
+                    if not part.is_dir():
+                        part.mkdir(mode=0o700, exist_ok=True)  # for this user alone
             if opened := open_to_others(folder):  # perhaps only now: somebody else may have been faster in a common folder
                 warnings.warn(
                     f"compiled code is not kept in {base}, because other users can change {opened}; "
@@ -265,13 +267,6 @@ def announce_compilation() -> Iterator[None]:
         yield
     finally:
         compile_clock.is_to_tell = False
-
-
-def _make(folder: Path) -> None:
-    """Make a folder and its missing parents, for this user alone."""
-    for part in (*reversed(folder.parents), folder):
-        if not part.is_dir():
-            part.mkdir(mode=0o700, exist_ok=True)
 
 
 def _source_hash() -> str:

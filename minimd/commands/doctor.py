@@ -37,7 +37,9 @@ Finding = tuple[bool, str]  # whether the test passed, and a sentence
 
 def add(commands: Any) -> None:
     """Add the command to the subparsers of `minimd`."""
-    commands.add_parser("doctor", help="describe this machine and test minimd on it").set_defaults(command=lambda _: examine())
+    text = "Describe this machine, and test minimd on it: forces, conservation laws, equal bits on all threads, speed."
+    parser = commands.add_parser("doctor", help="describe this machine and test minimd on it", description=text)
+    parser.set_defaults(command=lambda _: examine())
 
 
 def examine(tell: Callable[[str], None] = print) -> bool:

@@ -94,7 +94,7 @@ for ending in ("nbc", "nbi"):
 """
 
 
-@pytest.mark.parametrize("n_flipped", [4, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n_flipped", [4, pytest.param(20, marks=pytest.mark.slow)])
 def test_damaged_compiled_code_is_compiled_anew_and_said_once(n_flipped, tmp_path):
     """Machine code in which a bit is flipped would end the process."""
     (tmp_path / "script.py").write_text(DAMAGED)

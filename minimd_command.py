@@ -1,29 +1,35 @@
-"""The program `minimd`: from its first line on, Ctrl-C ends it with one sentence and code 130, even while modules are loaded or compiled.
+"""The program `minimd`: from its first line on, a signal ends it with one sentence, whatever is being loaded or compiled.
+
+The codes are those of shells: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP.
 
 This file is beside the package, because Python loads a package, and with it NumPy and Numba, before any of its modules. A KeyboardInterrupt
 is not enough: while a compiled module is loaded or a kernel is compiled, it may become another error, a traceback or nothing. Only a run
 has something to save; it replaces the handler by its own, see minimd.structure.console.
 """
 
+import _signal  # loaded at once, unlike the module signal
 import os
 import sys
-from _signal import SIG_DFL, SIGINT, default_int_handler, getsignal, signal  # loaded at once, unlike the module signal
 
-WRONG_OUTPUT, INTERRUPTED = 2, 130  # exit codes
-
-
-def end_at_once(_number: int, _frame: object) -> None:
-    """Handler of Ctrl-C: print one sentence and end the process."""
-    signal(SIGINT, SIG_DFL)  # earlier output may wait for its reader; then a second Ctrl-C ends the process
-    _end(INTERRUPTED, "minimd: error: interrupted\n")
+WRONG_OUTPUT, BY_SIGNAL = 2, 128  # exit codes; to the second the number of the signal is added
 
 
-if getsignal(SIGINT) is default_int_handler:
-    signal(SIGINT, end_at_once)
+def end_at_once(number: int, _frame: object) -> None:
+    """Handler of Ctrl-C, SIGTERM and SIGHUP: print one sentence and end the process."""
+    _signal.signal(number, _signal.SIG_DFL)  # earlier output may wait for its reader; a second one ends the process
+    words = {_signal.SIGINT: "interrupted", _signal.SIGTERM: "stopped by SIGTERM"}.get(number, "stopped by SIGHUP")
+    _end(BY_SIGNAL + number, f"minimd: error: {words}\n")
+
+
+if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
+    _signal.signal(_signal.SIGINT, end_at_once)
 
 
 def main() -> None:
     """Run the command, and end the process with its exit code."""
+    for number in (_signal.SIGTERM, getattr(_signal, "SIGHUP", _signal.SIGTERM)):  # Windows has no SIGHUP
+        if _signal.getsignal(number) == _signal.SIG_DFL:  # not on import, which workers do: their runs end by SIGTERM
+            _signal.signal(number, end_at_once)
     from minimd.commands.main import main as run_command
     from minimd.structure.console import DEFAULT_HANDLERS
 

@@ -39,9 +39,9 @@ def two_threads(member):
     return liquid(member, threads=2)
 
 
-def hot(member):
+def hot(member, timestep=0.3):
     """Members above 0.6 blow up."""
-    return liquid(member, timestep=0.3 if member["temperature"] > 0.6 else 0.004)
+    return liquid(member, timestep=timestep if member["temperature"] > 0.6 else 0.004)
 
 
 def broken(member):
@@ -79,13 +79,13 @@ def counted(member):
     return liquid(member)
 
 
-def second_is_slow(member):
+def second_is_slow(member, seconds=0.5):
     """Each block of steps of member 1 takes half a second."""
     simulation = liquid(member)
     advance = simulation.engine.advance
 
     def slowly(*arguments, **options):
-        time.sleep(0.5)
+        time.sleep(seconds)
         return advance(*arguments, **options)
 
     if member.index == 1:

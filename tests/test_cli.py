@@ -68,6 +68,15 @@ def test_version_and_help_are_told_quickly_and_without_loading_anything(option, 
     assert (done.returncode, done.stdout.startswith(told), done.stderr) == (0, True, "")
 
 
+@pytest.mark.parametrize("name", ["run", "scan", "resume", "check", "plot", "view", "frames", "archive", "bench", "doctor"])
+def test_each_command_describes_itself_in_a_sentence(name, capsys):
+    with pytest.raises(SystemExit):
+        cli.main([name, "--help"])
+    described = capsys.readouterr().out.split("\n\n")[1]
+    assert "." in described
+    assert not described.startswith("positional")
+
+
 def test_without_a_command_there_is_help(capsys):
     assert cli.main([]) == 0
     told = capsys.readouterr().out

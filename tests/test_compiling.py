@@ -72,29 +72,102 @@ except numba.TypingError:
     assert answer.stdout == "free\n", answer.stderr
 
 
-KERNEL = "from minimd.compiled.kernels import scalar\nfrom minimd.numbers import HALF\n\n\n@scalar\ndef law(r):\n    return {} * r\n"
+DAMAGED = """
+import glob, os, sys
+from minimd.compiled.kernels import kernel
+def thrice(x): return 3.0 * x
+def called():
+    again = kernel(thrice)
+    assert again(2.0) == 6.0
+    return sum(again.stats.cache_misses.values())
+assert (called(), called()) == (1, 0)
+for ending in ("nbc", "nbi"):
+    def found():
+        (place,) = glob.glob(os.environ["NUMBA_CACHE_DIR"] + "/**/*thrice*." + ending, recursive=True)
+        return place
+    size = os.path.getsize(found())
+    for k, bit in [(-1, 0), *((k, bit) for k in range(0, size - 2, size // int(sys.argv[1])) for bit in (0, 1, 128))]:
+        code = bytearray(open(found(), "rb").read())
+        code[k] ^= bit
+        open(found(), "wb").write(code if bit else code[:k])  # a flipped bit, or the beginning of the file
+        assert (called(), called()) == (1, 0), (ending, k, bit)
+"""
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "compiles_anew"),
-    [
-        ("law.py", KERNEL.format("2 * HALF"), True),
-        ("numbers.py", "HALF = 0.25\n", True),
-        ("compiled/kernels.py", "b = 2\n", True),
-        ("grade.py", "from minimd.law import law\nc = 2\n", False),
-    ],
+@pytest.mark.parametrize("n_flipped", [4, pytest.param(20, marks=pytest.mark.slow)])
+def test_damaged_compiled_code_is_compiled_anew_and_said_once(n_flipped, tmp_path):
+    """Machine code in which a bit is flipped would end the process."""
+    (tmp_path / "script.py").write_text(DAMAGED)
+    code = f"import runpy, sys; sys.argv[1:] = ['{n_flipped}']; runpy.run_path({str(tmp_path / 'script.py')!r})"
+    answer = run({"NUMBA_CACHE_DIR": str(tmp_path)}, code)
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stderr.count("was damaged and is compiled anew") == len(answer.stderr.splitlines()) == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="links")
+def test_a_link_in_the_cache_is_not_written_through(tmp_path):
+    (tmp_path / "precious").write_text("precious")
+    files = CodeFiles(str(tmp_path), "twice", "now")
+    for name in ("twice.nbi", "twice.lock"):
+        (tmp_path / name).symlink_to(tmp_path / "precious")
+    files.save("floats", "code for floats")
+    assert files.load("floats") == "code for floats"
+    assert (tmp_path / "precious").read_text() == "precious"
+
+
+SOURCES = {
+    "compiled/kernels.py": "b = 1\n",
+    "law.py": """from minimd.compiled.kernels import (
+    cache_folder,
+    scalar,
 )
-def test_edited_sources_of_kernels_and_no_others_get_another_cache(name, text, compiles_anew, tmp_path, monkeypatch):
+from minimd.numbers import HALF
+from minimd.shapes import (
+    Pair,
+)
+from minimd.structure import units
+
+@scalar
+def law(pair: Pair):
+    return HALF * units.MASS * pair.r
+""",
+    "numbers.py": "from minimd.thirds import THIRD\nHALF = 1.5 * THIRD\n",
+    "thirds.py": "THIRD = 1 / 3\n",
+    "shapes.py": "from collections import namedtuple\nPair = namedtuple('Pair', 'r s')\n",
+    "structure/__init__.py": "",
+    "structure/units.py": "MASS = 1.0\n",
+    "choices.py": "from numba.extending import overload\noverload(abs)(lambda x: lambda x: 1)\n",
+    "grade.py": "from minimd.law import law\n",
+}
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_edited_sources_of_kernels_and_no_others_get_another_cache(name, tmp_path, monkeypatch):
+    """A kernel, its constants, those from which these are computed, its types, overloads."""
     package = tmp_path / "minimd"
-    (package / "compiled").mkdir(parents=True)
-    (package / "law.py").write_text(KERNEL.format("HALF"))
-    (package / "numbers.py").write_text("HALF = 0.5\n")
-    (package / "compiled" / "kernels.py").write_text("b = 1\n")
-    (package / "grade.py").write_text("from minimd.law import law\nc = 1\n")
+    for file, text in SOURCES.items():
+        (package / file).parent.mkdir(parents=True, exist_ok=True)
+        (package / file).write_text(text)
     monkeypatch.setattr(compiling, "__file__", str(package / "compiled" / "kernels.py"))
     before = compiling._source_hash()
-    (package / name).write_text(text)
-    assert (compiling._source_hash() != before) == compiles_anew
+    (package / name).write_text(SOURCES[name] + "# edited\n")
+    assert (compiling._source_hash() != before) == (name != "grade.py")
+
+
+def test_fields_in_another_order_are_another_type(tmp_path):
+    """Also if the file of the kernel does not import it."""
+    (tmp_path / "script.py").write_text("""
+from minimd.compiled.kernels import kernel
+from shapes import Pair
+def first(pair): return pair.r
+compiled = kernel(first)
+print(compiled(Pair(r=1.0, s=2.0)), sum(compiled.stats.cache_misses.values()))
+""")
+    for fields in ("r s", "s r"):
+        (tmp_path / "shapes.py").write_text(f"import collections\nPair = collections.namedtuple('Pair', {fields!r})\n")
+        code = f"import sys, runpy; sys.path[0] = {str(tmp_path)!r}; runpy.run_path(sys.path[0] + '/script.py')"
+        answer = run({"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}, code)
+        assert answer.stdout.split() == ["1.0", "1"], answer.stderr
 
 
 POSIX = pytest.mark.skipif(not hasattr(os, "getuid"), reason="POSIX permissions")

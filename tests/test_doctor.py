@@ -1,11 +1,15 @@
 """minimd doctor: it finds this machine in order, and notices what is not."""
 
+import os
+
 import numba
 import pytest
 
 import minimd as md
 from minimd.commands import doctor
 from minimd.commands import main as cli
+from minimd.compiled import kernels as compiling
+from minimd.compiled.code_cache import CodeFiles
 
 
 def test_doctor_finds_this_machine_in_order(capsys):
@@ -32,7 +36,37 @@ def test_no_layer_of_numba_is_used(capsys):
         numba.threading_layer()
 
 
-def test_doctor_notices_a_wrong_force(capsys, monkeypatch):
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_doctor_outlives_a_test_that_crashes_and_goes_on(capsys, monkeypatch):
+    monkeypatch.setattr(doctor, "TESTS", {"crash": os.abort, "cache folder": doctor.cache})
+    assert cli.main(["doctor"]) == 1
+    crashed, cache, conclusion = capsys.readouterr().out.splitlines()[-3:]
+    assert crashed.startswith("crash          FAILED")
+    assert "SIGABRT" in crashed
+    assert cache.startswith("cache folder   OK")
+    assert "NOT work" in conclusion
+
+
+def test_doctor_finds_damaged_compiled_code_and_loads_nothing_of_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(compiling, "cache_folder", lambda: tmp_path)
+    (tmp_path / "forces").mkdir()
+    files = CodeFiles(str(tmp_path / "forces"), "twice", "now")
+    for signature in ("floats", "integers"):
+        files.save(signature, f"code for {signature}")
+    assert doctor.cache() == (True, str(tmp_path))
+    file = tmp_path / "forces" / files._load_index()["floats"]
+    code = bytearray(file.read_bytes())
+    code[-3] ^= 1
+    file.write_bytes(code)
+    fine, sentence = doctor.cache()
+    assert fine
+    assert sentence.startswith(str(tmp_path))
+    assert sentence.endswith(": 1")
+    assert doctor.cache() == (True, str(tmp_path))
+    assert (files.load("floats"), files.load("integers")) == (None, "code for integers")
+
+
+def test_doctor_notices_a_wrong_force(monkeypatch):
     evaluate = md.evaluate
 
     def wrong(system, potentials):
@@ -41,10 +75,8 @@ def test_doctor_notices_a_wrong_force(capsys, monkeypatch):
         return found
 
     monkeypatch.setattr(doctor.md, "evaluate", wrong)
-    assert cli.main(["doctor"]) == 1
-    told = capsys.readouterr().out
-    assert "forces         FAILED" in told
-    assert "NOT work" in told
+    fine, sentence = doctor.gradient()
+    assert not fine, sentence
 
 
 def test_doctor_notices_a_bit_that_depends_on_threads(monkeypatch):

@@ -10,6 +10,7 @@ import threading
 import time
 import warnings
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import members
@@ -20,7 +21,9 @@ from members import STEPS, TEMPERATURES
 from test_kills import assert_same_file
 
 import minimd as md
-from minimd.ensemble.folder import EnsembleFolder
+from minimd.ensemble.folder import EnsembleFolder, name_of
+from minimd.ensemble.running import EnsembleError
+from minimd.ensemble.workers import STARTS, ThisProcess, Worker
 from minimd.files.h5md_reader import read_file
 from minimd.structure.errors import Interrupted
 from minimd.structure.statistics import mean_and_error
@@ -187,9 +190,57 @@ def test_nothing_goes_on_from_where_a_run_has_blown_up(done, tmp_path):
         run(tmp_path, members.hot)
     journal = tmp_path / "members.jsonl"
     journal.write_text("".join(journal.read_text().splitlines(keepends=True)[:3]))
-    run(tmp_path)
+    run(tmp_path, partial(members.hot, timestep=0.004))
     assert_same_as(done, tmp_path)
     assert not (tmp_path / "0000-0999" / "0003.crash.h5md").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("n_killed", [2, 3])
+def test_a_worker_killed_while_it_starts_is_replaced_unless_all_are(n_killed, done, tmp_path, monkeypatch):
+    start, killed = Worker.__init__, []
+
+    def start_and_kill(worker):
+        start(worker)
+        if len(killed) < n_killed:
+            killed.append(worker.process)
+            os.kill(worker.process.pid, signal.SIGKILL)
+
+    monkeypatch.setattr(Worker, "__init__", start_and_kill)
+    if n_killed < STARTS:
+        run(tmp_path, workers=1)
+    else:
+        with pytest.raises(EnsembleError, match=r"member 0 .* killed by SIGKILL"):
+            run(tmp_path, workers=1)
+        run(tmp_path)
+    assert len(killed) == n_killed
+    assert_same_as(done, tmp_path)
+
+
+def test_what_an_executor_raises_that_takes_no_member_is_told_with_the_table_of_those_that_are_done(done, tmp_path):
+    class Broken(ThisProcess):
+        left = 2
+
+        def submit(self, *arguments):
+            self.left -= 1
+            if self.left < 0:
+                raise MemoryError("a worker is gone")
+            return super().submit(*arguments)
+
+    with pytest.raises(EnsembleError, match=r"member 2 .*MemoryError: a worker is gone") as broken:
+        run(tmp_path, workers=None, executor=Broken())
+    assert isinstance(broken.value.__cause__, MemoryError)
+    written = json.loads((tmp_path / "table.json").read_text())
+    assert written["columns"]["status"] == ["done", "done", "missing", "missing"]
+    run(tmp_path)
+    assert_same_as(done, tmp_path)
+
+
+def test_functions_are_named_as_others_import_them(monkeypatch):
+    monkeypatch.setattr(sys.modules["__main__"], "__file__", "/somewhere/script.py", raising=False)
+    monkeypatch.setattr(members.hot, "__module__", "__main__")
+    assert name_of(partial(partial(members.hot, timestep=1.0))) == name_of(members.hot) == "script.hot"
+    assert name_of(lambda member: 3).endswith("<lambda>")
 
 
 def test_if_all_fail_the_first_failure_is_raised_with_its_traceback(tmp_path):
@@ -218,7 +269,7 @@ def test_ctrl_c_leaves_what_is_done(workers, done, tmp_path):
     thread.join()
     assert stopped.value.result["status"].tolist() == ["done", "begun", "missing", "missing"]
     assert read_file(tmp_path / FILES[1]).step < STEPS
-    run(tmp_path)
+    run(tmp_path, partial(members.second_is_slow, seconds=0.0))
     assert_same_as(done, tmp_path)
 
 
@@ -247,6 +298,9 @@ def test_another_ensemble_is_refused_unless_it_is_to_be_replaced(done, tmp_path)
     for change, told in (
         ({"seed": 6}, "seed = 5 there, 6 here"),
         ({"seed": 5, "steps": 20}, "steps = 35 there, 20 here"),
+        ({"seed": 5, "build": members.hot}, "build = members.liquid there, members.hot here"),
+        ({"seed": 5, "build": partial(members.hot, timestep=0.004)}, "build = members.liquid there, members.hot here"),
+        ({"seed": 5, "prepare": members.melted}, "prepare = None there, members.melted here"),
         ({"seed": 5, "parameters": {"temperature": [0.4, 0.9]}}, "member 1 has the parameters {'temperature': 0.5} there, {'temperature': 0.9} here"),
     ):
         with pytest.raises(ValueError, match=f"holds another ensemble: {told}; choose another folder, or replace what is there with resume=False"):

@@ -17,7 +17,8 @@ PEER_NAMES = "lammps, lammps-checked, lammps-shake, lammps-plain, lammps-omp, gr
 
 def add(commands: Any) -> None:
     """Add the command, with all benchmarks and their options, to the subparsers of `minimd`."""
-    parser = commands.add_parser("bench", help="measure the speed of minimd: compared with other engines, and run time against error")
+    text = "measure the speed of minimd: compared with other engines, and run time against error"
+    parser = commands.add_parser("bench", help=text, description=f"{text[0].upper()}{text[1:]}.")
     benchmarks = parser.add_subparsers(metavar="benchmark", title="benchmarks", required=True)
     peers = _add(benchmarks, "peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3")
     peers.description = "Time whole runs of minimd and of other installed engines, in turns, after a check that all compute the same energies."

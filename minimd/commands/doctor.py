@@ -13,9 +13,11 @@ import numpy as np
 
 import minimd as md
 from minimd.compiled import kernels as compiling
+from minimd.compiled.code_cache import sound_content
 from minimd.compiled.machine import MISSING, available_cores, processor_name, version
 from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
-from minimd.structure.errors import HandOverError
+from minimd.ensemble.workers import SpawnedProcesses
+from minimd.structure.errors import HandOverError, sentence
 from minimd.structure.lattice import constant_from_density, crystal
 
 DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
@@ -35,7 +37,9 @@ Finding = tuple[bool, str]  # whether the test passed, and a sentence
 
 def add(commands: Any) -> None:
     """Add the command to the subparsers of `minimd`."""
-    commands.add_parser("doctor", help="describe this machine and test minimd on it").set_defaults(command=lambda _: examine())
+    text = "Describe this machine, and test minimd on it: forces, conservation laws, equal bits on all threads, speed."
+    parser = commands.add_parser("doctor", help="describe this machine and test minimd on it", description=text)
+    parser.set_defaults(command=lambda _: examine())
 
 
 def examine(tell: Callable[[str], None] = print) -> bool:
@@ -43,10 +47,14 @@ def examine(tell: Callable[[str], None] = print) -> bool:
     for line in installation():
         tell(line)
     passed = []
-    for name, test in TESTS.items():
-        fine, sentence = test()
-        passed.append(fine)
-        tell(f"{name:<14} {'OK' if fine else 'FAILED'}  {sentence}")
+    with SpawnedProcesses(1) as process:  # a test may crash, such as where the processor lacks instructions
+        for name, test in TESTS.items():
+            try:
+                fine, words = process.submit(test).result()
+            except Exception as error:  # of the test, or the end of its process
+                fine, words = False, f"{type(error).__name__}: {sentence(error)}"
+            passed.append(fine)
+            tell(f"{name:<14} {'OK' if fine else 'FAILED'}  {words}")
     tell("minimd works here" if all(passed) else "minimd does NOT work here: see the lines that say FAILED")
     return all(passed)
 
@@ -66,12 +74,15 @@ def installation() -> Iterator[str]:
 
 
 def cache() -> Finding:
-    """Whether compiled kernels can be stored for the next process."""
+    """Whether compiled kernels can be stored for the next process; removes damaged ones."""
     folder = compiling.cache_folder()
     if folder is None:
         return False, "each process must compile again; set NUMBA_CACHE_DIR to a folder to which you, and nobody else, can write"
-    fine = os.access(folder, os.W_OK)
-    return fine, f"{folder}{'' if fine else ' cannot be written; set NUMBA_CACHE_DIR to another folder'}"
+    damaged = [file for file in folder.glob("*/*.nb[ic]") if sound_content(file) is None]
+    for file in damaged:
+        file.unlink(missing_ok=True)
+    words = f"; damaged files, removed and compiled anew at their next use: {len(damaged)}" if damaged else ""
+    return True, f"{folder}{words}"
 
 
 def known_energy() -> Finding:
@@ -169,7 +180,7 @@ def lammps() -> Finding:
             with tempfile.TemporaryDirectory() as folder:
                 done = hand_over(simulation, folder, STEPS_HANDED_OVER, processes=processes, progress=False, tell=None)
         except FileNotFoundError as missing:
-            return True, "; ".join([*told, f"{missing} (only `minimd lammps` needs it)"])
+            return True, "; ".join([*told, f"not needed, but for `minimd lammps`: {missing}"])
         except HandOverError as failed:
             return False, "; ".join([*told, str(failed)])
         told.append(f"on {processes} process{'es' * (processes > 1)} forces agree within {done.verification.forces:.0e}")

@@ -20,7 +20,8 @@ def add_command(commands: Any, run: Callable[..., Any], text: str, file: tuple[s
 
     text : its help.  file : name and help of its required argument.  shared : options from OPTIONS.  more : arguments for argparse.
     """
-    parser: argparse.ArgumentParser = commands.add_parser(run.__name__, help=text, **more)
+    described = {"description": f"{text[0].upper()}{text[1:]}.", **more}
+    parser: argparse.ArgumentParser = commands.add_parser(run.__name__, help=text, **described)
     parser.add_argument(file[0], type=Path, help=file[1])
     for name in shared:
         parser.add_argument(name, **OPTIONS[name])

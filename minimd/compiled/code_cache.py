@@ -1,14 +1,19 @@
 """The files of compiled kernels: a process loads what it finds there; while one process compiles a kernel, the others wait for it."""
 
 import os
+import pickle
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
 from typing import Any, ClassVar
 from uuid import uuid4
 
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+CHECKSUM = 32  # bytes at the beginning of each file, of SHA-256
 
 
 class CodeFiles(IndexDataCacheFile):
@@ -16,13 +21,61 @@ class CodeFiles(IndexDataCacheFile):
 
     Numba numbers the files, and writes the index first. A process that is killed in between, or two at once, may leave an index that names the
     machine code of another signature. Here each file has a unique name, and the index names it only after it was written.
+
+    Numba executes what it finds. Here each file begins with a checksum of the rest. A file that does not agree with
+    it, such as after a power failure, is removed, and its kernel compiled anew; standard error says so once.
     """
+
+    is_told: ClassVar[bool] = False
 
     def save(self, key: Any, data: Any) -> None:
         """Called by Numba after a compilation."""
         name = self._data_name(uuid4().int)
-        self._save_data(name, data)
+        self._save(self._data_path(name), data)
         self._save_index({**self._load_index(), key: name})
+
+    def _load_index(self) -> dict[Any, str]:
+        stamp, names = self._load(self._index_path) or ("", {})
+        return names if stamp == self._source_stamp else {}
+
+    def _save_index(self, names: dict[Any, str]) -> None:
+        self._save(self._index_path, (self._source_stamp, names))
+
+    def _load_data(self, name: str) -> Any:
+        return self._load(self._data_path(name))
+
+    def _load(self, path: str) -> Any:
+        """What is in a file; None if there is none, or it was damaged."""
+        if not os.path.exists(path):
+            return None
+        if (content := sound_content(path)) is not None:
+            return pickle.loads(content)
+        if not CodeFiles.is_told:
+            CodeFiles.is_told = True
+            print(f"minimd: compiled code in {self._cache_path} was damaged and is compiled anew", file=sys.stderr)
+        with suppress(OSError):
+            os.unlink(path)
+        return None
+
+    def _save(self, path: str, value: Any) -> None:
+        """Write a file under another name, then rename it."""
+        content, part = self._dump(value), Path(f"{path}.{uuid4().hex}")
+        try:
+            with part.open("xb") as file:  # a new file: no link is followed
+                file.write(sha256(content).digest())
+                file.write(content)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+def sound_content(path: str | Path) -> bytes | None:
+    """What a file of the cache holds behind its checksum, as bytes; None if it is damaged or cannot be read."""
+    with suppress(OSError), open(path, "rb") as file:
+        checksum, content = file.read(CHECKSUM), file.read()
+        if sha256(content).digest() == checksum:
+            return content
+    return None
 
 
 class KernelCache(FunctionCache):
@@ -49,7 +102,8 @@ class KernelCache(FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         """Called by Numba after a compilation."""
         try:
-            super().save_overload(sig, data)
+            with suppress(OSError):  # such as a full disk: what was compiled can be used all the same
+                super().save_overload(sig, data)
         finally:
             self.let_others_go_on()
 
@@ -60,18 +114,28 @@ class KernelCache(FunctionCache):
             self._lock = -1
             self.compiling.pop(self._function, None)
 
+    def _index_key(self, sig: Any, codegen: Any) -> tuple:
+        """With the names of fields: Numba takes no notice if fields of the same type change places in a named tuple."""
+        return (*super()._index_key(sig, codegen), _fields_of(getattr(sig, "args", sig)))
+
     def _wait_for_others(self) -> None:
         """Take the lock of this kernel, where the file system has locks."""
         with suppress(OSError, ImportError):
             import fcntl  # Windows has no such locks
 
-            self._lock = os.open(os.path.join(self._cache_path, f"{self._impl.filename_base}.lock"), os.O_RDWR | os.O_CREAT, 0o600)
+            file = os.path.join(self._cache_path, f"{self._impl.filename_base}.lock")
+            self._lock = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX)
                 self.compiling[self._function] = self
             except BaseException:
                 self.let_others_go_on()
                 raise
+
+
+def _fields_of(kinds: Any) -> tuple:
+    """The names of fields of named tuples among types, and inside them."""
+    return tuple((tuple(getattr(kind, "fields", ())), _fields_of(getattr(kind, "types", ()))) for kind in kinds)
 
 
 class FailedCompilations(event.Listener):

@@ -20,7 +20,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import llvmlite
 import numba
+import numpy
 from numba import types
 from numba.core import event
 from numba.core.registry import CPUDispatcher
@@ -32,8 +34,9 @@ from minimd.compiled.part_library import PartCompiler
 
 restrict_features(os.environ.get("MINIMD_VECTORS", NEWEST))
 
-HOLDS_KERNELS = re.compile(rb"^from minimd\.compiled\.kernels import .*\b(kernel|\w+_kernel|inlined|scalar|by_type|type_of)\b|^from numba\b", re.M)
-IMPORTED = re.compile(rb"^from (minimd\.[\w.]+) import ", re.M)
+DECORATED = rb"^from minimd\.compiled\.kernels import (\([^)]*)?.*\b(\w*kernel|inlined|scalar|by_type|type_of)\b"
+HOLDS_KERNELS = re.compile(DECORATED + rb"|^from numba\b", re.M)
+IMPORTED = re.compile(r"^from (minimd[\w.]*) import (\([^)]*\)|.*)", re.M)
 WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
 
 
@@ -49,7 +52,9 @@ def cache_folder() -> Path | None:
         folder = Path(os.path.realpath(base / name))
         try:
             if not open_to_others(folder):
-                _make(folder)
+                for part in (*reversed(folder.parents), folder):
+                    if not part.is_dir():
+                        part.mkdir(mode=0o700, exist_ok=True)  # for this user alone
             if opened := open_to_others(folder):  # perhaps only now: somebody else may have been faster in a common folder
                 warnings.warn(
                     f"compiled code is not kept in {base}, because other users can change {opened}; "
@@ -264,27 +269,30 @@ def announce_compilation() -> Iterator[None]:
         compile_clock.is_to_tell = False
 
 
-def _make(folder: Path) -> None:
-    """Make a folder and its missing parents, for this user alone."""
-    for part in (*reversed(folder.parents), folder):
-        if not part.is_dir():
-            part.mkdir(mode=0o700, exist_ok=True)
-
-
 def _source_hash() -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
+    digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {numpy.__version__}".encode())
     for name, source in sorted(_kernel_sources(Path(__file__).parents[1]).items()):
         digest.update(name.encode() + source)
     return digest.hexdigest()[:16]
 
 
 def _kernel_sources(package: Path) -> dict[str, bytes]:
-    """The sources on which machine code depends, by module: files with compiled functions, and those from which they import constants or types."""
-    folder = package.parent
-    texts = {".".join(file.relative_to(folder).with_suffix("").parts): file.read_bytes() for file in package.rglob("*.py")}
-    holders = [name for name, text in texts.items() if HOLDS_KERNELS.search(text) or name.startswith("minimd.compiled.")]
-    needed = {module.decode() for name in holders for module in IMPORTED.findall(texts[name])}
-    return {name: texts[name] for name in needed.union(holders) & texts.keys()}
+    """The sources on which machine code depends, by module: files with compiled functions, and those from which they
+    import constants or types, which may depend on those of a third file, and so on.
+
+    Imports inside functions do not count: kernels cannot import.
+    """
+    names = {file: ".".join(file.relative_to(package.parent).with_suffix("").parts) for file in package.rglob("*.py")}
+    texts = {name.removesuffix(".__init__"): file.read_bytes() for file, name in names.items()}
+    needed = set[str]()
+    new = {name for name, text in texts.items() if HOLDS_KERNELS.search(text) or name.startswith("minimd.compiled.")}
+    while new:
+        needed |= new
+        imports = [pair for name in new for pair in IMPORTED.findall(texts[name].decode())]
+        modules = {module for module, _ in imports}
+        modules.update(f"{module}.{word}" for module, words in imports for word in re.findall(r"\w+", words))
+        new = modules.intersection(texts) - needed
+    return {name: texts[name] for name in needed}
 
 
 def _cache_bases() -> list[Path]:

@@ -10,13 +10,15 @@ A line is appended when a member ends: 10⁵ members need 10⁵ lines, and a pro
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import secrets
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from minimd.compiled.machine import version
 from minimd.ensemble.member import Value, file_of
@@ -145,8 +147,8 @@ class EnsembleFolder:
 
     def _check_is(self, before: Asked, asked: Asked) -> None:
         """Raise ValueError unless this is the same ensemble; it may have more members and, without a function run, more steps."""
-        for name in ("seed", "every"):
-            there, here = getattr(before, name), getattr(asked, name)
+        for name in ("seed", "every", "build", "prepare", "run"):
+            there, here = (value if (value := getattr(one, name)) != "" else None for one in (before, asked))
             self._refuse_unless(there == here, f"{name} = {there} there, {here} here")
         may_grow = not asked.run and asked.steps > before.steps
         self._refuse_unless(asked.steps == before.steps or may_grow, f"steps = {before.steps} there, {asked.steps} here")
@@ -195,11 +197,15 @@ def entropy_of(seed: int | None, before: Asked | None) -> int:
 
 
 def name_of(function: Callable | None) -> str:
-    """A function as module and name; empty for None."""
+    """A function as module and name; empty for None. A script is the module as which others would import it."""
     if function is None:
         return ""
-    named = function if hasattr(function, "__qualname__") else type(function)
-    return f"{named.__module__}.{named.__qualname__}"
+    while isinstance(function, functools.partial):
+        function = function.func
+    named: Any = function if hasattr(function, "__qualname__") else type(function)
+    script = getattr(sys.modules["__main__"], "__file__", None)
+    module = Path(script).stem if named.__module__ == "__main__" and script else named.__module__
+    return f"{module}.{named.__qualname__}"
 
 
 def write_whole(file: Path, text: str) -> None:

@@ -29,6 +29,7 @@ from minimd.structure.keywords import names_keywords
 
 MOST_WAITING = 4096  # members submitted at a time to an executor that the caller brings
 TOLD = 3  # failures that a warning names
+ANOTHER = "Call md.ensemble again to go on, with a new executor or none: some give up when one of their processes dies"
 BETWEEN_REQUESTS = 0.02  # seconds between requests to stop, repeated because a member that is between two runs does not notice one
 
 
@@ -113,6 +114,9 @@ def ensemble(
                 tell_ending(stopped)
                 raise
             raise Interrupted(f"interrupted: {told}", table) from None
+        except EnsembleError:
+            _written(opened, asked, len(rows))
+            raise
         table = _written(opened, asked, len(rows))
     _tell_failures(table, opened.rows)
     return table
@@ -125,13 +129,18 @@ def _rows(executor: Executor, plan: Plan, jobs: Iterator[tuple[Member, bool]], m
     try:
         while True:
             while len(members) < most_waiting and (job := next(jobs, None)) is not None:
-                future = executor.submit(work, plan, *job)
+                try:
+                    future = executor.submit(work, plan, *job)
+                except Exception as error:  # such as that of an executor which has lost a process
+                    while not ended.empty():
+                        yield _row_of(ended.get(), members)
+                    words = f"{job[0]} could not be given to the executor: {type(error).__name__}: {sentence(error)}"
+                    raise EnsembleError(f"{words}. {ANOTHER}") from error
                 members[future] = job[0]
                 future.add_done_callback(ended.put)
             if not members:
                 return
-            future = ended.get()
-            yield _row_of(future, members.pop(future))
+            yield _row_of(ended.get(), members)
     finally:
         for future in members:
             future.cancel()
@@ -140,8 +149,9 @@ def _rows(executor: Executor, plan: Plan, jobs: Iterator[tuple[Member, bool]], m
             sleep(BETWEEN_REQUESTS)
 
 
-def _row_of(future: Future, member: Member) -> Row:
+def _row_of(future: Future, members: dict[Future, Member]) -> Row:
     """The row of a member that has ended, also if its worker died.  Raises EnsembleError if members cannot be run, and KeyboardInterrupt."""
+    member = members.pop(future)
     try:
         row: Row = future.result()
         return row
@@ -156,7 +166,7 @@ def _row_of(future: Future, member: Member) -> Row:
 
 def _advice(error: Exception) -> str:
     if isinstance(error, BrokenProcessPool):
-        return "A ProcessPoolExecutor gives up when one of its processes dies; call md.ensemble again to go on, or leave executor out"
+        return ANOTHER
     return "If the script calls md.ensemble outside of functions, put that call below the line: if __name__ == '__main__':"
 
 

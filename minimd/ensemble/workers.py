@@ -18,6 +18,7 @@ from minimd.files.first_look import end_with
 from minimd.structure.console import endings_are_told
 
 READY = b"ready"
+STARTS = 3  # of a worker: what kills as many while they start would kill the next one, too
 
 
 class WorkerDied(RuntimeError):  # noqa: N818  # the name says what happened
@@ -52,13 +53,10 @@ class SpawnedProcesses(Executor):
             worker.end()
 
     def _in_process(self, job: bytes) -> Any:
-        worker = getattr(self._own, "worker", None)
-        if worker is None:
-            worker = self._own.worker = Worker()
-            self._workers.append(worker)
-        if self._is_stopped:
-            raise CancelledError
+        worker = getattr(self._own, "worker", None) or self._ready_worker()
         try:
+            if self._is_stopped:
+                raise CancelledError
             return worker.do(job)
         except (WorkerDied, CancelledError):
             self._own.worker = None
@@ -66,6 +64,24 @@ class SpawnedProcesses(Executor):
             if self._is_stopped:
                 raise CancelledError from None
             raise
+
+    def _ready_worker(self) -> "Worker":
+        """A new worker of this thread; if it is killed while it starts, another one.
+
+        Raises WorkerNeverBegan, CancelledError.
+        """
+        for _ in range(STARTS):
+            worker = Worker()
+            self._workers.append(worker)
+            if worker.is_ready():
+                self._own.worker = worker
+                return worker
+            self._workers.remove(worker)
+            if self._is_stopped:
+                raise CancelledError
+            if (worker.process.exitcode or 0) >= 0:  # an error, which another process would meet, too
+                break
+        raise WorkerNeverBegan(worker.ending())
 
 
 class Worker:
@@ -77,20 +93,22 @@ class Worker:
         self.process = context.Process(target=serve, args=(theirs, os.getpid()), daemon=True)
         self.process.start()
         theirs.close()
-        self._has_begun = False
+
+    def is_ready(self) -> bool:
+        """Wait until the process can take jobs; False if it has ended before."""
+        with suppress(EOFError, OSError):
+            return self._pipe.recv_bytes() == READY
+        self.process.join()
+        return False
 
     def do(self, job: bytes) -> Any:
         """The result of a pickled job.  Raises what the job raises, WorkerDied if the process dies, CancelledError if it was told to end."""
         try:
-            if not self._has_begun:
-                self._has_begun = self._pipe.recv_bytes() == READY
             self._pipe.send_bytes(job)
             result, error = pickle.loads(self._pipe.recv_bytes())
         except (EOFError, OSError):
             self.process.join()
-            if not self._has_begun:
-                raise WorkerNeverBegan(self._ending()) from None
-            raise WorkerDied(self._ending()) from None
+            raise WorkerDied(self.ending()) from None
         if error is not None:
             raise error
         return result
@@ -100,7 +118,8 @@ class Worker:
         self._pipe.close()
         self.process.join()
 
-    def _ending(self) -> str:
+    def ending(self) -> str:
+        """How the process has ended."""
         code = self.process.exitcode or 0
         with suppress(ValueError):
             return f"its worker process was killed by {signal.Signals(-code).name}"

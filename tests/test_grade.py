@@ -63,6 +63,50 @@ def test_a_right_composition_that_has_no_name_is_no_fault():
     assert grade.faults == (), str(grade)
 
 
+W = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
+
+
+def yoshida_of_accelerations(q, v, acceleration, dt):
+    for w in (W, 1.0 - 2.0 * W, W):
+        v = v + 0.5 * w * dt * acceleration(q)
+        q = q + w * dt * v
+        v = v + 0.5 * w * dt * acceleration(q)
+    return q, v
+
+
+def yoshida(q, v, force, m, dt):
+    return yoshida_of_accelerations(q, v, lambda x: force(x) / m, dt)
+
+
+def kicks_and_drifts(weights, x, v, force, m, dt):
+    for kick, drift in weights:
+        v = v + kick * dt * force(x) / m
+        x = x + drift * dt * v
+    return x, v
+
+
+def forest_ruth_kick_first(x, v, force, m, dt):
+    return kicks_and_drifts(((W / 2, W), ((1 - W) / 2, 1 - 2 * W), ((1 - W) / 2, W), (W / 2, 0.0)), x, v, force, m, dt)
+
+
+def ruth_3(x, v, force, m, dt):
+    return kicks_and_drifts(((7 / 24, 2 / 3), (3 / 4, -2 / 3), (-1 / 24, 1.0)), x, v, force, m, dt)
+
+
+def two_half_steps(x, v, force, m, dt):
+    return kicks_and_drifts(((0.25, 0.5), (0.5, 0.5), (0.25, 0.0)), x, v, force, m, dt)
+
+
+@pytest.mark.parametrize(("step", "order", "reached"), [
+    (yoshida_of_accelerations, 2, 4), (yoshida_of_accelerations, 4, 4), (yoshida, 4, 4), (forest_ruth_kick_first, 4, 4), (ruth_3, 3, 3),
+    (two_half_steps, 2, 2),
+])  # fmt: skip
+def test_textbook_methods_pass(step, order, reached):
+    grade = md.grade(step, order=order)
+    assert grade["order"].value == pytest.approx(reached, abs=0.1)
+    assert grade.passed, str(grade)
+
+
 def test_wrong_weights_of_a_composition_are_named():
     def forest_ruth(x, v, force, dt, sign=-1.0):
         w = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
@@ -269,6 +313,7 @@ def wrong_shape(x, v, force, m, dt):
     (lambda: md.grade(lambda x: None), ValueError, "returned None"),
     (lambda: md.grade(lambda x: x[0]), ValueError, "shape of the positions"),
     (lambda: md.grade(lambda x, charges: x), TypeError, "charges"),
+    (lambda: md.grade(lambda r2, a: (a / r2, 2 * a / r2**2), kind="law"), TypeError, "the meaning of a"),
     (lambda: md.grade(lambda x: -x, cell=-1.0), ValueError, "cell must be"),
     (lambda: md.grade(lambda x, v, thing, m, dt, force: x), TypeError, "the meaning of thing"),
     (lambda: md.grade(lambda self, x, v, force, dt: (x, v)), TypeError, "method without its object"),

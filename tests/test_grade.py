@@ -33,6 +33,23 @@ def test_a_wrong_step_is_told_its_fault(step, words):
     assert any(words in fault for fault in grade.faults), str(grade)
 
 
+def test_a_factor_close_to_one_is_told():
+    def cooled(x, v, force, m, dt):
+        x, v = velocity_verlet(x, v, force, m, dt)
+        return x, 0.99999 * v
+
+    assert any("multiplied by 0.99999 " in fault for fault in md.grade(cooled).faults)
+
+
+@pytest.mark.parametrize("most", [200.0, 1000.0])
+def test_a_force_that_is_capped_is_no_gradient(most):
+    def capped(r):
+        return min(48.0 / r**13 - 24.0 / r**7, most), 4.0 / r**12 - 4.0 / r**6
+
+    grade = md.grade(capped)
+    assert not grade.passed, str(grade)
+
+
 def test_figures_of_a_grade_are_those_of_theory():
     euler = md.grade(explicit_euler)
     assert euler["oscillator"].value == pytest.approx(0.25)  # the energy grows by 1 + (ωΔt)²

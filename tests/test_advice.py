@@ -175,7 +175,7 @@ def test_advice_leaves_the_system_alone_and_sees_far_atoms():
 
 def test_what_cannot_be_advised_is_refused():
     system = md.System([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    with pytest.raises(md.NonFiniteError, match="closest pair is atoms 0 and 1, 0 apart"):
+    with pytest.raises(md.NonFiniteError, match="atoms 0 and 1, 0 σ apart"):
         md.advise_timestep(system, md.LennardJones(1.0, 1.0))
     with pytest.raises(TypeError, match="method must be a splitting"):
         md.advise_timestep(system, md.LennardJones(1.0, 1.0), method=0.01)

@@ -9,10 +9,10 @@ from test_rigid_runs import simulation as rigid_liquid
 
 import minimd as md
 from minimd.commands import main as cli
-from minimd.diagnosis.contacts import contacts
 from minimd.diagnosis.crash_report import examine
 from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_reader import read_file
+from minimd.forces.contacts import contacts
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM
 

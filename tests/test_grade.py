@@ -33,6 +33,23 @@ def test_a_wrong_step_is_told_its_fault(step, words):
     assert any(words in fault for fault in grade.faults), str(grade)
 
 
+def test_a_factor_close_to_one_is_told():
+    def cooled(x, v, force, m, dt):
+        x, v = velocity_verlet(x, v, force, m, dt)
+        return x, 0.99999 * v
+
+    assert any("multiplied by 0.99999 " in fault for fault in md.grade(cooled).faults)
+
+
+@pytest.mark.parametrize("most", [200.0, 1000.0])
+def test_a_force_that_is_capped_is_no_gradient(most):
+    def capped(r):
+        return min(48.0 / r**13 - 24.0 / r**7, most), 4.0 / r**12 - 4.0 / r**6
+
+    grade = md.grade(capped)
+    assert not grade.passed, str(grade)
+
+
 def test_figures_of_a_grade_are_those_of_theory():
     euler = md.grade(explicit_euler)
     assert euler["oscillator"].value == pytest.approx(0.25)  # the energy grows by 1 + (ωΔt)²
@@ -61,6 +78,50 @@ def test_a_right_composition_that_has_no_name_is_no_fault():
     grade = md.grade(step, order=4)
     assert grade.findings[0].value == pytest.approx(4.0, abs=0.2)
     assert grade.faults == (), str(grade)
+
+
+W = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
+
+
+def yoshida_of_accelerations(q, v, acceleration, dt):
+    for w in (W, 1.0 - 2.0 * W, W):
+        v = v + 0.5 * w * dt * acceleration(q)
+        q = q + w * dt * v
+        v = v + 0.5 * w * dt * acceleration(q)
+    return q, v
+
+
+def yoshida(q, v, force, m, dt):
+    return yoshida_of_accelerations(q, v, lambda x: force(x) / m, dt)
+
+
+def kicks_and_drifts(weights, x, v, force, m, dt):
+    for kick, drift in weights:
+        v = v + kick * dt * force(x) / m
+        x = x + drift * dt * v
+    return x, v
+
+
+def forest_ruth_kick_first(x, v, force, m, dt):
+    return kicks_and_drifts(((W / 2, W), ((1 - W) / 2, 1 - 2 * W), ((1 - W) / 2, W), (W / 2, 0.0)), x, v, force, m, dt)
+
+
+def ruth_3(x, v, force, m, dt):
+    return kicks_and_drifts(((7 / 24, 2 / 3), (3 / 4, -2 / 3), (-1 / 24, 1.0)), x, v, force, m, dt)
+
+
+def two_half_steps(x, v, force, m, dt):
+    return kicks_and_drifts(((0.25, 0.5), (0.5, 0.5), (0.25, 0.0)), x, v, force, m, dt)
+
+
+@pytest.mark.parametrize(("step", "order", "reached"), [
+    (yoshida_of_accelerations, 2, 4), (yoshida_of_accelerations, 4, 4), (yoshida, 4, 4), (forest_ruth_kick_first, 4, 4), (ruth_3, 3, 3),
+    (two_half_steps, 2, 2),
+])  # fmt: skip
+def test_textbook_methods_pass(step, order, reached):
+    grade = md.grade(step, order=order)
+    assert grade["order"].value == pytest.approx(reached, abs=0.1)
+    assert grade.passed, str(grade)
 
 
 def test_wrong_weights_of_a_composition_are_named():
@@ -269,6 +330,7 @@ def wrong_shape(x, v, force, m, dt):
     (lambda: md.grade(lambda x: None), ValueError, "returned None"),
     (lambda: md.grade(lambda x: x[0]), ValueError, "shape of the positions"),
     (lambda: md.grade(lambda x, charges: x), TypeError, "charges"),
+    (lambda: md.grade(lambda r2, a: (a / r2, 2 * a / r2**2), kind="law"), TypeError, "the meaning of a"),
     (lambda: md.grade(lambda x: -x, cell=-1.0), ValueError, "cell must be"),
     (lambda: md.grade(lambda x, v, thing, m, dt, force: x), TypeError, "the meaning of thing"),
     (lambda: md.grade(lambda self, x, v, force, dt: (x, v)), TypeError, "method without its object"),

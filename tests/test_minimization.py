@@ -15,6 +15,7 @@ from minimd.minimization.fire import steer
 from minimd.potentials.term import TOTALS
 from minimd.scene import parse_scene, run_scene
 from minimd.structure.errors import Interrupted
+from minimd.structure.images import nearest_vectors
 from minimd.structure.lattice import crystal
 
 LJ = md.LennardJones(1.0, 1.0)
@@ -37,6 +38,10 @@ def random_liquid(n_atoms, density=0.8442, seed=1):
     """Atoms thrown into a cell without looking: some lie nearly upon each other."""
     edge = (n_atoms / density) ** (1.0 / 3.0)
     return md.System(np.random.default_rng(seed).uniform(0.0, edge, (n_atoms, 3)), cell=edge)
+
+
+def ran(system, potentials):
+    return md.Simulation(system, potentials, md.VelocityVerlet(0.001)).run(1)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -212,15 +217,64 @@ def test_fixed_atoms_stay_where_they_are():
     assert np.delete(forces, fixed).max() < LARGE_FORCE
 
 
-def test_two_atoms_on_one_spot_are_refused():
-    system = md.System([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
-    with pytest.raises(md.NonFiniteError, match="atoms 1 and 2 are at the same place"):
-        md.minimize(system, LJ)
+@pytest.mark.parametrize("n_atoms", [2, 3, 13])
+def test_atoms_on_one_spot_part_in_the_same_way_each_time(n_atoms):
+    system = md.System(np.full((n_atoms, 3), 0.3))
+    with pytest.raises(md.NonFiniteError, match="minimize moves"):
+        md.Simulation(system, LJ, md.VelocityVerlet(0.004)).run(1)
+    found, again = md.minimize(system, LJ), md.minimize(system, LJ)
+    assert found.converged
+    assert np.array_equal(found.system.positions, again.system.positions)
+    if n_atoms < 4:
+        assert found.potential_energy == pytest.approx(-n_atoms * (n_atoms - 1) / 2, abs=1e-12)  # all pairs at 2^(1/6)
+
+
+def melt(n_chains, n_beads, seed):
+    """Random walks thrown into a cell, as melts of Kremer and Grest begin."""
+    rng, edge = np.random.default_rng(seed), (n_chains * n_beads / 0.85) ** (1.0 / 3.0)
+    steps = rng.standard_normal((n_chains, n_beads, 3))
+    steps *= 0.97 / np.linalg.norm(steps, axis=2, keepdims=True)
+    steps[:, 0] = rng.uniform(0.0, edge, (n_chains, 3))
+    atoms = np.arange(n_chains * n_beads).reshape(n_chains, n_beads)
+    bonds = np.stack([atoms[:, :-1].ravel(), atoms[:, 1:].ravel()], axis=1)
+    return md.System(np.cumsum(steps, axis=1).reshape(-1, 3), cell=edge, bonds=bonds)
+
+
+WCA = md.LennardJones(1.0, 1.0, cutoff=2 ** (1 / 6), bonded_scale=(0, 1, 1))
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("n_chains", "n_beads"), [(4, 10), pytest.param(20, 50, marks=pytest.mark.slow)])
+def test_chains_that_cross_come_to_rest_without_breaking(n_chains, n_beads, seed):
+    system = melt(n_chains, n_beads, seed)
+    found = md.minimize(system, [WCA, md.FENEBond(30.0, 1.5)])
+    assert found.converged
+    arms = nearest_vectors(found.system.positions, system.cell, system.bonds)
+    assert np.linalg.norm(arms, axis=1).max() < 1.5
+
+
+def without_wall(r2):
+    """FENE as many write it: beyond R = 1.5 the energy is no number, but the force is one, and pushes."""
+    return -0.5 * 30.0 * 2.25 * np.log(1.0 - r2 / 2.25), -30.0 / (1.0 - r2 / 2.25)
+
+
+def test_a_step_to_where_only_the_energy_has_no_number_is_taken_back():
+    system = md.System([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]], bonds=[[0, 1]])
+    found = md.minimize(system, [md.LennardJones(1.0, 1.0), md.BondPotential(without_wall)], max_step_length=5.0)
+    assert found.converged
+    assert 0.9 < np.linalg.norm(np.diff(found.system.positions, axis=0)) < 1.0
+
+
+@pytest.mark.parametrize("call", [md.evaluate, md.minimize, md.advise_timestep, ran])
+def test_what_has_no_number_is_named_not_the_closest_pair(call):
+    system = md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [5.0, 0.0, 0.0], [5.0, 1.6, 0.0]], bonds=[[0, 1], [2, 3]])
+    with pytest.raises(md.NonFiniteError, match=r"FENEBond.* atoms 2 and 3, 1\.6 .*R = 1\.5"):
+        call(system, [md.LennardJones(1.0, 1.0), md.FENEBond(30.0, 1.5)])
 
 
 def test_fixed_atoms_too_close_are_refused():
     system = md.System([[0.0, 0.0, 0.0], [1e-100, 0.0, 0.0]])
-    with pytest.raises(md.NonFiniteError, match=r"closest pair is atoms 0 and 1, .* constraints hold it there"):
+    with pytest.raises(md.NonFiniteError, match=r"atoms 0 and 1, .* constraints hold"):
         md.minimize(system, LJ, md.FixedAtoms([0, 1]))
 
 

@@ -11,10 +11,10 @@ from scene_texts import SMOOTH
 
 import minimd as md
 from minimd.commands import main as cli
-from minimd.diagnosis.contacts import contacts
 from minimd.diagnosis.report import conservation_report
 from minimd.diagnosis.static_checks import cutoff_lines
 from minimd.engine.record import Record
+from minimd.forces.contacts import contacts
 
 TWO = [[0.0, 0.0, 0.0], [0.36, 0.0, 0.0]]
 

@@ -51,6 +51,64 @@ def test_what_is_no_potential_or_binds_to_no_term_is_refused():
         md.Forces(liquid(2), Empty())
 
 
+class Tether:
+    """U = ½ k |r − r₀|² of each atom, which begins at r₀.  spoil : changes the force, (N, 3).  kind : of the numbers."""
+
+    acts_from_outside = True
+
+    def __init__(self, spoil=None, kind=np.float64, u=1.0, **declared):
+        self.spoil, self.kind, self.u = spoil, kind, u
+        self.__dict__.update(declared)
+
+    def bind(self, system):
+        self.anchors = system.positions.copy()
+        return self
+
+    def add(self, system, detail, forces, energies, virials):
+        away = self.kind(system.positions - self.anchors)
+        force = -20.0 * away
+        if self.spoil is not None:
+            self.spoil(force)
+        forces += force
+        if detail:
+            energies += self.u * (self.kind(10.0) * (away * away).sum(axis=1) - self.kind(100.0))
+
+
+def ran(term, n_steps=2):
+    system = liquid(3)
+    start = system.positions.copy()
+    simulation = md.Simulation(system, [LJ, term], md.VelocityVerlet(0.001))
+    record = simulation.run(n_steps, every=1, progress=False)
+    assert np.abs(system.positions - start).max() < 0.1
+    return record
+
+
+WRONG = {
+    "twice": lambda force: force.__imul__(2.0),
+    "the sign": lambda force: force.__imul__(-1.0),
+    "one atom left out": lambda force: force[17].fill(0.0),
+    "one component in a hundred off": lambda force: force[:, 1].__imul__(1.01),
+    "forgotten": lambda force: force.fill(0.0),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
+def test_a_force_that_is_not_minus_the_gradient_of_its_energy_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"Tether.* gradient .*F·w = .*-dU/dw = "):
+        ran(Tether(wrong))
+
+
+@pytest.mark.parametrize("term", [Tether(), Tether(kind=np.float32), Tether(WRONG["twice"], is_checked=False), Tether(WRONG["twice"], u=0.0)])
+def test_right_forces_rough_energies_and_forces_that_declare_none_run(term):
+    """In float32, with 100 ε for each atom, differences are rounding; a force without energy, or said to be no gradient, is the user's."""
+    ran(term)
+
+
+def test_the_check_leaves_no_trace_in_the_run():
+    one, other = (ran(Tether(is_checked=is_checked), 20).potential_energy for is_checked in (True, False))
+    assert np.array_equal(one, other)
+
+
 def test_a_law_of_the_user_is_tried_once(monkeypatch):
     """Not for every pair of species, not at every plan, not in another cell."""
     from minimd.potentials import pair

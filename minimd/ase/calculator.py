@@ -12,9 +12,9 @@ from ase.calculators.calculator import all_changes
 from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import ArrayLike
 
+from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options, Precision
-from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM, TOTALS
 from minimd.structure.ase_atoms import cell_of, same_labels, same_scene, system_arguments, volume_of
 from minimd.structure.errors import NonFiniteError
@@ -37,7 +37,7 @@ class Calculator(ASECalculator):
     Raises
     ------
     TypeError, ValueError : in the first calculation, as System and Forces.
-    NonFiniteError : if a force or an energy is not finite, as for two atoms at the same place; it names the closest pair.
+    NonFiniteError : if a force or an energy is not finite, as for two atoms at the same place; it names them and the law.
     """
 
     implemented_properties = ["energy", "free_energy", "energies", "forces", "stress", "stresses"]  # noqa: RUF012 - ASE's form
@@ -83,7 +83,7 @@ class Calculator(ASECalculator):
         forces = self._forces_at(self.atoms)
         forces.compute(PER_ATOM if per_atom else TOTALS)
         if not (np.isfinite(forces.potential_energy) and np.isfinite(forces.forces).all()):
-            raise NonFiniteError(f"forces or energies are not finite; the closest pair is {closest_pair(forces.system)}: move them apart")
+            raise NonFiniteError(f"forces or energies are not finite: {why_not_finite(forces.system, forces.potentials)}")
         self.results, volume = _results(self.atoms, forces), volume_of(self.atoms)
         if per_atom:
             self.results["energies"] = forces.energies

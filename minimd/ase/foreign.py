@@ -67,7 +67,9 @@ class ForcesOnAtoms:
 
 
 class CalculatorTerm:
-    """Forces on one system from the calculator of its atoms; see minimd.terms.Term."""
+    """Forces on one system from the calculator of its atoms; see minimd.potentials.Term."""
+
+    is_checked = False  # an evaluation may be dear, and float32 too rough for differences
 
     def __init__(self, atoms: Atoms) -> None:
         self._atoms = atoms

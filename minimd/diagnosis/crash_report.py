@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from minimd.diagnosis.collisions import strange_depth
-from minimd.diagnosis.contacts import Contact, contacts
 from minimd.diagnosis.timestep import StepAdvice, advice_at
 from minimd.engine.cell_rescaling import EVAPORATED
 from minimd.engine.engine import Engine
 from minimd.engine.snapshots import Snapshot
+from minimd.forces.contacts import Contact, contacts
 from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair
 from minimd.structure.bond_graph import among
@@ -165,7 +165,7 @@ def law_without_number(evidence: Evidence) -> Verdict | None:
     """A law of the user's, or a table, that is not finite at some distance."""
     for one in evidence.found:
         if not one.is_finite and not _is_overlap(one) and (one.is_users or one.is_bond):
-            cause = f"the law of {one.law} gives no finite number for {one.atoms}, {one.apart(evidence.system.units.length)}"
+            cause = one.without_number(evidence.system.units.length)
             return Verdict("law", one, cause, "correct the law at that distance, or keep atoms away from it")
     return None
 
@@ -192,7 +192,7 @@ def one_place(evidence: Evidence) -> Verdict | None:
     if closest is None or closest.distance > 0.0 or np.isfinite(evidence.engine.forces[list(closest[:2])]).all():
         return None
     cause = f"atoms {closest.first} and {closest.second} are at the same place, where the force between them is not defined"
-    return Verdict("overlap", None, cause, "move or remove one")
+    return Verdict("overlap", None, cause, "minimize moves them apart; or remove one")
 
 
 def barostat(evidence: Evidence) -> Verdict | None:

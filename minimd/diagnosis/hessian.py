@@ -13,7 +13,7 @@ from minimd.engine.engine import Engine
 from minimd.forces.forces import Forces
 from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import closest_pair
-from minimd.potentials.bonded import BondPotential, HarmonicBond
+from minimd.potentials.bonded import HarmonicBond
 from minimd.structure.bond_graph import among
 from minimd.structure.images import nearest_vectors
 from minimd.structure.system import System
@@ -46,7 +46,7 @@ def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: Con
     found: list[StiffBond] = []
     for potential in potentials:
         if isinstance(potential, HarmonicBond):
-            pairs = bonded_pairs(system, potential)
+            pairs = potential.pairs_in(system)
             squares = potential.parameters[0] * constraint_set.inverse_masses[pairs].sum(axis=1)
             squares[among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
             found += [StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
@@ -84,11 +84,6 @@ def unstable_bond(engine: Engine) -> str | None:
         f"timestep {shown(abs(method.timestep))} is longer than the bond of atoms {bond.i} and {bond.j} allows: "
         f"{method.name} is stable up to {shown(limit)} for it"
     )
-
-
-def bonded_pairs(system: System, potential: BondPotential) -> NDArray[np.int64]:
-    """(B, 2), the pairs on which a bond potential acts."""
-    return system.bonds if potential.pairs is None else np.asarray(potential.pairs, dtype=np.int64).reshape(-1, 2)
 
 
 class Curvature:

@@ -14,7 +14,7 @@ from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.structure.statistics import mean_and_error, with_error
 
 ENOUGH = 20  # frames, for a mean that is judged
-FAR = 4.0  # standard errors, themselves estimated from few means, within which a mean counts as that of the barostat
+FAR = 3.0  # standard errors within which a mean counts as that of the barostat
 
 
 def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, conserves_momentum: bool) -> Iterator[Line]:

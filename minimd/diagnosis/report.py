@@ -25,6 +25,7 @@ QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may va
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
 SETTLING = 0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
+SWELLING = 0.05  # of the volume, likewise; of 100 atoms of a liquid it fluctuates by 0.03
 LENGTHS_KEPT = 1e-8  # of |r² − d²|/d²: a rigid length is then off by 5e-9 of itself, far below the thermal motion of any bond
 
 KEPT = {True: "conserved", False: "NOT CONSERVED"}
@@ -170,7 +171,7 @@ class Report(Displayed):
     duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run, if known.
     kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
-    temperatures : means of the first and of the last fifth of the run.
+    temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
     lines : results that need no run: see diagnosis.static_checks.
     too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown, as for a file.
@@ -197,6 +198,7 @@ class Report(Displayed):
     lines: tuple[Line, ...] = ()
     energy_range: float = 0.0
     temperatures: tuple[float, float] = (0.0, 0.0)
+    volumes: tuple[float, float] = (0.0, 0.0)
     not_finite: str = ""
     temperature_error: float = np.nan
     is_at_rest: bool = False
@@ -248,6 +250,13 @@ class Report(Displayed):
         first, last = self.temperatures
         return abs(last - first) > SETTLING * max(first, last)
 
+    @property
+    def is_far_from_pressure(self) -> bool:
+        """Whether a barostat still changes the volume much, likewise, or the mean pressure is not the one wanted."""
+        first, last = self.volumes
+        missed = any(line.name == "pressure" and not line.is_good for line in self.lines)
+        return missed or abs(last - first) > SWELLING * max(first, last)
+
     def __str__(self) -> str:
         energy, time, temperature = self.units
         slope, shadow, per, lines = self.energy_drift, self.shadow_drift, f"{energy} per atom", []
@@ -294,7 +303,9 @@ class Report(Displayed):
         if self.energy_is_conserved:
             return f"the {name} does not drift, BUT {self.too_long_a_step}" if self.too_long_a_step else f"the {name} is conserved"
         settling = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
-        causes = [self.too_long_a_step] * bool(self.too_long_a_step) + [settling] * self.is_settling
+        swollen = 100.0 * (self.volumes[1] / self.volumes[0] - 1.0) if self.volumes[0] else 0.0
+        far = f"the barostat is far from its pressure (the volume changed by {swollen:+.2g} %); equilibrate first"
+        causes = [self.too_long_a_step] * bool(self.too_long_a_step) + [settling] * self.is_settling + [far] * self.is_far_from_pressure
         why = "; ".join(causes) or "reduce the time step or smooth the cutoff"
         return f"THE {name.upper()} DRIFTS: {why}"
 
@@ -329,6 +340,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
     shadow = record.shadow_energy / record.n_atoms if "shadow_energy" in record else None
     shadow_slope = None if shadow is None else drift(time, shadow, beside=record.kinetic_energy)
     fifth = max(1, len(time) // 5)
+    volume = record.volume if "volume" in record else np.zeros(1)
     return Report(
         energy_drift=slope,
         energy_oscillation=_oscillation(time, energy, slope),
@@ -349,6 +361,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         lines=tuple(lines),
         units=(units.energy, units.shown_time, units.temperature),
         temperatures=(float(record.temperature[:fifth].mean()), float(record.temperature[-fifth:].mean())),
+        volumes=(float(volume[:fifth].mean()), float(volume[-fifth:].mean())),
         not_finite=_not_finite(record),
         temperature_error=mean_and_error(record.temperature)[1],
         is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * np.abs(record.potential_energy).max()),

@@ -94,6 +94,8 @@ class RunGuard:
         if not is_same_run:
             self.forget()
         engine.interactions.check_resolution()
+        if not self._checked_timestep:
+            engine.interactions.check_forces()
         goes_on = engine.is_as_left
         if not goes_on:
             engine.begin()

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.diagnosis.collisions import COLDEST, collision_frequency, velocity_temperature
-from minimd.diagnosis.hessian import Curvature, bonded_pairs, stiffest_bond
+from minimd.diagnosis.hessian import Curvature, stiffest_bond
 from minimd.engine.engine import Engine
+from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces, Potential
 from minimd.integrators.splitting.linear_stability import accurate_step, stability_limit
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.verlet import VelocityVerlet
-from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import BondPotential
 from minimd.structure.checks import shown
 from minimd.structure.constraints import Constraint
@@ -198,12 +198,12 @@ def _stiffest_mode(curvature: Curvature, system: System, potentials: Sequence[Po
         square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, held)))
         if np.isfinite(square):
             return (square, mode) if square > curvature.rounding else (0.0, np.zeros_like(mode))
-    raise NonFiniteError(f"the forces around this state are not finite; the closest pair is {closest_pair(system)}: md.minimize moves atoms apart")
+    raise NonFiniteError(f"the forces around this state are not finite: {why_not_finite(system, potentials)}")
 
 
 def _stretched(curvature: Curvature, system: System, potentials: Sequence[Potential], mode: NDArray[np.float64]) -> tuple[int, int] | None:
     """The bond whose stretching by itself makes up more than half of the mode, if there is one."""
-    pairs = np.concatenate([system.bonds, *(bonded_pairs(system, one) for one in potentials if isinstance(one, BondPotential))])
+    pairs = np.concatenate([system.bonds, *(one.pairs_in(system) for one in potentials if isinstance(one, BondPotential))])
     at_most = np.argsort(-np.einsum("ij,ij->i", mode, mode))[:SHOWN_ATOMS]
     near = pairs[np.isin(pairs, at_most).all(axis=1)]
     parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2

@@ -14,13 +14,13 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from minimd.diagnosis.contacts import Contact
 from minimd.diagnosis.crash_report import CrashReport
 from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.observation import observe
 from minimd.engine.snapshots import Snapshot
 from minimd.files.trajectory import named_files
+from minimd.forces.contacts import Contact
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.neighbors.queries import ClosestPair

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options
-from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import NonFiniteError
@@ -53,7 +53,7 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
 
     Raises
     ------
-    NonFiniteError : if a force or an energy is not finite, as for two atoms at the same place; it names the closest pair.
+    NonFiniteError : if a force or an energy is not finite, as for two atoms at the same place; it names them and the law.
     ValueError, TypeError : as Forces.
     """
     system = system if isinstance(system, System) else System.from_ase(system)
@@ -61,5 +61,5 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
     forces.compute(PER_ATOM)
     result = Evaluation(forces.potential_energy, forces.forces, forces.virial, forces.energies)
     if not (np.isfinite(result.forces).all() and np.isfinite(result.energies).all()):
-        raise NonFiniteError(f"forces or energies are not finite; the closest pair is {closest_pair(system)}: move them apart")
+        raise NonFiniteError(f"forces or energies are not finite: {why_not_finite(system, forces.potentials)}")
     return result

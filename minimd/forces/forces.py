@@ -19,7 +19,7 @@ from minimd.forces.pair_laws import deepest
 from minimd.forces.planning import plan
 from minimd.integrators.splitting.state import Cycle, State, steps_of
 from minimd.neighbors.verlet_list import Built, VerletList
-from minimd.potentials.term import BOND_LOOP, FORCES, TOTALS, Potential, Term, as_potentials, bound
+from minimd.potentials.term import BOND_LOOP, FORCES, TOTALS, Potential, Term, as_potentials, bound, check_force
 from minimd.structure.console import outside_minimd
 from minimd.structure.errors import RangeError, why_not_compiled
 from minimd.structure.grid import TOO_LARGE, Grid
@@ -108,6 +108,12 @@ class Forces:
         check_resolution(self.system, float(cell.heights[cell.pbc].min(initial=np.inf)), "the height of the cell")
         for term in self._bound:
             check_resolution(self.system, term.shortest_length, "the shortest length of a potential")
+
+    def check_forces(self) -> None:
+        """Raise ValueError if the force of a user's term is not minus the gradient of its energy."""
+        for potential, term in zip(self.potentials, self._bound, strict=True):
+            if term.is_checked:
+                check_force(potential, term, self.system)
 
     def fit_skin(self, displacement: float) -> None:
         """Choose the skin anew if the displacement of the fastest atom in a step [length] has changed much, unless the user gave a skin."""

@@ -175,7 +175,7 @@ def _jumps(found: Expansion) -> list[str]:
         )
     elif "v" in v:
         faults.append(
-            f"velocities are multiplied by {1.0 + v['v']:.4g} in each step, even in the shortest one: the step contains a thermostat or a rescaling"
+            f"velocities are multiplied by {1.0 + v['v']:.8g} in each step, even in the shortest one: the step contains a thermostat or a rescaling"
         )
     return faults
 

@@ -59,7 +59,9 @@ class StudentForce:
         if needed[0] == "self":
             raise TypeError(f"{self.name} is a method without its object: pass the method of an object, as in md.grade(Model().{self.name})")
         self.names, self.defaults = needed, {one.name: one.default for one in parameters if one.default is not one.empty}
-        self.is_of_two = len(needed) > 1 and all(re.search(ONE_OF_TWO, name.lower()) for name in needed[:2])
+        self.is_squared = bool(re.search(SQUARED, needed[0].lower()))
+        may_be_pair = len(needed) > 1 and not self.is_squared and kind != "law"
+        self.is_of_two = may_be_pair and all(re.search(ONE_OF_TWO, name.lower()) for name in needed[:2])
         self.extra = [option_of(name) for name in needed[1 + self.is_of_two :]]
         if unknown := [name for name, option in zip(needed[1 + self.is_of_two :], self.extra, strict=True) if option not in options]:
             raise TypeError(f"{self.name} takes ({', '.join(needed)}), and the meaning of {unknown[0]} is not known; pass a function of "
@@ -69,7 +71,6 @@ class StudentForce:
         self.options, self.named = options, {name: options[option] for name, option in named.items() if options[f"{option} given"]}
         self.takes_box = "box" in self.extra or "box" in [option_of(name) for name in self.named]
         self.takes_cutoff = "cutoff" in self.extra or "cutoff" in [option_of(name) for name in self.named]
-        self.is_squared = bool(re.search(SQUARED, needed[0].lower()))
         self.energy_first: bool | None = None
         self.has_energy = self.changes_input = False
         self.dimensions = 3

@@ -121,9 +121,9 @@ def energy(step: StudentStep, where: Problem) -> Finding:
     slope, rest = np.polyfit(np.arange(BLOCKS), means, 1)[0] * BLOCKS / LONG, 0.0
     line = np.polyval(np.polyfit(np.arange(BLOCKS), means, 1), np.arange(BLOCKS))
     rest = float(np.sqrt(np.sum((means - line) ** 2) / (BLOCKS - 2) / (BLOCKS * (BLOCKS**2 - 1) / 12.0))) * BLOCKS / LONG
-    drifts = abs(slope) > SIGNIFICANT * rest and abs(slope) * LONG > 1e-9 * k
-    verb = ("grows" if slope > 0 else "falls") + f" by {abs(slope) / k:.1e} of the kinetic energy per step" if drifts else "does not drift"
     oscillation = float(np.std(series - np.polyval(np.polyfit(np.arange(LONG), series, 1), np.arange(LONG)))) / k
+    drifts = abs(slope) > SIGNIFICANT * rest and abs(slope) * LONG > max(1e-9, oscillation) * k  # slow oscillations look like less
+    verb = ("grows" if slope > 0 else "falls") + f" by {abs(slope) / k:.1e} of the kinetic energy per step" if drifts else "does not drift"
     if oscillation < EXACTLY:
         return Finding(
             "energy", False, f"constant to rounding, {oscillation:.1e} of the kinetic energy: no explicit step has this property by itself", 0.0

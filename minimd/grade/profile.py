@@ -17,7 +17,7 @@ from minimd.grade.force_calling import Array
 POWERS = range(1, 21)
 FITTED = 1e-7  # largest relative rest of a fit of powers that is exact
 SAME = 1e-5  # largest relative difference of equal forces; slopes of the energy come from finite differences
-NEAREST, FARTHEST = 0.85, 6.0  # σ
+NEAREST, FARTHEST = 0.72, 6.0  # σ; a force capped at 1000 ε/σ is capped below 0.79 σ
 GRID = 500
 DELTA = 2e-4
 JUMP = 1e-6  # of the largest |f| or |u| beyond r = 1

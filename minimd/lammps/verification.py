@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
+from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces
 from minimd.forces.options import Options
-from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM, bound
 from minimd.structure.cell import Cell
 from minimd.structure.errors import HandOverError, NonFiniteError
@@ -68,7 +68,7 @@ def compare(engine: Engine, energies: Array, forces: Array, virials: Array) -> V
     ours.energies[:] -= tails[0]
     ours.virials[:] -= np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * tails[1] / 3.0
     if not (np.isfinite(ours.energies).all() and np.isfinite(ours.forces).all()):
-        raise NonFiniteError(f"forces or energies are not finite; the closest pair is {closest_pair(engine.system)}: move them apart")
+        raise NonFiniteError(f"forces or energies are not finite: {why_not_finite(engine.system, engine.interactions.potentials)}")
     theirs = Evaluated(energies, forces, virials, ours.length)
     found = _compared(theirs, ours, (0.0, 0.0, 0.0))
     if found.worst <= ROUNDING:

@@ -3,9 +3,9 @@
 The rules are written beside their lines in FIRE._descend. All masses are 1. E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006), in the
 form of J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020): half a step back after each stop, and steps of symplectic Euler.
 
-Two things are added. The unit of time is not known here; therefore Δt is limited by the largest curvature κ = |ΔF|/|Δr|, which is estimated
-regularly by a few power iterations. And no atom moves farther than a given length in a step, so that overlaps are resolved however large the
-forces are.
+Three things are added. The unit of time is not known here; therefore Δt is limited by the largest curvature κ = |ΔF|/|Δr|, which is estimated
+regularly by a few power iterations. No atom moves farther than a given length in a step, so that overlaps are resolved however large the
+forces are. A step that leaves the domain of the energy, as one that overstretches a FENE bond, is taken back and shortened.
 """
 
 from collections.abc import Callable
@@ -15,9 +15,11 @@ import numpy as np
 
 from minimd.compiled.kernels import kernel
 from minimd.constraints.constraint_set import ConstraintSet
+from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces
 from minimd.neighbors.queries import closest_pair
-from minimd.structure.errors import ConstraintError, NonFiniteError
+from minimd.potentials.term import TOTALS
+from minimd.structure.errors import ConstraintError, NonFiniteError, RangeError
 from minimd.structure.images import nearest_vectors
 from minimd.structure.observables import Array, longest
 
@@ -30,7 +32,7 @@ SEED = 1  # of the first displacement
 FALLING = 0.9  # the largest force must fall by this factor in a step of steepest descent
 LARGEST = 1e100  # of a force: if one is larger, all are scaled down by the same factor, so that their squares are finite
 PUSHES = 100  # largest number of pushes that separate pairs with infinite forces
-REFUSALS = 50  # largest number of successive steps refused by constraints, each shorter than the one before
+REFUSALS = 50  # largest number of successive steps taken back, each shorter than the one before
 
 
 @kernel
@@ -93,13 +95,17 @@ class FIRE:
     def begin(self) -> float:
         """Correct the constrained lengths and evaluate the forces; return the largest, infinite if atoms had to be pushed apart first.
 
-        Raises NonFiniteError for two atoms at the same place, and if forces are not finite for another reason.  ConstraintError if the lengths
-        cannot be corrected.
+        Raises NonFiniteError if energy or forces are not finite for another reason than overlaps.  ConstraintError if the lengths cannot be
+        corrected.
         """
         bonds = self._constraint_set.bonds
         if bonds is not None and bonds.violation(self._positions).max() > bonds.tolerance:
             bonds.project_positions(self._positions)
-        return np.inf if self._evaluate() else self.largest_force
+        n_pushes = 0
+        while not self._evaluate():
+            n_pushes += 1
+            self._push_apart(n_pushes)
+        return np.inf if n_pushes else self.largest_force
 
     def run(self, tolerance: float, max_steps: int, tell: Callable[[int], Any]) -> None:
         """Descend until no force exceeds the tolerance, or for max_steps steps.  tell : called with the number of steps made.
@@ -117,21 +123,22 @@ class FIRE:
         """Steepest descent, as long as the largest force decreases; the atom with the largest force moves by the longest step."""
         while self._goes_on():
             before, forces, largest = self._positions.copy(), self._forces.copy(), self.largest_force
-            if self._moved(self._forces * (self._longest / largest), 1.0):
-                self._evaluate_step()
+            if self._moved(self._forces * (self._longest / largest), 1.0) and self._evaluate():
+                self._count()
                 if self.largest_force < FALLING * largest:
                     continue
             self._positions[:], self._forces[:], self.largest_force = before, forces, largest
             return
 
     def _descend(self) -> None:
-        """FIRE, with the rules beside their lines; after a step that constraints refuse, Δt is halved and v set to zero."""
+        """FIRE, with the rules beside their lines; a step that constraints refuse, or that leaves the domain of the energy, is taken back."""
         if not self._goes_on():
             return
         for _ in range(FIRST_SERIES):
             self._try_curvature()
         timestep, mixing, downhill, refused = FIRST / np.sqrt(self._curvature), MIXING, 0, 0
         while self._goes_on():
+            before = self._positions.copy()
             if overlap(self._forces, self._velocities) > 0.0:  # P = F·v > 0
                 downhill += 1
                 if downhill > DELAY:
@@ -142,18 +149,19 @@ class FIRE:
                 self._velocities[:] = 0.0  # v ← 0
             timestep = min(timestep, LONGEST / np.sqrt(self._curvature))
             steer(self._velocities, self._forces, timestep, mixing, self._longest)  # v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|
-            if self._moved(self._velocities, timestep):  # r ← r + Δt v
-                self._evaluate_step()
+            has_moved = self._moved(self._velocities, timestep)  # r ← r + Δt v
+            if has_moved and self._evaluate():
+                self._count()
                 if self.n_steps % PROBE_EVERY == 0:
                     self._try_curvature()
                 refused = 0
-            else:
-                timestep, refused = timestep * SLOWER, refused + 1
-                self._velocities[:] = 0.0
-                if refused > REFUSALS:
-                    raise ConstraintError(
-                        f"the minimization found no step that keeps the constraints; the closest pair is {closest_pair(self._system)}"
-                    )
+                continue
+            timestep, mixing, downhill, refused = timestep * SLOWER, MIXING, 0, refused + 1
+            self._positions[:], self._velocities[:] = before, 0.0
+            if refused > REFUSALS:
+                kind, wanted = (NonFiniteError, "has a finite energy") if has_moved else (ConstraintError, "keeps the constraints")
+                length = f"{timestep**2 * self.largest_force:.2g} {self._system.units.length}"
+                raise kind(f"the minimization found no step that {wanted}, down to one of {length}")
 
     def _try_curvature(self) -> None:
         """Estimate κ by power iterations, which continue the last series; a lower bound keeps the first step within the longest."""
@@ -165,14 +173,15 @@ class FIRE:
                 break
             steps = self._probe * (PROBE * self._longest / longest(self._probe)[1])
             self._positions[:] = before + steps
-            self._evaluate()
+            if not self._evaluate():
+                shown = self._curvature
+                break
             self._probe = forces - self._forces
             shown = np.sqrt(overlap(self._probe, self._probe) / overlap(steps, steps))
         self._positions[:], self._forces[:], self.largest_force = before, forces, largest
         self._curvature = max(shown, largest / self._longest)
 
-    def _evaluate_step(self) -> None:
-        self._evaluate()
+    def _count(self) -> None:
         self.n_steps += 1
         self._tell(self.n_steps)
 
@@ -191,29 +200,38 @@ class FIRE:
             self._positions[:] = before
             return False
 
-    def _evaluate(self) -> int:
-        """Compute the forces, projected onto constraints and scaled to finite squares, and the largest; returns the number of pairs pushed apart."""
-        n_pushes = 0
-        while not np.isfinite(largest := largest_component(self._engine.compute())):
-            n_pushes += 1
-            self._push_apart(n_pushes)
+    def _evaluate(self) -> bool:
+        """Compute the forces, projected onto constraints and scaled to finite squares, and the largest.
+
+        False, with the forces of before, if energy or forces are not finite.
+        """
+        try:
+            largest = largest_component(self._engine.compute(TOTALS))
+        except RangeError:
+            return False
+        if not np.isfinite([largest, self._engine.potential_energy]).all():
+            return False
         self._forces[:] = self._engine.forces * min(1.0, LARGEST / max(largest, 1.0))
         self._constraint_set.project(self._forces, self._positions)
         self.largest_force = longest(self._forces)[1]
-        return n_pushes
+        return True
 
     def _push_apart(self, n_pushes: int) -> None:
-        """Move the two atoms of the closest pair, whose forces are infinite, apart along their connection, each by half the longest step."""
+        """Move the two atoms of the closest pair, whose forces are infinite, apart along their connection, each by half the longest step.
+
+        Atoms at the same place take directions of their own, which are always the same.
+        """
         pair = closest_pair(self._system)
         if pair is None or pair.distance > self._longest or n_pushes > PUSHES or not np.isfinite(self._positions).all():
-            raise NonFiniteError(f"forces are not finite; the closest pair is {pair}")
-        if pair.distance == 0.0:
-            raise NonFiniteError(
-                f"atoms {pair.first} and {pair.second} are at the same place: the direction of their force is undefined; move or remove one"
-            )
+            raise NonFiniteError(f"energy or forces are not finite: {why_not_finite(self._system, self._engine.potentials)}")
         arm = nearest_vectors(self._positions, self._system.cell, np.array([pair[:2]]))[0]
-        velocities = np.zeros_like(self._positions)
-        velocities[pair.first], velocities[pair.second] = -arm / pair.distance, arm / pair.distance
+        both, velocities = [pair.first, pair.second], np.zeros_like(self._positions)
+        if arm.any():
+            velocities[both] = np.outer((-1.0, 1.0), arm / np.abs(arm).max())  # squares of tiny numbers may be zero
+        else:
+            velocities[both] = self._probe[both]
+        velocities /= longest(velocities)[1]
         self._constraint_set.project(velocities, self._positions)
         if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):
-            raise NonFiniteError(f"forces are not finite; the closest pair is {pair}, and constraints hold it there")
+            why = why_not_finite(self._system, self._engine.potentials)
+            raise NonFiniteError(f"energy or forces are not finite: {why}, and constraints hold them there")

@@ -1,4 +1,4 @@
-"""Minimization of the potential energy to a nearby minimum, from any start in which no two atoms are at the same place."""
+"""Minimization of the potential energy to a nearby minimum."""
 
 from __future__ import annotations
 
@@ -71,11 +71,13 @@ def minimize(
 ) -> Minimization:
     """Find a minimum of the potential energy near the given state, by FIRE; the given system is not changed.
 
-    No step moves an atom farther than max_step_length, so that atoms that are far too close to each other separate, however large their
-    forces are. Two atoms at exactly the same place are refused: the direction of their force is undefined, and usually one atom was entered
-    twice. A start where all forces are zero is not changed, even if it is not a minimum: displace the atoms of a crystal a little if its
-    symmetry should break. Constraints are kept, and fixed atoms do not move. Velocities are kept, but projected onto the constraints at the
-    end.
+    No step moves an atom farther than max_step_length, so that atoms that are far too close to each other separate, however
+    large their forces are. Atoms at exactly the same place, where the direction of their force is undefined, are moved apart,
+    each in a direction of its own that is always the same. A step that leaves the domain of the energy, as one that stretches
+    a FENE bond beyond its longest length, is taken back and shortened; a start outside it is refused. A start where all
+    forces are zero is not changed, even if it is not a minimum: displace the atoms of a crystal a little if its symmetry
+    should break. Constraints are kept, and fixed atoms do not move. Velocities are kept, but projected onto the constraints
+    at the end.
 
     Parameters
     ----------
@@ -88,7 +90,7 @@ def minimize(
 
     Raises
     ------
-    NonFiniteError : for two atoms at the same place, or forces that are not finite although no atoms are close.
+    NonFiniteError : for an energy or forces that are not finite although no atoms are close; it names the law and its atoms.
     ConstraintError : if constraints cannot be kept.  TypeError, ValueError : as Simulation.
     KeyboardInterrupt : after Ctrl-C; its attribute result is the Minimization so far.
 

@@ -53,13 +53,17 @@ class BondPotential(OwnPotential):
 
         Raises
         ------
-        ValueError : as table, or if pairs name atoms that do not exist.
+        ValueError : as table and pairs_in.
         """
-        pairs = system.bonds if self.pairs is None else checked_pairs("pairs", self.pairs, len(system))
+        pairs = self.pairs_in(system)
         table = self.table(len(pairs))
         if len(pairs):
             return FixedPairs(system, pairs, self.law, table)
         return NoTerm(no_bonds(repr(self)) if self.pairs is None else "")
+
+    def pairs_in(self, system: System) -> NDArray[np.int64]:
+        """(B, 2), the pairs on which it acts.  Raises ValueError for atoms that do not exist."""
+        return system.bonds if self.pairs is None else checked_pairs("pairs", self.pairs, len(system))
 
     def table(self, n_bonds: int) -> NDArray[np.float64]:
         """Numbers of each bond: (B, 1 + P), the squared cutoff (infinite) first.

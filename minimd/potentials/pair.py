@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.potentials.law import check_user_law, checked_law, evaluate_law, law_at
-from minimd.potentials.term import OwnPotential, PairLaw, Term, no_bonds
+from minimd.potentials.term import OwnPotential, OwnTerm, PairLaw, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
 from minimd.potentials.user_laws import UserLaw
 from minimd.structure.checks import checked_choice, checked_flag, checked_number, checked_numbers, listed, near, shown
@@ -260,7 +260,7 @@ class PairPotential(OwnPotential):
         return float(start)
 
 
-class PairTerm(Term):
+class PairTerm(OwnTerm):
     """A pair potential in a system: a law for the planner to run on a list of neighbors, and its tail."""
 
     def __init__(self, potential: PairPotential, system: System) -> None:

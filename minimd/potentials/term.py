@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from math import inf
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
 from minimd.neighbors.verlet_list import VerletList
@@ -13,6 +14,8 @@ from minimd.structure.system import System
 
 FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes the ones before
 BOND_LOOP = "bond loop"
+TRIES, SHAKEN, STEP = 3, 1e-2, 1e-4  # comparisons of force and energy; from where, and how far atoms move [unit of length]
+ACCURACY, BESIDE_U, ROUGH = 1e-4, 1e-9, 10.0  # of a difference: relative to itself, to the energies, and to the difference of two of them
 INTERPRETERS: list[Callable[[Any], Sequence[Any] | None]] = []  # for objects that are no potentials; minimd/__init__ adds those of the bridges
 
 
@@ -65,6 +68,8 @@ class Term:
     depends_on_time : whether its forces depend on time. Its attribute time [time] is then set before each evaluation, and it must set power
         to ∂U/∂t of its energy [energy/time], from which the work that is done from outside is counted.
     marches : whether march does anything.
+    is_checked : whether the first run compares its force with its energy, see check_force. False for a force that is no gradient, such as
+        friction beside an energy. A term without any energy is not checked.
     fits_grid : whether its add_to takes GridSums, for precision="fixed-point".
     """
 
@@ -82,6 +87,7 @@ class Term:
     time: float = 0.0
     power: float = 0.0
     marches: bool = False
+    is_checked: bool = True
     fits_grid: bool = False
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
@@ -121,7 +127,7 @@ class Term:
 class OwnTerm(Term):
     """Base class of minimd's own terms, which define add_to."""
 
-    fits_grid = True
+    fits_grid, is_checked = True, False
 
     def add_to(self, system: System, detail: int, sums: Any) -> None:
         """Add to sums: forces, energies, virials, see Term.add; or GridSums."""
@@ -150,7 +156,7 @@ class Potential(Protocol):
     """What a Simulation takes: minimd's potentials, and any object with bind."""
 
     def bind(self, system: System) -> Any:
-        """The Term for this system, or another object with add and perhaps skipped and acts_from_outside."""
+        """The Term for this system, or another object with add, and perhaps skipped, acts_from_outside and is_checked."""
 
 
 class OwnPotential(Displayed):
@@ -195,8 +201,38 @@ def bound(potential: Any, system: System) -> Term:
         wanted = "an object with add(system, detail, forces, energies, virials)"
         raise TypeError(f"bind must return a term, {wanted}; that of {shown(potential)} is {shown(term)}")
     completed = Term()  # what the object has, and the defaults of a Term
-    completed.__dict__.update({name: getattr(term, name) for name in ("add", "skipped", "acts_from_outside") if hasattr(term, name)})
+    completed.__dict__.update({name: getattr(term, name) for name in ("add", "skipped", "acts_from_outside", "is_checked") if hasattr(term, name)})
     return completed
+
+
+def check_force(potential: Any, term: Term, system: System) -> None:
+    """Compare the force of a term with its energy: F·w = −dU/dw, along random displacements w of all atoms.
+
+    The slope is a central difference. The larger the disagreement with that of twice the step, as at a jump of the energy or in
+    float32, the more may the force differ. Positions are put back.  Raises ValueError if most of the forces are wrong.
+    """
+    rng, start, wrong = np.random.default_rng(1), system.positions.copy(), []
+    here = start + SHAKEN * rng.standard_normal(start.shape)  # where no force is zero by symmetry
+
+    def at(displacement: NDArray | float) -> tuple[NDArray, NDArray]:
+        forces, energies, virials = np.zeros_like(start), np.zeros(len(start)), np.zeros((len(start), 6))
+        system.positions[:] = here + displacement
+        term.add(system, TOTALS, forces, energies, virials)
+        return forces, energies
+
+    try:
+        forces, energies = at(0.0)
+        for way in rng.standard_normal((TRIES, *start.shape)) if energies.any() else ():
+            force = float((forces * way).sum())
+            slope, other = (float((at(-h * way)[1] - at(h * way)[1]).sum()) / (2.0 * h) for h in (STEP, 2.0 * STEP))
+            allowed = ACCURACY * max(abs(force), abs(slope)) + BESIDE_U * np.abs(energies).sum() + ROUGH * abs(slope - other)
+            if abs(force - slope) > allowed:
+                wrong.append(f"for a displacement w of all atoms F·w = {force:.6g}, but -dU/dw = {slope:.6g}")
+    finally:
+        system.positions[:] = start
+    if 2 * len(wrong) > TRIES:
+        why_not = "a term whose force is no gradient sets is_checked = False"
+        raise ValueError(f"the force of {shown(potential)} must be minus the gradient of its energy; {wrong[0]}; {why_not}")
 
 
 def no_bonds(what: str, groups: str = "bonds") -> str:

@@ -45,7 +45,7 @@ def test_atoms_on_one_spot_are_named(scene):
         edges = start.cell.vectors[0]
         system = md.System(np.vstack([start.positions, start.positions[:1] + edges * (1 if scene == "modulo the cell" else 4096)]), cell=start.cell)
     assert "0 σ apart" in assert_stops(LAST_GOOD, lambda: ran(system, SMOOTH, 0.004, 10))
-    assert_stops("the closest pair is atoms 0 and", lambda: md.evaluate(system, SMOOTH))
+    assert_stops("atoms 0 and", lambda: md.evaluate(system, SMOOTH))
 
 
 @pytest.mark.parametrize("away", [1e3, 1e6, 1e9])

@@ -1,4 +1,4 @@
-"""The contacts of single atoms: how far away their neighbors are, how strong the force of each pair is, and how stiff the pair is."""
+"""The contacts of single atoms: how far away their neighbors are, how strong and how stiff each pair is, and which law gives no finite number."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -8,16 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.diagnosis.hessian import bonded_pairs
+from minimd.forces.forces import Forces
+from minimd.forces.options import Options
 from minimd.potentials.bonded import BondPotential
 from minimd.potentials.law import law_at
-from minimd.potentials.laws import HarmonicLaw, LennardJonesLaw
+from minimd.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw
 from minimd.potentials.lennard_jones import curvature_at_minimum
 from minimd.potentials.pair import PairPotential
 from minimd.potentials.tabulated import reads_table
+from minimd.potentials.term import PER_ATOM
 from minimd.potentials.user_laws import is_user_law
 from minimd.structure.bond_graph import pairs_by_bonds_apart
+from minimd.structure.checks import shown
 from minimd.structure.images import nearest_vectors
+from minimd.structure.quiet import quiet
 from minimd.structure.system import System
 
 NEAREST = 16  # neighbors of each atom that are examined: more than the 12 to 14 of a dense shell in a liquid
@@ -33,6 +37,7 @@ class Contact:
     energy, force : u(r), −u′(r) [energy], [energy/length]; positive where the pair repels.  frequency : √(u″/μ) [1/time], None where u″ ≤ 0.
     rest_frequency : √(u″/μ) at the minimum [1/time], of Lennard-Jones pairs and harmonic bonds; None of others.
     sinks : whether the pair attracts, and the energy still falls at half the distance: nothing keeps the two atoms apart.
+    longest : R of a FENE bond [length]; None of others.
     """
 
     first: int
@@ -47,6 +52,7 @@ class Contact:
     frequency: float | None
     rest_frequency: float | None
     sinks: bool = False
+    longest: float | None = None
 
     @property
     def is_finite(self) -> bool:
@@ -61,11 +67,30 @@ class Contact:
     def apart(self, length: str) -> str:
         """The distance as text.  length : its unit."""
         ratio = "" if self.ratio is None else f" (r/{'r₀' if self.is_bond else 'σ'} = {self.ratio:.3g})"
-        return f"{self.distance:.3g} {length} apart{ratio}"
+        limit = "" if self.longest is None else f" (R = {self.longest:.4g})"
+        return f"{self.distance:.3g} {length} apart{ratio}{limit}"
+
+    def without_number(self, length: str) -> str:
+        """That the law gives no finite number here, as a clause.  length : as for apart."""
+        return f"the law of {self.law} gives no finite number for {self.atoms}, {self.apart(length)}"
 
     def stiffness(self, timestep: float) -> str:
         """Δt·ω as text; empty if the pair does not oscillate."""
         return "" if self.frequency is None else f", Δt·ω = {self.frequency * abs(timestep):.3g}"
+
+
+def why_not_finite(system: System, potentials: Sequence[Any]) -> str:
+    """Which law of which atoms, or which potential, gives energies or forces that are not finite, as a clause."""
+    for potential in potentials:
+        with quiet():  # its warnings have been given
+            alone = Forces(system, potential, Options(skin=0.0))
+            alone.compute(PER_ATOM)
+        bad = np.flatnonzero(~(np.isfinite(alone.forces).all(axis=1) & np.isfinite(alone.energies))).tolist()
+        if bad:
+            found = contacts(system, [potential], np.ones(len(system)), bad[:2])
+            named = (one.without_number(system.units.length) for one in found if not one.is_finite)
+            return next(named, f"{shown(potential)} gives no finite number for atom {bad[0]}")
+    return "every potential by itself is finite here"
 
 
 Pair = tuple[int, int, float, float, tuple[float, ...]]  # two atoms, their distance, the factor on the law, and its numbers
@@ -105,7 +130,7 @@ def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> I
 
 def _bonds(potential: BondPotential, system: System, atoms: list[int]) -> Iterator[Pair]:
     """The bonds of some atoms."""
-    pairs = bonded_pairs(system, potential)
+    pairs = potential.pairs_in(system)
     rows = np.flatnonzero(np.isin(pairs, atoms).any(axis=1))
     distances = np.linalg.norm(nearest_vectors(system.positions, system.cell, pairs[rows]), axis=1)
     for (i, j), r, numbers in zip(pairs[rows].tolist(), distances, potential.table(len(pairs))[rows, 1:], strict=True):
@@ -127,4 +152,5 @@ def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass:
     frequency, at_rest = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
     deeper, pull = law_at(potential.law, 0.5 * r, numbers)
     sinks = scale > 0.0 and f < 0.0 and pull < 0.0 and deeper < u and not kind[1]
-    return Contact(first, second, *kind, r, r / length if length else None, scale * u, scale * f * r, frequency, at_rest, bool(sinks))
+    ratio, longest = r / length if length else None, numbers[1] if isinstance(potential.law, FENELaw) else None
+    return Contact(first, second, *kind, r, ratio, scale * u, scale * f * r, frequency, at_rest, bool(sinks), longest)

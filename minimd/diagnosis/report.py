@@ -321,12 +321,13 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
 
     linear, angular : whether the scene conserves momentum (no bath, nothing fixed) and angular momentum (nor anything periodic).
     lines : further lines of the report.  With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend
-    on time, the total energy minus their work.
+    on time, the total energy and the shadow energy minus their work.
     """
     units, has_bath = record.units, "conserved_energy" in record
-    time, energy = record.time * units.to_picosecond, _constant_energy(record) / record.n_atoms
+    time, work = record.time * units.to_picosecond, record.work if "work" in record else 0.0
+    energy = (record.conserved_energy if has_bath else record.total_energy - work) / record.n_atoms
     slope = drift_of_walk(time, energy) if has_bath else drift(time, energy, beside=record.kinetic_energy)
-    shadow = record.shadow_energy / record.n_atoms if "shadow_energy" in record else None
+    shadow = (record.shadow_energy - work) / record.n_atoms if "shadow_energy" in record else None
     shadow_slope = None if shadow is None else drift(time, shadow, beside=record.kinetic_energy)
     fifth = max(1, len(time) // 5)
     return Report(
@@ -354,13 +355,6 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * np.abs(record.potential_energy).max()),
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())),
     )
-
-
-def _constant_energy(record: Record) -> NDArray[np.float64]:
-    """The energy that should be constant, (T,): the total energy, minus what a bath has given, and minus the work of forces that depend on time."""
-    if "conserved_energy" in record:
-        return record.conserved_energy
-    return record.total_energy - record.work if "work" in record else record.total_energy
 
 
 def _not_finite(record: Record) -> str:

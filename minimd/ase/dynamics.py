@@ -19,6 +19,7 @@ from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.verlet import VelocityVerlet as Method
 from minimd.structure.ase_atoms import same_scene
 from minimd.structure.console import outside_minimd, stop_on_signals
+from minimd.structure.quiet import quiet
 from minimd.structure.system import System
 from minimd.structure.units import ASE
 
@@ -144,7 +145,9 @@ class MinimdSteps(MolecularDynamics):
             if not self._is_told:
                 warnings.warn(calculators_said(calculator), stacklevel=outside_minimd())
                 self._is_told = True
-            engine = Engine(System.from_ase(atoms), ForcesOnAtoms(atoms), self.method())
+            with quiet():  # of charges, which the calculator may use
+                system = System.from_ase(atoms)
+            engine = Engine(system, ForcesOnAtoms(atoms), self.method())
         engine.step = self.nsteps
         self._guard, self._made_for, self._made_with = RunGuard(engine), atoms.copy(), _essence(atoms)
         self._made_for.calc = calculator

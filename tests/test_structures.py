@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import minimd as md
-from minimd.ase import Calculator, system_from_file
+from minimd.ase import Calculator, VelocityVerlet, system_from_file
 from minimd.files.h5md_reader import read_file
 from minimd.mdanalysis import universe
 from minimd.scene import load_scene, run_scene
@@ -312,7 +312,7 @@ def charged_psf(folder):
 def with_calculator():
     atoms = salt()
     atoms.calc = Calculator(md.LennardJones(0.01, 2.0, 3.5))
-    atoms.get_potential_energy()
+    VelocityVerlet(atoms, 1.0).run(2)
     atoms.positions[0] += 0.1
     atoms.get_forces()
 
@@ -320,7 +320,7 @@ def with_calculator():
 WAYS_IN = {
     "from_ase": lambda folder: md.System.from_ase(salt()),
     "a simulation of atoms": lambda folder: md.Simulation(salt(), md.LennardJones(0.01, 2.0, 3.5), md.Leapfrog(0.01)),
-    "the calculator": lambda folder: with_calculator(),
+    "calculator and dynamics": lambda folder: with_calculator(),
     "LAMMPS data": lambda folder: system_from_file(full_data(folder / "full.data")),
     "LAMMPS data in another cell": lambda folder: system_from_file(full_data(folder / "full.data"), cell=9.0),
     "a PSF beside a PDB": charged_psf,

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.compiled.kernels import inlined, kernel
 from minimd.compiled.simd import fma
 from minimd.potentials.accumulators import force_along, in_steps, watch
+from minimd.potentials.each import checked_each, columns_of
 from minimd.potentials.term import FORCES, PER_ATOM, NoTerm, OwnPotential, OwnTerm, Term, no_bonds
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
-from minimd.structure.checks import checked_numbers, shown
+from minimd.structure.checks import shown
 from minimd.structure.system import System
 from minimd.structure.vectors import combined, cross, dot
 
@@ -38,10 +39,7 @@ class HarmonicAngle(OwnPotential):
 
     def __init__(self, k: ArrayLike, angle: ArrayLike, triples: ArrayLike | None = None) -> None:
         self.triples = None if triples is None else checked_groups("triples", triples, 3)
-        n_angles = None if self.triples is None else len(self.triples)
-        self.k, self.angle = _one_each("k", k, n_angles), _one_each("angle", angle, n_angles)
-        if np.any(self.k < 0.0):
-            raise ValueError(f"k of a harmonic angle must not be negative; k = {shown(self.k.tolist())}")
+        self.k, self.angle = checked_each("angles", {"k": k, "angle": angle}, not_negative=("k",)).values()
         if np.any((self.angle < 0.0) | (self.angle > pi)):
             raise ValueError(f"angle must lie between 0 and pi (radians); angle = {shown(self.angle.tolist())}")
 
@@ -57,8 +55,7 @@ class HarmonicAngle(OwnPotential):
         ValueError : if a triple names a missing atom, or an array of k or angle has another length than the list of angles.
         """
         triples = system.angles if self.triples is None else checked_groups("triples", self.triples, 3, len(system))
-        each = (_one_each(*one, len(triples)) for one in (("k", self.k), ("angle", self.angle)))
-        k, angle = (np.ascontiguousarray(np.broadcast_to(values, len(triples))) for values in each)
+        k, angle = columns_of("angles", {"k": self.k, "angle": self.angle}, len(triples))
         if len(triples) == 0 and self.triples is None:
             return NoTerm(no_bonds(repr(self), "angles"))
         return AngleTerm(triples, k, angle)
@@ -172,13 +169,3 @@ class AngleTerm(OwnTerm):
             minimum_image_translations(system.positions, angles.middle, angles.first, *lattice, angles.first_translations)
             minimum_image_translations(system.positions, angles.middle, angles.last, *lattice, angles.last_translations)
         add_angle_forces(system.positions, angles, detail, sums)
-
-
-def _one_each(name: str, values: ArrayLike, n: int | None) -> NDArray[np.float64]:
-    """One number, or n, or any number of them if n is not known."""
-    array = checked_numbers(name, values, "one number, or one for each angle")
-    if array.ndim and array.shape != (array.size if n is None else n,):
-        raise ValueError(f"{name} must be one number or {n}, one for each angle; its shape is {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite; {name} = {shown(array.tolist())}")
-    return array

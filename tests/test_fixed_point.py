@@ -225,6 +225,14 @@ def test_what_is_said_of_it():
     assert "fixed-point arithmetic" in str(simulation)
 
 
+def test_the_report_allows_angular_momentum_what_the_grid_takes_from_it():
+    """Each displacement is rounded to the step of length: far more than in float64, where as much would be a torque."""
+    simulation = simulated(mixture(pbc=False, with_bonds=False), grid=Grid(2.0**-36, GRID.momentum, GRID.energy))
+    simulation.run(200, every=20)
+    assert simulation.report().angular_momentum_change > 1e-12
+    assert simulation.report().angular_momentum_is_conserved
+
+
 def test_a_grid_is_chosen_from_the_scene_and_widened_with_it():
     system = mixture(with_bonds=False)
     simulation = simulated(system, grid=None)

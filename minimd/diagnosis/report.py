@@ -24,6 +24,7 @@ AT_REST = 1e-20  # of the potential energy: a smaller kinetic energy comes from 
 QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
+KEPT_ON_A_GRID = 1e-9  # likewise where momentum is exactly constant: displacements are rounded to some 2⁻⁴⁰ of the scene
 SETTLING = 0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
 LENGTHS_KEPT = 1e-8  # of |r² − d²|/d²: a rigid length is then off by 5e-9 of itself, far below the thermal motion of any bond
 
@@ -239,7 +240,7 @@ class Report(Displayed):
     @property
     def angular_momentum_is_conserved(self) -> bool:
         """Likewise."""
-        kept = ANGULAR_MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        kept = (ANGULAR_MOMENTUM_KEPT if self.momentum_change else KEPT_ON_A_GRID) * max(1.0, (self.n_steps / 1e4) ** 0.5)
         return not self.not_finite and (self.is_at_rest or (self.angular_momentum_change or 0.0) < kept)
 
     @property

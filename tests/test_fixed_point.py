@@ -1,5 +1,6 @@
 """Fixed-point dynamics: momentum, reversibility and independence of every order, to the last bit; see docs/fixed-point.md."""
 
+import itertools
 import pickle
 
 import numpy as np
@@ -12,6 +13,7 @@ from minimd.analysis.check import check_file
 from minimd.forces.pair_laws import PairLaws
 from minimd.integrators.methods import SPLITTINGS
 from minimd.structure.grid import Grid
+from minimd.structure.images import nearest_vectors
 
 SYMMETRIC = [name for name, method in SPLITTINGS.items() if method.is_symmetric]
 
@@ -182,13 +184,32 @@ def test_atoms_that_are_held_fixed_stay_where_they_are():
     assert bits(simulation) == start
 
 
-def test_forces_and_energies_are_those_of_float64(monkeypatch):
-    system, rounded = mixture(), simulated(mixture())
+def crystal():
+    """Near its minimum, and cold: the forces of pairs cancel, their rounding errors do not."""
+    positions, edges = md.lattice.crystal("fcc", (4, 4, 4), 1.55)
+    positions += np.random.default_rng(3).normal(scale=1e-4, size=positions.shape)
+    return md.System(positions, cell=edges, species=["A"] * len(positions))
+
+
+@pytest.mark.parametrize("system", [mixture(), crystal()], ids=["liquid", "crystal"])
+def test_forces_and_energies_are_those_of_float64_to_the_steps_of_the_grid(system, monkeypatch):
+    """Each impulse over a unit of time is rounded to p0, each energy to e0, whatever their size."""
+    rounded = simulated(system)
+    rounded.make_steps(60)
+    frame, here = rounded.frame(), rounded.system
     monkeypatch.setattr(PairLaws, "fit_clusters", lambda *_: False)  # compiles less
-    exact = md.evaluate(system, [LAW, BOND, ANGLE])
-    frame = rounded.frame()
-    assert np.abs(frame.forces - exact.forces).max() < 1e-12 * np.abs(exact.forces).max()
-    assert frame.observables["potential_energy"] == pytest.approx(exact.potential_energy, rel=1e-12)
+    exact = md.evaluate(here, rounded.engine.interactions.potentials)
+    pairs = np.array(list(itertools.combinations(range(len(here)), 2)))
+    pairs = pairs[np.linalg.norm(nearest_vectors(here.positions, here.cell, pairs), axis=1) < LAW.cutoff]
+    atoms = np.concatenate([pairs.ravel(), here.bonds.ravel(), here.angles.ravel(), here.angles[:, 1]])
+    n_impulses = np.bincount(atoms, minlength=len(here))
+    step, errors = GRID.momentum / rounded.engine.interactions.unit, frame.forces - exact.forces
+    assert (np.abs(errors) <= 0.5 * step * n_impulses[:, None] + 1e-15 * np.abs(exact.forces).max()).all()
+    of_all = step * np.sqrt(n_impulses.mean() / 12.0)
+    assert np.sqrt((errors**2).mean()) == pytest.approx(of_all, rel=0.16)  # statistics: four standard errors of 324 numbers
+    of_energy = GRID.energy * np.sqrt((len(pairs) + len(here.bonds) + len(here.angles)) / 12.0)
+    error = abs(frame.observables["potential_energy"] - exact.potential_energy)
+    assert error <= 4.0 * of_energy + 1e-15 * abs(exact.potential_energy)  # statistics and rounding
     assert rounded.engine.interactions.virial == pytest.approx(exact.virial, rel=1e-10, abs=1e-9)
 
 
@@ -202,6 +223,14 @@ def test_what_is_said_of_it():
     assert "momentum       exactly constant" in told
     assert "returned to the last bit" in told
     assert "fixed-point arithmetic" in str(simulation)
+
+
+def test_the_report_allows_angular_momentum_what_the_grid_takes_from_it():
+    """Each displacement is rounded to the step of length: far more than in float64, where as much would be a torque."""
+    simulation = simulated(mixture(pbc=False, with_bonds=False), grid=Grid(2.0**-36, GRID.momentum, GRID.energy))
+    simulation.run(200, every=20)
+    assert simulation.report().angular_momentum_change > 1e-12
+    assert simulation.report().angular_momentum_is_conserved
 
 
 def test_a_grid_is_chosen_from_the_scene_and_widened_with_it():

@@ -44,6 +44,11 @@ def test_a_keyword_of_the_run_is_found_where_it_belongs(given, known):
         simulation(**{given: True})
 
 
+def test_charges_are_answered_with_what_minimd_has_not():
+    with pytest.raises(TypeError, match=r"'charges'; minimd has no electrostatics"):
+        md.System([[0.0, 0.0, 0.0]], charges=[1.0])
+
+
 def test_a_keyword_like_no_other_is_told_as_python_does():
     with pytest.raises(TypeError, match=r"unexpected keyword argument 'zzz'$"):
         simulation(zzz=1)

@@ -1,6 +1,8 @@
 """Laws of forces that every potential obeys. POTENTIALS is where a new one is registered."""
 
 import itertools
+from decimal import Decimal, localcontext
+from fractions import Fraction
 
 import numba
 import numpy as np
@@ -203,10 +205,45 @@ def test_excluded_pairs_may_sit_on_each_other():
     assert np.isfinite(md.evaluate(system, md.LennardJones(1.0, 1.0, bonded_scale=(0, 1, 1))).forces).all()
 
 
-def test_straight_angle_pulls_nowhere():
-    straight = md.System([[0, 0, 0], [1, 0, 0], [2.2, 0, 0]])
-    assert np.abs(md.evaluate(straight, md.HarmonicAngle(10.0, np.pi, [[0, 1, 2]])).forces).max() < 1e-6
-    assert np.isfinite(md.evaluate(straight, md.HarmonicAngle(10.0, 2.0, [[0, 1, 2]])).forces).all()
+def exact_angle(positions, k, theta0):
+    """Force on the first atom and energy of a harmonic angle δ or π − δ, δ < 0.01, with 40 digits: fractions, and the series of arctan."""
+    i, j, l = ([Fraction(c) for c in row] for row in positions.tolist())
+    a, b = ([c - m for c, m in zip(end, j, strict=True)] for end in (i, l))
+    n = np.cross(a, b).tolist()
+    a2, ab, n2 = (decimal(sum(x * y for x, y in zip(u, v, strict=True))) for u, v in ((a, a), (a, b), (n, n)))
+    tangent = n2.sqrt() / abs(ab)
+    delta = sum((-1) ** m * tangent ** (2 * m + 1) / (2 * m + 1) for m in range(10))
+    stretch = (delta if ab > 0 else Decimal("3.14159265358979323846264338327950288419716939937510") - delta) - Decimal(theta0)
+    across = [decimal(c) for c in np.cross(n, a).tolist()]
+    return [float(Decimal(k) * stretch * c / (a2 * n2.sqrt())) for c in across], float(Decimal(k) * stretch**2 / 2)
+
+
+def decimal(fraction):
+    return Decimal(fraction.numerator) / Decimal(fraction.denominator)
+
+
+def test_angles_near_0_and_pi_have_all_their_digits():
+    """At any place in space; the reference takes the angle that the rounded coordinates have."""
+    rng = np.random.default_rng(6)
+    deltas, laws = 10.0 ** np.arange(-8, -2), [(1.9, 20.0), (np.pi, 20.0), (0.0, 20.0)]
+    with localcontext(prec=60):
+        for sign, delta, (theta0, k) in itertools.product((1.0, -1.0), deltas, laws):
+            arm, side = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+            ends = np.array([arm, [0.0] * 3, 1.3 * (sign * np.cos(delta) * arm + np.sin(delta) * side)])
+            system = md.System(ends + rng.uniform(-2.0, 2.0, 3))
+            force, energy = exact_angle(system.positions, k, theta0)
+            found = md.evaluate(system, md.HarmonicAngle(k, theta0, [[0, 1, 2]]))
+            assert np.linalg.norm(found.forces[0] - force) <= 1e-14 * np.linalg.norm(force)  # rounding
+            assert found.potential_energy == pytest.approx(energy, rel=1e-14, abs=0.0)
+
+
+@pytest.mark.parametrize("angle", [0.0, 2.0, np.pi])
+def test_straight_and_folded_angles_pull_nowhere(angle):
+    for end in ([2.2, 0, 0], [0.3, 0, 0]):
+        exactly = md.System([[0, 0, 0], [1, 0, 0], end])
+        found = md.evaluate(exactly, md.HarmonicAngle(10.0, angle, [[0, 1, 2]]))
+        assert not found.forces.any()
+        assert found.potential_energy == pytest.approx(5.0 * ((np.pi if end[0] > 1.0 else 0.0) - angle) ** 2, rel=1e-14, abs=1e-30)
 
 
 def test_dihedral_angles_are_those_of_mdanalysis_and_planar_ones_have_forces():

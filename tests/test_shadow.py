@@ -41,6 +41,36 @@ def test_shadow_energy_of_the_oscillator_is_conserved_to_the_fourth_order(name):
     assert slopes[:, 1] == pytest.approx([4.0, 4.0], abs=0.02)
 
 
+def shaken(x, y, z, t, k):
+    """A trap whose stiffness and center along y change with time."""
+    stiff, slope, away = k * (2.0 + np.sin(1.7 * t)), 1.7 * k * np.cos(1.7 * t), y - 0.4 * np.sin(t)
+    square = x * x + away * away + z * z
+    power = 0.5 * slope * square - 0.4 * stiff * away * np.cos(t)
+    return 0.5 * stiff * square, -stiff * x, -stiff * away, -stiff * z, power
+
+
+TIMED = {"user's": md.Field(shaken, (1.5,)), "steered": md.SteeredSpring(2.0, [0.1, 0, 0], [0.3, 0.2, 0])}
+
+
+@pytest.mark.parametrize("field", TIMED.values(), ids=TIMED)
+@pytest.mark.parametrize("name", VERLETS)
+def test_with_forces_that_depend_on_time_the_shadow_energy_minus_their_work_is_conserved(name, field):
+    """Time is a coordinate then, and minus the work its momentum. E - W falls by 4 only. The report takes the work off."""
+    velocities = [[0.2, 0.1, 0], [-0.3, 0, 0.4]]
+    spread = []
+    for dt in (0.1, 0.05, 0.025):
+        system = md.System([[0.3, 0, 0], [1.5, 0.2, 0]], masses=(1.0, 2.5), velocities=velocities, bonds=[[0, 1]])
+        simulation = md.Simulation(system, [md.HarmonicBond(1.0, 1.0), field], SPLITTINGS[name](dt))
+        record = recorded(simulation, round(10.0 / dt))
+        assert np.ptp(record.work) > 0.1
+        shadow = record.shadow_energy - record.work
+        spread.append((np.ptp(record.total_energy - record.work), np.ptp(shadow)))
+    slopes = np.diff(np.log(spread), axis=0) / np.log(0.5)
+    assert slopes[:, 0] == pytest.approx([2.0, 2.0], abs=0.1)  # truncation
+    assert slopes[:, 1] == pytest.approx([4.0, 4.0], abs=0.1)
+    assert simulation.report().shadow_oscillation < np.ptp(shadow)
+
+
 def test_shadow_energy_of_the_oscillator_is_its_closed_form():
     """Δt² (1/12 ω² v² − 1/24 ω⁴ x²) of one atom of mass 1 on a spring to a fixed one, ω = 1."""
     dt = 0.3

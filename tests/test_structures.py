@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import minimd as md
-from minimd.ase import system_from_file
+from minimd.ase import Calculator, VelocityVerlet, system_from_file
 from minimd.files.h5md_reader import read_file
 from minimd.mdanalysis import universe
 from minimd.scene import load_scene, run_scene
@@ -69,10 +69,10 @@ def write_pdb(path, with_bonds):
     path.write_text("\n".join([*lines, "END"]) + "\n")
 
 
-def write_psf(path):
+def write_psf(path, charge=0.0):
     """As CHARMM and NAMD have it: eight columns of bonds, nine of angles."""
     lines = ["PSF", "", "       1 !NTITLE", " REMARKS melt", "", f"{20:8d} !NATOM"]
-    lines += [f"{i + 1:8d} MELT {i // LENGTH + 1:<4d} BEA  C    CT   {0.0:10.6f}  {12.011:12.4f}           0" for i in range(20)]
+    lines += [f"{i + 1:8d} MELT {i // LENGTH + 1:<4d} BEA  C    CT   {charge:10.6f}  {12.011:12.4f}           0" for i in range(20)]
     for name, groups, per_line in (("NBOND: bonds", BONDS, 4), ("NTHETA: angles", ANGLES, 3)):
         lines += ["", f"{len(groups):8d} !{name}"]
         rows = [groups[k : k + per_line] for k in range(0, len(groups), per_line)]
@@ -281,3 +281,60 @@ def test_universe_without_masses_and_what_is_none(folder):
         md.System.from_mdanalysis(made)
     with pytest.raises(TypeError, match="an MDAnalysis Universe or AtomGroup is expected; got str"):
         md.System.from_mdanalysis("melt.pdb")
+
+
+def salt(charges=(0.5, -0.8476)):
+    atoms = ase.Atoms("NaCl", [[1.0, 1.0, 1.0], [3.5, 1.0, 1.0]], cell=[8.0] * 3, pbc=True)
+    atoms.set_initial_charges(charges)
+    return atoms
+
+
+def full_data(path):
+    """A LAMMPS file with atom_style full."""
+    atoms = "\n".join(f"{k} 1 1 {q} {2.5 * k} 1.0 1.0" for k, q in ((1, 0.5), (2, -0.8476)))
+    box = "\n".join(f"0 8 {x}lo {x}hi" for x in "xyz")
+    path.write_text(f"water\n\n2 atoms\n1 atom types\n\n{box}\n\nMasses\n\n1 16.0\n\nAtoms # full\n\n{atoms}\n")
+    return path
+
+
+def charged_universe():
+    made = MDAnalysis.Universe.empty(2, trajectory=True)
+    made.add_TopologyAttr("masses", [23.0, 35.45])
+    made.add_TopologyAttr("charges", [0.5, -0.8476])
+    return made
+
+
+def charged_psf(folder):
+    write_psf(folder / "melt.psf", -0.8476)
+    return system_from_file("melt.pdb", bonds="melt.psf")
+
+
+def with_calculator():
+    atoms = salt()
+    atoms.calc = Calculator(md.LennardJones(0.01, 2.0, 3.5))
+    VelocityVerlet(atoms, 1.0).run(2)
+    atoms.positions[0] += 0.1
+    atoms.get_forces()
+
+
+WAYS_IN = {
+    "from_ase": lambda folder: md.System.from_ase(salt()),
+    "a simulation of atoms": lambda folder: md.Simulation(salt(), md.LennardJones(0.01, 2.0, 3.5), md.Leapfrog(0.01)),
+    "calculator and dynamics": lambda folder: with_calculator(),
+    "LAMMPS data": lambda folder: system_from_file(full_data(folder / "full.data")),
+    "LAMMPS data in another cell": lambda folder: system_from_file(full_data(folder / "full.data"), cell=9.0),
+    "a PSF beside a PDB": charged_psf,
+    "from_mdanalysis": lambda folder: md.System.from_mdanalysis(charged_universe()),
+}
+
+
+@pytest.mark.parametrize("way", WAYS_IN)
+def test_charges_are_not_dropped_in_silence(folder, way):
+    """One warning for a structure, which shows the largest; none for charges that are zero."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        WAYS_IN[way](folder)
+        md.System.from_ase(salt([0.0, 0.0]))
+    about = [str(one.message) for one in told if "charges" in str(one.message)]
+    assert len(about) == 1
+    assert "0.8476" in about[0]

@@ -19,6 +19,7 @@ from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.verlet import VelocityVerlet as Method
 from minimd.structure.ase_atoms import same_scene
 from minimd.structure.console import outside_minimd, stop_on_signals
+from minimd.structure.quiet import quiet
 from minimd.structure.system import System
 from minimd.structure.units import ASE
 
@@ -138,13 +139,16 @@ class MinimdSteps(MolecularDynamics):
         calculator = atoms.calc
         if calculator is None:
             raise RuntimeError("the atoms have no calculator; set atoms.calc, for example to a minimd.ase.Calculator")
-        if isinstance(calculator, Calculator):
-            engine = Engine(System.from_ase(atoms, calculator.bonds), calculator.potentials, self.method(), options=calculator.options)
+        is_own = isinstance(calculator, Calculator)
+        with quiet():  # of charges: our calculator warns of them, another one may use them
+            system = System.from_ase(atoms, calculator.bonds if is_own else None)
+        if is_own:
+            engine = Engine(system, calculator.potentials, self.method(), options=calculator.options)
         else:
             if not self._is_told:
                 warnings.warn(calculators_said(calculator), stacklevel=outside_minimd())
                 self._is_told = True
-            engine = Engine(System.from_ase(atoms), ForcesOnAtoms(atoms), self.method())
+            engine = Engine(system, ForcesOnAtoms(atoms), self.method())
         engine.step = self.nsteps
         self._guard, self._made_for, self._made_with = RunGuard(engine), atoms.copy(), _essence(atoms)
         self._made_for.calc = calculator

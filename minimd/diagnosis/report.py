@@ -24,6 +24,7 @@ AT_REST = 1e-20  # of the potential energy: a smaller kinetic energy comes from 
 QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
+KEPT_ON_A_GRID = 1e-9  # likewise where momentum is exactly constant: displacements are rounded to some 2⁻⁴⁰ of the scene
 SETTLING = 0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
 SWELLING = 0.05  # of the volume, likewise; of 100 atoms of a liquid it fluctuates by 0.03
 LENGTHS_KEPT = 1e-8  # of |r² − d²|/d²: a rigid length is then off by 5e-9 of itself, far below the thermal motion of any bond
@@ -241,7 +242,7 @@ class Report(Displayed):
     @property
     def angular_momentum_is_conserved(self) -> bool:
         """Likewise."""
-        kept = ANGULAR_MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        kept = (ANGULAR_MOMENTUM_KEPT if self.momentum_change else KEPT_ON_A_GRID) * max(1.0, (self.n_steps / 1e4) ** 0.5)
         return not self.not_finite and (self.is_at_rest or (self.angular_momentum_change or 0.0) < kept)
 
     @property
@@ -332,12 +333,13 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
 
     linear, angular : whether the scene conserves momentum (no bath, nothing fixed) and angular momentum (nor anything periodic).
     lines : further lines of the report.  With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend
-    on time, the total energy minus their work.
+    on time, the total energy and the shadow energy minus their work.
     """
     units, has_bath = record.units, "conserved_energy" in record
-    time, energy = record.time * units.to_picosecond, _constant_energy(record) / record.n_atoms
+    time, work = record.time * units.to_picosecond, record.work if "work" in record else 0.0
+    energy = (record.conserved_energy if has_bath else record.total_energy - work) / record.n_atoms
     slope = drift_of_walk(time, energy) if has_bath else drift(time, energy, beside=record.kinetic_energy)
-    shadow = record.shadow_energy / record.n_atoms if "shadow_energy" in record else None
+    shadow = (record.shadow_energy - work) / record.n_atoms if "shadow_energy" in record else None
     shadow_slope = None if shadow is None else drift(time, shadow, beside=record.kinetic_energy)
     fifth = max(1, len(time) // 5)
     volume = record.volume if "volume" in record else np.zeros(1)
@@ -367,13 +369,6 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * np.abs(record.potential_energy).max()),
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())),
     )
-
-
-def _constant_energy(record: Record) -> NDArray[np.float64]:
-    """The energy that should be constant, (T,): the total energy, minus what a bath has given, and minus the work of forces that depend on time."""
-    if "conserved_energy" in record:
-        return record.conserved_energy
-    return record.total_energy - record.work if "work" in record else record.total_energy
 
 
 def _not_finite(record: Record) -> str:

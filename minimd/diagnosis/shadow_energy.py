@@ -9,6 +9,9 @@ and for position Verlet (drift, kick, drift), where both halves have changed pla
 
     H̃ = H + Δt² [ −1/24 v·(∇²U) v + 1/12 F·M⁻¹F ] + O(Δt⁴)
 
+where v·(∇²U) v is the second derivative of U(r + v s, t + s) by s: if forces depend on time, it is one more coordinate, whose
+velocity is 1, and what is conserved is H̃ minus their work.
+
 Along the path H itself oscillates by O(Δt²), H̃ only by O(Δt⁴): a drift that remains is seen 1/Δt² times as clearly.
 E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IX.3; R. D. Engle, R. D. Skeel, M. Drees, J. Comput. Phys. 206, 432 (2005).
 """
@@ -29,7 +32,7 @@ class HasEngine(Protocol):
     engine: Engine
 
 
-NUDGE = 0.05  # of a step by which atoms are moved along their velocities to see the forces change
+NUDGE = 0.05  # d, of a step, for which atoms go on with their velocities to see the forces change
 COEFFICIENTS: dict[Substeps, tuple[float, float]] = {  # of v·(∇²U) v and of F·M⁻¹F
     VelocityVerlet.sequence(): (1.0 / 12.0, -1.0 / 24.0),
     PositionVerlet.sequence(): (-1.0 / 24.0, 1.0 / 12.0),
@@ -37,7 +40,9 @@ COEFFICIENTS: dict[Substeps, tuple[float, float]] = {  # of v·(∇²U) v and of
 
 
 def shadow_energy(simulation: HasEngine) -> float:
-    """H̃ of the present state [energy], conserved to Δt⁴. It costs three evaluations of the forces; the state stays as it is.
+    """H̃ of the present state [energy], conserved to Δt⁴, minus the work if forces depend on time.
+
+    It costs three evaluations of the forces; the state stays as it is.
 
     Raises
     ------
@@ -51,14 +56,19 @@ def shadow_energy(simulation: HasEngine) -> float:
 
 
 def correction(engine: Engine) -> float:
-    """H̃ − H [energy], with the forces current; v·(∇²U) v [energy/time²] is a central difference of the forces along v."""
+    """H̃ − H [energy], with the forces current.
+
+    v·(∇²U) v [energy/time²] is the difference of dU/ds = ∂U/∂t − F·v at s = 0, d and 2d, right to d². Its times are not before the
+    present one, at which a spring may begin to move.
+    """
     of_motion, of_forces = COEFFICIENTS[engine.method.sequence()]
     squares = float(np.einsum("ij,ij,i->", engine.forces, engine.forces, engine.constraint_set.inverse_masses))
-    duration, change = NUDGE * abs(engine.method.timestep), np.zeros_like(engine.forces)
-    for sign in (1.0, -1.0):
-        with engine.displaced(sign * duration * engine.velocities) as forces:
-            change += sign * forces
-    v_hessian_v = -float(np.einsum("ij,ij->", engine.velocities, change)) / (2.0 * duration)
+    duration, change, of_power = NUDGE * engine.method.timestep, -3.0 * engine.forces, -3.0 * engine.surroundings.power
+    for weight, later in ((4.0, duration), (-1.0, 2.0 * duration)):
+        with engine.coasted(later) as forces:
+            change += weight * forces
+            of_power += weight * engine.interactions.power
+    v_hessian_v = (of_power - float(np.einsum("ij,ij->", engine.velocities, change))) / (2.0 * duration)
     return engine.method.timestep**2 * (of_motion * v_hessian_v + of_forces * squares)
 
 

@@ -203,15 +203,19 @@ class Engine:
         self.surroundings.constraints = self.constraint_set.bonds
 
     @contextmanager
-    def displaced(self, displacements: Array) -> Iterator[Array]:
-        """Context in which atoms are displaced by (N, 3) [length]. Yields the forces there, (N, 3). Afterwards the state is as before."""
-        here = self.positions.copy()
+    def coasted(self, duration: float) -> Iterator[Array]:
+        """Context in which atoms, and the clock of the forces, have gone on for a duration [time] at constant velocity.
+
+        Yields the forces there, (N, 3). Afterwards the state is as before.
+        """
+        here, now = self.positions.copy(), self.interactions.time
         with self.interactions.set_aside():
-            self.positions[:] += displacements
+            self.positions[:] += duration * self.velocities
+            self.interactions.time = self.time + duration
             try:
                 yield self.interactions.compute(FORCES)
             finally:
-                self.positions[:] = here
+                self.positions[:], self.interactions.time = here, now
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
-from minimd.structure.console import outside_minimd
+from minimd.structure.console import outside_minimd, warn_of_charges
 from minimd.structure.joined import Joined, joined_in
 from minimd.structure.quiet import quiet
 from minimd.structure.system import System
@@ -71,7 +71,8 @@ def system_from_file(
         placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
         if isinstance(source, Atoms):  # lengths of constraints are measured in the new cell
             source.cell[:], source.pbc = placed.vectors, placed.pbc
-            system = _system(source, units or ASE, form)
+            with quiet():  # its warnings have been given
+                system = _system(source, units or ASE, form)
         else:
             system.cell = placed
     if bonds is not None and not isinstance(bonds, str | Path):
@@ -184,10 +185,11 @@ def _joined_beside(path: Path, n_atoms: int) -> Joined:
     with _read_as(path, "bonds", None):
         if SUFFIXES.get(path.suffix.lower()) == LAMMPS:
             atoms = _source(path, LAMMPS, LJ)
-            n_there, found = len(atoms), joined_in(atoms)
+            n_there, found, charges = len(atoms), joined_in(atoms), atoms.get_initial_charges()
         else:
             made = _universe(path, None, topology_only=True)
-            n_there, found = len(made.atoms), _joined_of(made)
+            n_there, found, charges = len(made.atoms), _joined_of(made), getattr(made.atoms, "charges", ())
+    warn_of_charges(charges)
     if n_there != n_atoms:
         raise ValueError(f"file {str(path)!r} with the bonds has {n_there} atoms; the structure has {n_atoms}")
     return found

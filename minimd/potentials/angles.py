@@ -9,19 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.compiled.kernels import kernel
+from minimd.compiled.kernels import inlined, kernel
+from minimd.compiled.simd import fma
 from minimd.potentials.accumulators import force_along, in_steps, watch
+from minimd.potentials.each import checked_each, columns_of
 from minimd.potentials.term import FORCES, PER_ATOM, NoTerm, OwnPotential, OwnTerm, Term, no_bonds
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.cell import minimum_image_translations
-from minimd.structure.checks import checked_numbers, shown
+from minimd.structure.checks import shown
 from minimd.structure.system import System
-
-STRAIGHT = 1e-8  # least sin θ that u′(θ) is divided by: sin²θ = 1 − cos²θ is rounded to 1e-16
+from minimd.structure.vectors import combined, cross, dot
 
 
 class HarmonicAngle(OwnPotential):
     """Harmonic angle u(θ) = ½ k (θ − θ₀)² at the middle atom of each triple.
+
+    Where θ is exactly 0 or π, the force has no direction; it is then zero.
 
     Parameters
     ----------
@@ -36,10 +39,7 @@ class HarmonicAngle(OwnPotential):
 
     def __init__(self, k: ArrayLike, angle: ArrayLike, triples: ArrayLike | None = None) -> None:
         self.triples = None if triples is None else checked_groups("triples", triples, 3)
-        n_angles = None if self.triples is None else len(self.triples)
-        self.k, self.angle = _one_each("k", k, n_angles), _one_each("angle", angle, n_angles)
-        if np.any(self.k < 0.0):
-            raise ValueError(f"k of a harmonic angle must not be negative; k = {shown(self.k.tolist())}")
+        self.k, self.angle = checked_each("angles", {"k": k, "angle": angle}, not_negative=("k",)).values()
         if np.any((self.angle < 0.0) | (self.angle > pi)):
             raise ValueError(f"angle must lie between 0 and pi (radians); angle = {shown(self.angle.tolist())}")
 
@@ -55,46 +55,79 @@ class HarmonicAngle(OwnPotential):
         ValueError : if a triple names a missing atom, or an array of k or angle has another length than the list of angles.
         """
         triples = system.angles if self.triples is None else checked_groups("triples", self.triples, 3, len(system))
-        each = (_one_each(*one, len(triples)) for one in (("k", self.k), ("angle", self.angle)))
-        k, angle = (np.ascontiguousarray(np.broadcast_to(values, len(triples))) for values in each)
+        k, angle = columns_of("angles", {"k": self.k, "angle": self.angle}, len(triples))
         if len(triples) == 0 and self.triples is None:
             return NoTerm(no_bonds(repr(self), "angles"))
         return AngleTerm(triples, k, angle)
 
 
-class Angles(namedtuple("Angles", "first middle last first_translations last_translations k angle")):
+class Angles(namedtuple("Angles", "first middle last first_translations last_translations k sine cosine")):
     """first, middle, last : (A,) int.  first_translations, last_translations : (A, 3) [length], added to r_first − r_middle and r_last − r_middle.
 
-    k, angle : (A,) stiffness [energy/rad²] and θ₀ [rad].
+    k : (A,) stiffness [energy/rad²].  sine, cosine : (A,) of θ₀.
     """
+
+
+@inlined
+def _difference(x, y, translation):
+    """x − y + translation rounded, and the sum of the two rounding errors (D. E. Knuth's two-sum)."""
+    d = x - y
+    z = d - x
+    lost = (x - (d - z)) - (y + z)
+    s = d + translation
+    z = s - d
+    return s, lost + ((d - (s - z)) + (translation - z))
+
+
+@inlined
+def _arm(positions, i, j, offset):
+    """r_i − r_j + offset rounded, and what rounding has left out [length]."""
+    x, lost_x = _difference(positions[i, 0], positions[j, 0], offset[0])
+    y, lost_y = _difference(positions[i, 1], positions[j, 1], offset[1])
+    z, lost_z = _difference(positions[i, 2], positions[j, 2], offset[2])
+    return (x, y, z), (lost_x, lost_y, lost_z)
+
+
+@inlined
+def _minor(a, b, c, d):
+    """a b − c d, right to a few roundings even where the products nearly cancel, if fma rounds once (W. Kahan)."""
+    x, y = a * b, c * d
+    return (x - y) + (fma(a, b, -x) - fma(c, d, -y))
+
+
+@inlined
+def _normal(a, b, lost_a, lost_b):
+    """(a + lost_a) × (b + lost_b), to a few roundings however small the angle between them is."""
+    n = _minor(a[1], b[2], a[2], b[1]), _minor(a[2], b[0], a[0], b[2]), _minor(a[0], b[1], a[1], b[0])
+    return combined(1.0, n, 1.0, combined(1.0, cross(lost_a, b), 1.0, cross(a, lost_b)))
 
 
 @kernel
 def add_angle_forces(positions, angles, detail, sums):
-    """Add harmonic angles u = ½ k (θ − θ₀)², with cos θ = a·b/(|a||b|), a = r_i − r_j, b = r_k − r_j.
+    """Add harmonic angles u = ½ k (θ − θ₀)², with a = r_i − r_j, b = r_k − r_j, n = a × b.
 
-        F_i = s (b/(|a||b|) − cos θ a/|a|²),   F_k = s (a/(|a||b|) − cos θ b/|b|²),   F_j = −F_i − F_k,   s = u′(θ)/sin θ
+        tan(θ − θ₀) = (|n| cos θ₀ − a·b sin θ₀)/(a·b cos θ₀ + |n| sin θ₀)
+        F_i = u′(θ) n × a/(a²|n|),   F_k = u′(θ) b × n/(b²|n|),   F_j = −F_i − F_k,   all zero if n = 0
 
     positions : (N, 3) [length].  angles : Angles.  detail : see Term.add.  sums : its accumulators forces, energies and virials; or GridSums.
+    θ near 0 and π, and θ − θ₀ if θ₀ is 0 or π, have all their digits.
     The virial a ⊗ F_i + b ⊗ F_k is symmetric because angles feel no torque. TOTALS adds an angle to its middle atom, PER_ATOM a third of it
     to each atom.
     """
     forces, energies, virials = sums[0], sums[1], sums[2]
     for t in range(angles.middle.size):
         i, j, l = angles.first[t], angles.middle[t], angles.last[t]
-        a, b = np.empty(3), np.empty(3)
-        for c in range(3):
-            a[c] = positions[i, c] - positions[j, c] + angles.first_translations[t, c]
-            b[c] = positions[l, c] - positions[j, c] + angles.last_translations[t, c]
-        a2, b2 = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
-        ab = (a2 * b2) ** 0.5
-        cosine = min(1.0, max(-1.0, (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / ab))
-        stretch = np.arccos(cosine) - angles.angle[t]
+        a, lost_a = _arm(positions, i, j, angles.first_translations[t])
+        b, lost_b = _arm(positions, l, j, angles.last_translations[t])
+        n = _normal(a, b, lost_a, lost_b)
+        size, ab, sine, cosine = dot(n, n) ** 0.5, dot(a, b), angles.sine[t], angles.cosine[t]
+        stretch = np.arctan2(size * cosine - ab * sine, ab * cosine + size * sine)
         slope = angles.k[t] * stretch
-        s = slope / max(STRAIGHT, (1.0 - cosine * cosine) ** 0.5)
+        s = slope / size if size > 0.0 else 0.0
+        across_a, across_b, s_a, s_b = cross(n, a), cross(b, n), s / dot(a, a), s / dot(b, b)
         size2 = 0.0
         for c in range(3):
-            force_i, force_l = s * (b[c] / ab - cosine * a[c] / a2), s * (a[c] / ab - cosine * b[c] / b2)
+            force_i, force_l = s_a * across_a[c], s_b * across_b[c]
             on_i, on_l = force_along(force_i, 1.0, sums), force_along(force_l, 1.0, sums)
             forces[i, c] += on_i
             forces[l, c] += on_l
@@ -121,7 +154,7 @@ class AngleTerm(OwnTerm):
     def __init__(self, triples: NDArray[np.int64], k: NDArray[np.float64], angle: NDArray[np.float64]) -> None:
         first, middle, last = (np.ascontiguousarray(triples[:, k]) for k in range(3))
         translations = np.zeros((2, len(triples), 3))
-        self._angles = Angles(first, middle, last, translations[0], translations[1], k, angle)
+        self._angles = Angles(first, middle, last, translations[0], translations[1], k, np.sin(angle), np.cos(angle))
 
     def follow(self, system: System) -> bool:
         """See Term; images are looked for again."""
@@ -136,13 +169,3 @@ class AngleTerm(OwnTerm):
             minimum_image_translations(system.positions, angles.middle, angles.first, *lattice, angles.first_translations)
             minimum_image_translations(system.positions, angles.middle, angles.last, *lattice, angles.last_translations)
         add_angle_forces(system.positions, angles, detail, sums)
-
-
-def _one_each(name: str, values: ArrayLike, n: int | None) -> NDArray[np.float64]:
-    """One number, or n, or any number of them if n is not known."""
-    array = checked_numbers(name, values, "one number, or one for each angle")
-    if array.ndim and array.shape != (array.size if n is None else n,):
-        raise ValueError(f"{name} must be one number or {n}, one for each angle; its shape is {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite; {name} = {shown(array.tolist())}")
-    return array

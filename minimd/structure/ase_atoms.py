@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.structure.ase_constraints import ases_constraints_of, constraints_of, fixes_center
 from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
+from minimd.structure.console import warn_of_charges
 from minimd.structure.joined import joined_in, texts
 from minimd.structure.observables import stress as kinetic_stress
 from minimd.structure.units import ASE
@@ -31,9 +32,11 @@ def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: 
     constraints : True to take those of the atoms; False if the caller handles them.
 
     Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as joined_in.
+    Warns of charges, which are not used.
     """
     if not isinstance(atoms, Atoms):
         raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")
+    warn_of_charges(atoms.get_initial_charges())
     found = joined_in(atoms) if bonds is None else None
     velocities, masses = atoms.get_velocities(), atoms.get_masses()
     if constraints and fixes_center(atoms):

@@ -1,16 +1,21 @@
-"""Where a run meets its user: the progress bar, Ctrl-C between steps, the line that a warning points to."""
+"""Where a run meets its user: the progress bar, Ctrl-C between steps, the line of a warning, and that of charges."""
 
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, Protocol
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from minimd.structure.checks import checked_flag
 
+NO_ELECTROSTATICS = "minimd has no electrostatics yet"
 TENTHS = 10
 SIGNALS = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]  # Windows has no SIGHUP
 DEFAULT_HANDLERS: list[Any] = [signal.SIG_DFL, signal.default_int_handler]  # handlers that nobody has set; the command `minimd` adds its own
@@ -212,3 +217,10 @@ def outside_minimd() -> int:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("minimd", "contextlib"):
         frame, level = frame.f_back, level + 1
     return level
+
+
+def warn_of_charges(charges: ArrayLike) -> None:
+    """Warn that the charges of atoms [e] are not used, unless all are zero."""
+    if (largest := np.abs(charges).max(initial=0.0)) > 0.0:
+        words = f"the charges of the atoms, up to {largest:.4g} e, are not used: {NO_ELECTROSTATICS}"
+        warnings.warn(words, stacklevel=outside_minimd())

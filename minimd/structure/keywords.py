@@ -9,7 +9,9 @@ from types import FunctionType
 from typing import Any, ParamSpec, TypeVar
 
 from minimd.structure.checks import SIMILAR, near
+from minimd.structure.console import NO_ELECTROSTATICS
 
+ABSENT = dict.fromkeys(("charge", "charges"), f"; {NO_ELECTROSTATICS}")  # what other programs have
 UNKNOWN = re.compile(r"got an unexpected keyword argument '(\w+)'$")  # from Python 3.13 on, a similar name may follow
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -29,7 +31,8 @@ def names_keywords(function: Callable[P, R], elsewhere: Callable[[str], str] = l
             own = error.__traceback__
             inner = own and own.tb_next  # None if the call itself has failed, and the function has not begun
             if inner is None and isinstance(error, TypeError) and (unknown := UNKNOWN.search(str(error))):
-                error.args = (f"{error}{near(unknown[1], _keywords(function)) or elsewhere(unknown[1])}",)
+                name = unknown[1]
+                error.args = (f"{error}{ABSENT.get(name) or near(name, _keywords(function)) or elsewhere(name)}",)
             error.__traceback__ = inner  # without a line about this function
             raise
 

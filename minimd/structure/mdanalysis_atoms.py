@@ -9,6 +9,7 @@ from MDAnalysis.lib.mdamath import triclinic_vectors
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure.bond_graph import GROUPS
+from minimd.structure.console import warn_of_charges
 from minimd.structure.units import LJ, UnitSystem
 
 
@@ -20,10 +21,12 @@ def universe_arguments(
     groups : bonds, angles, dihedrals and impropers by these names; None for those of the universe.
 
     Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default.
+    Warns of charges, which are not used.
     """
     if not isinstance(universe, Universe | AtomGroup):
         raise TypeError(f"an MDAnalysis Universe or AtomGroup is expected; got {type(universe).__name__}")
     atoms = universe.atoms
+    warn_of_charges(getattr(atoms, "charges", ()))
     ts = atoms.universe.trajectory.ts
     is_periodic = ts.dimensions is not None and bool(np.all(ts.dimensions[:3] > 0.0))
     return {

@@ -131,8 +131,8 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
 
 
 def is_crash_file(path: str | Path) -> bool:
-    """Whether a file is a crash file.  Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_schema.opened."""
-    from minimd.files.h5md_schema import opened
+    """Whether a file is a crash file.  Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_opening.opened."""
+    from minimd.files.h5md_opening import opened
 
     with opened(path) as h5:
         return "minimd/crash_report" in h5
@@ -140,9 +140,9 @@ def is_crash_file(path: str | Path) -> bool:
 
 def read_crash_report(path: str | Path) -> CrashFile:
     """The contents of a crash file.  Raises FileNotFoundError, OSError, ValueError as read_file, and ValueError for another file of minimd."""
+    from minimd.files.h5md_opening import opened
     from minimd.files.h5md_reader import read_file
     from minimd.files.h5md_restart import read_group, unflattened
-    from minimd.files.h5md_schema import opened
 
     contents = read_file(path)
     with opened(path) as h5:

@@ -88,7 +88,7 @@ def _free_name(path: Path) -> Path:
     """The path or, if there is a file already, the first path with a number that is free."""
     suffix = SUFFIX if path.name.endswith(SUFFIX) else path.suffix
     numbered = (path.with_name(f"{path.name.removesuffix(suffix)}-{number}{suffix}") for number in count(2))
-    return next(free for free in chain([path], numbered) if not free.exists())
+    return next(free for free in chain([path], numbered) if not os.path.lexists(free))
 
 
 def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> None:
@@ -105,6 +105,8 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     start = guard.failed_from or last.state
     claim = Claim(part, overwrite=True)
     try:
+        if claim.path.name != part.name:
+            raise OSError(f"{str(part)!r} is a link to another file; remove it")
         writer = H5MDWriter(claim, engine, store_forces=True, every=max(1, last.state.step - start.step), n_frames=2)
         try:
             for snapshot in (start, last.state):

@@ -116,11 +116,8 @@ def test_a_link_at_the_name_of_the_journal_is_not_followed(tmp_path, monkeypatch
 
 
 def note(path):
-    member = Member(0, {}, 1, 10, path.parent)
-    made = Note(member)
-    link = note_of(member.file)
-    link.parent.mkdir()
-    link.symlink_to(path.parent / "precious")
+    made = Note(Member(0, {}, 1, 10, path))
+    note_of(path).symlink_to(path.parent / "precious")
     made.write()
     made.remove()
 
@@ -146,7 +143,7 @@ def test_no_small_file_is_written_through_a_link(kind, tmp_path):
     """Neither at its own name, nor at the one under which it is begun."""
     precious, path = tmp_path / "precious", tmp_path / "a.png"
     precious.write_text("precious")
-    for name in ("a.png", "a.png.part", "a.png.begun", "a.png.part.begun"):
+    for name in ("a.png", "a.png.part", "a.png.begun", "a.png.part.begun", "a-2.png.part"):
         (tmp_path / name).symlink_to(precious)
     with suppress(FileExistsError):
         SMALL_FILES[kind](path)

@@ -24,6 +24,7 @@ from minimd.files.trajectory import named_files
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.neighbors.queries import ClosestPair
+from minimd.structure.checks import printable
 from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.system import System
 
@@ -152,6 +153,7 @@ def read_crash_report(path: str | Path) -> CrashFile:
             raise ValueError(f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed")
         group = h5["minimd/crash_report"]
         told, found = (json.loads(group[name].asstr()[()]) for name in ("simulation", "findings"))
+        found = {name: printable(value) if isinstance(value, str) else value for name, value in found.items()}
         start, system = unflattened(*read_group(group["start"])).state, contents.system
     system.positions, system.velocities = start.positions, start.velocities
     found["pair"], found["closest"] = found["pair"] and Contact(**found["pair"]), found["closest"] and ClosestPair(*found["closest"])

@@ -26,6 +26,7 @@ from minimd.integrators.splitting.splitting import Splitting
 from minimd.observers import Accumulator
 from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
+from minimd.structure.checks import printable
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.system import System
 from minimd.structure.units import SYSTEMS
@@ -112,21 +113,21 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
             step=restart.state.step,
             time=restart.state.time,
             timestep=float(at["timestep"]),
-            method=str(at["method"]),
+            method=printable(str(at["method"])),
             reservoir_energy=restart.state.reservoir_energy,
             conserves_momentum=bool(at["conserves_momentum"]),
             n_frames=n_frames,
             has_forces=f"{TRAJECTORY}/force" in h5,
-            title=str(at["title"]),
+            title=printable(str(at["title"])),
             scene=str(at["scene"]),
             parameters=json.loads(at["parameters"]),
             precision=str(at["precision"]),
             skin=None if np.isnan(at["skin"]) else float(at["skin"]),
-            potentials=list(at["potentials"]),
+            potentials=[printable(one) for one in at["potentials"]],
             repaired=repaired,
             observers=observers_of(h5),
             barostat=StochasticCellRescaling(**json.loads(words)) if (words := at.get("barostat", "")) else None,
-            too_long_a_step=str(at.get("too_long_a_step", "")),
+            too_long_a_step=printable(str(at.get("too_long_a_step", ""))),
         )
 
 

@@ -207,7 +207,7 @@ def _read_journal(path: Path, file: int) -> tuple[int, Pieces] | None:
         place, n_bytes = PIECE.unpack_from(text, start)
         start += PIECE.size + max(0, n_bytes)
         pieces.append((place, text[start - n_bytes : start]))
-    is_whole = start == len(text) and len(pieces) == n_pieces and all(place >= 0 for place, _ in pieces)
+    is_whole = start == len(text) and len(pieces) == n_pieces and min([size, *(place for place, _ in pieces)]) >= 0
     return (size, pieces) if is_whole and _witness(file, size, pieces) == witness else None
 
 

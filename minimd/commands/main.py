@@ -36,8 +36,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if "command" not in arguments:
         parser.print_help()
         return OK
+    printed: Any = sys.stdout and Printable(sys.stdout)  # None if the shell has closed it
     try:
-        with endings_are_told(), redirect_stdout(Printable(sys.stdout)), warnings.catch_warnings():  # for the whole process, which is this command
+        with endings_are_told(), redirect_stdout(printed), warnings.catch_warnings():  # for the whole process, which is this command
             warnings.showwarning = _tell
             passed = arguments.command(arguments)  # None for a command without a judgement
         return OK if passed is None or passed else FAILED

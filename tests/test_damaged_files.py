@@ -215,6 +215,8 @@ def test_a_look_that_crashes_or_never_ends_is_a_sentence(tmp_path, monkeypatch, 
         while True:
             pass
 
+    with pytest.raises(OSError, match=r"a\.h5md' is damaged: to read it takes more memory"):
+        looked_at(path, lambda: np.zeros(first_look.MEMORY // 4))
     for look in (os.abort, endless, lambda: os._exit(0), lambda: os._exit(7)):
         with pytest.raises(OSError, match=r"a\.h5md' is damaged: HDF5 crashes"):
             looked_at(path, look)

@@ -1,6 +1,7 @@
 """The command line: what it says, where, with which exit code, and what it leaves behind."""
 
 import contextlib
+import json
 import os
 import shutil
 import signal
@@ -10,12 +11,14 @@ import time
 import warnings
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from scene_texts import SMOOTH
 
 import minimd as md
 from minimd.commands import main as cli
+from minimd.files.h5md_digest import sign
 from minimd.files.h5md_reader import read_file
 from minimd.scene import load_scene
 
@@ -225,6 +228,30 @@ def test_resume_without_a_stored_scene_asks_for_one(folder, capsys):
     assert "minimd.Simulation.resume('bare.h5md', potentials)" in told
     assert cli.main(["resume", "bare.h5md", "--steps", "10", "--scene", "melt.toml", "--quiet"]) == 0
     assert read_file("bare.h5md").step == 20
+
+
+STRANGE = {"escape": "\x1b[31mred", "return": "a\rb", "bell": "\a", "title of a window": "\x9d0;x\x9c", "reordered": "\u202egnp"}
+
+
+@pytest.mark.parametrize("kind", STRANGE)
+def test_texts_of_files_give_no_orders_to_the_terminal(kind, folder, capsys):
+    """Titles and names of files are escaped; labels of atoms are refused."""
+    name, title = f"a{STRANGE[kind]}.toml", json.dumps(STRANGE[kind])
+    Path(name).write_text(f"title = {title}\n{SMOOTH}")
+    assert cli.main(["run", name, "--out", f"{name}.h5md"]) == 0
+    with h5py.File(f"{name}.h5md", "r+") as h5:
+        h5["minimd"].attrs["title"] = STRANGE[kind]
+        sign(h5)
+    for command in (["check"], ["view"], ["plot"], ["frames", "--at", "1"], ["resume", "--steps", "5"], ["replay"]):
+        cli.main([command[0], f"{name}.h5md", *command[1:]])
+    cli.main(["check", f"{name}.nowhere"])
+    Path(name).write_text(f"{title} = {title}\n{SMOOTH}")
+    assert cli.main(["run", name]) == 2
+    told = "".join(capsys.readouterr())
+    assert repr(STRANGE[kind])[1:-1] in told
+    assert all(one.isprintable() or one == "\n" for one in told)
+    with pytest.raises(ValueError, match="printable"):
+        md.System([[0.0, 0, 0]], species=[STRANGE[kind]])
 
 
 def test_check_passes_on_a_sound_file_and_fails_on_another(folder, capsys):

@@ -3,17 +3,25 @@
 import os
 import shutil
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
+import ase.io
 import h5py
 import numpy as np
 import pytest
 from damages import CRASH, FAILED, PASSED, SENTENCE, TRACEBACK, damaged, make_files, numbers, outcome
-from ways_of_damage import RESTARTS, WAYS
+from ways_of_damage import HOSTILE, RESTARTS, WAYS
 
+from minimd.commands import main as cli
 from minimd.files import first_look
 from minimd.files.first_look import looked_at
-from minimd.files.h5md_reader import damage, read_file, verify_frames
+from minimd.files.h5md_digest import sign
+from minimd.files.h5md_reader import damage, read_file, velocities_of, verify_frames
+from minimd.files.h5md_writer import edit
+from minimd.files.structure_file import system_from_file
+from minimd.mdanalysis import universe
+from minimd.mdanalysis.run_reader import RunReader
 
 RIGHT, WRONG, DESTROYED = "a right result", "passed although changed", "something sound was destroyed"
 GOOD, BAD = {SENTENCE, FAILED, RIGHT}, {WRONG, DESTROYED, TRACEBACK, CRASH}
@@ -139,6 +147,46 @@ def test_a_dataset_larger_than_the_file_is_refused_before_memory_is_asked_for(so
         read_file(spoiled(sound, tmp_path / "a.h5md", lambda h5: h5["minimd/time"].resize(10**14, axis=0)))
 
 
+READERS = {
+    "check": lambda file: cli.main(["check", file]),
+    "plot": lambda file: cli.main(["plot", file]),
+    "view": lambda file: cli.main(["view", file]),
+    "resume": lambda file: cli.main(["resume", file, "--steps", "5"]),
+    "frames": lambda file: cli.main(["frames", file, "--at", "5"]),
+    "replay": lambda file: cli.main(["replay", file]),
+    "append": lambda file: edit(file, lambda h5: None),
+    "universe": universe,
+    "ase": lambda file: ase.io.read(file),
+    "structure": lambda file: system_from_file(file),
+    "frame by frame": lambda file: list(velocities_of(file, 1)),
+    "MDAnalysis": lambda file: RunReader(file),
+}
+
+
+@pytest.mark.parametrize("way", HOSTILE)
+def test_a_file_that_leads_elsewhere_is_refused_wherever_it_is_opened(way, sound, tmp_path, monkeypatch, capfd):
+    """Its maker has signed it again. No other file is changed, and the message names the culprit."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(sound[0]["plain"], "a.h5md")
+    Path("precious").write_bytes(np.ones(10**4).tobytes())
+    with h5py.File("precious.h5", "w") as other:
+        other["x"] = np.ones((32, 3))
+    with h5py.File("a.h5md", "r+") as h5:
+        culprit = HOSTILE[way](h5, tmp_path)
+        with suppress(Exception):
+            sign(h5)
+    before = {file: file.read_bytes() for file in Path().iterdir()}
+    for name, read in READERS.items():
+        try:
+            assert read("a.h5md") == 2, name
+            words = capfd.readouterr().err
+        except (OSError, ValueError) as error:
+            words = str(error)
+        assert "refused" in words, (name, words)
+        assert culprit in words, (name, words)
+    assert {file: file.read_bytes() for file in Path().iterdir()} == before
+
+
 def test_a_damaged_restart_is_set_aside_by_resume(sound, tmp_path):
     """Where it claims to lie may be the place of others: it is not written, nor given free."""
 
@@ -167,6 +215,8 @@ def test_a_look_that_crashes_or_never_ends_is_a_sentence(tmp_path, monkeypatch, 
         while True:
             pass
 
+    with pytest.raises(OSError, match=r"a\.h5md' is damaged: to read it takes more memory"):
+        looked_at(path, lambda: np.zeros(first_look.MEMORY // 4))
     for look in (os.abort, endless, lambda: os._exit(0), lambda: os._exit(7)):
         with pytest.raises(OSError, match=r"a\.h5md' is damaged: HDF5 crashes"):
             looked_at(path, look)

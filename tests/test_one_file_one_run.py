@@ -2,14 +2,23 @@
 
 import os
 import threading
+import warnings
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
 from h5md_runs import bring_to_disk_every, resumed, simulation
+from matplotlib.figure import Figure
 
-from minimd.files.claim import Claim
+import minimd as md
+from minimd.analysis.picture import save
+from minimd.ensemble.member import Member
+from minimd.ensemble.notes import Note, note_of
+from minimd.files.claim import Claim, write_whole
 from minimd.files.h5md_reader import read_file
 from minimd.files.trajectory import open_trajectories
+from minimd.view.viewing import View
 
 FORMATS = ["a.h5md", "a.xtc", "a.dcd", "a.trr", "a.ncdf", "a.traj", "a.xyz"]
 
@@ -63,6 +72,89 @@ def test_links_to_a_file_are_that_file(tmp_path):
 
     simulation().run(5, every=5, trajectory=tmp_path / "link.h5md", overwrite=True, observers=[second])
     assert read_file(tmp_path / "link.h5md").n_frames == 2
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("moment", ["before", "after the claim"])
+def test_a_link_at_a_temporary_name_is_not_followed(name, moment, tmp_path, monkeypatch):
+    """Whoever can write to the folder can put one there; after the claim, the libraries that write would open its target by name."""
+    path, precious, link = tmp_path / name, tmp_path / "precious", tmp_path / f"{name}.begun"
+    precious.write_text("precious")
+
+    def put_link(*_):
+        link.unlink(missing_ok=True)
+        link.symlink_to(precious)
+
+    if moment == "before":
+        put_link()
+        simulation().run(10, every=5, trajectory=path)
+        assert path.is_file()
+        assert not path.is_symlink()
+        assert files_of(tmp_path) == sorted([name, "precious"])
+    else:
+        made = Claim.__init__
+        monkeypatch.setattr(Claim, "__init__", lambda *args, **options: (made(*args, **options), put_link())[0])
+        with pytest.raises(OSError, match="was replaced while the run was writing it"):
+            simulation().run(10, every=5, trajectory=path)
+    assert precious.read_text() == "precious"
+
+
+def test_a_link_at_the_name_of_the_journal_is_not_followed(tmp_path, monkeypatch):
+    bring_to_disk_every(0.0, monkeypatch)
+    path, precious, link = tmp_path / "a.h5md", tmp_path / "precious", tmp_path / "a.h5md.journal"
+    precious.write_text("precious")
+
+    def put_link(_sim=None):
+        link.unlink(missing_ok=True)
+        link.symlink_to(precious)
+
+    simulation().run(20, every=5, trajectory=path, observers=[put_link])
+    put_link()
+    assert read_file(path).n_frames == 5  # the link is removed
+    assert files_of(tmp_path) == ["a.h5md", "precious"]
+    assert precious.read_text() == "precious"
+
+
+def note(path):
+    made = Note(Member(0, {}, 1, 10, path))
+    note_of(path).symlink_to(path.parent / "precious")
+    made.write()
+    made.remove()
+
+
+def failing_run(path):
+    pair = md.System([[0.0, 0, 0], [0.9, 0, 0]], velocities=[[-5.0, 0, 0], [5.0, 0, 0]])
+    with pytest.raises(md.NonFiniteError), warnings.catch_warnings(action="ignore"):
+        md.Simulation(pair, md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.2)).run(1000, crash_report=path)
+
+
+SMALL_FILES = {  # what writes them, given their name
+    "a page": View("<html>", Path("a.h5md"), "").save,
+    "a picture": lambda path: save(Figure(), path.with_suffix(".png")),
+    "a table": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=False),
+    "a description": lambda path: write_whole(path, "{}"),
+    "a note": note,
+    "a crash report": failing_run,
+}
+
+
+@pytest.mark.parametrize("kind", SMALL_FILES)
+def test_no_small_file_is_written_through_a_link(kind, tmp_path):
+    """Neither at its own name, nor at the one under which it is begun."""
+    precious, path = tmp_path / "precious", tmp_path / "a.png"
+    precious.write_text("precious")
+    for name in ("a.png", "a.png.part", "a.png.begun", "a.png.part.begun", "a-2.png.part"):
+        (tmp_path / name).symlink_to(precious)
+    with suppress(FileExistsError):
+        SMALL_FILES[kind](path)
+    assert precious.read_text() == "precious"
+
+
+def test_a_small_file_does_not_replace_a_device(tmp_path):
+    os.mkfifo(tmp_path / "a")
+    with pytest.raises(OSError, match="not a regular file"):
+        write_whole(tmp_path / "a", "text")
+    assert files_of(tmp_path) == ["a"]
 
 
 def test_of_two_threads_one_writes(tmp_path):

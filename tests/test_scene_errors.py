@@ -144,6 +144,8 @@ def test_equilibration_needs_a_temperature_to_start_from():
         ("b = 1\nb = 2\nc = 3\n", r"Cannot overwrite a value \(at line 2, column 6\), in 'b = 2'$"),
         ("\ufeff", "this is not valid TOML"),
         (b"\xff\xfe", "must be UTF-8 text"),
+        (f"x = {'[' * 2000}{']' * 2000}", "nested too deeply"),
+        (f"x = {'{a=' * 2000}1{'}' * 2000}", "nested too deeply"),
     ],
 )
 def test_what_is_no_toml_is_told_in_one_line(tmp_path, content, words):

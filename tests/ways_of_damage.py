@@ -258,6 +258,86 @@ def strange_journal(file, journal, rng):
         journal.write_bytes(rng.bytes(_length(rng)))
 
 
+def _made_anew(name, make):
+    """A way that replaces a dataset by what make(h5, its values, folder) makes under its name; returns the name."""
+
+    def way(h5, folder):
+        values = h5[name][()]
+        del h5[name]
+        make(h5, values, folder)
+        return name
+
+    return way
+
+
+def _external(name):
+    return _made_anew(
+        name,
+        lambda h5, values, folder: h5.create_dataset(name, values.shape, values.dtype, external=[(str(folder / "precious"), 0, values.nbytes)]),
+    )
+
+
+def _virtual(name):
+    def make(h5, values, folder):
+        layout = h5py.VirtualLayout(values.shape, values.dtype)
+        layout[...] = h5py.VirtualSource(str(folder / "precious.h5"), "x", values.shape)
+        h5.create_virtual_dataset(name, layout)
+
+    return _made_anew(name, make)
+
+
+def _typed(name, kind):
+    return _made_anew(name, lambda h5, values, _: h5.create_dataset(name, values.shape, kind))
+
+
+def _linked(name, link):
+    return _made_anew(name, lambda h5, _values, folder: h5.__setitem__(name, link(folder)))
+
+
+def _put(name, make):
+    """A way that puts something into the file that was not there."""
+
+    def way(h5, folder):
+        make(h5)
+        return name
+
+    return way
+
+
+def _attribute(h5, kind):
+    h5["minimd"].attrs.create("extra", np.zeros((), kind), dtype=kind)
+
+
+COMPOUND, NUMBERS_OF_ANY_LENGTH = np.dtype([("a", "f8"), ("b", "i8")]), h5py.vlen_dtype(np.float64)
+HOSTILE = {  # ways in which a file leads elsewhere, or asks for what it does not hold; each returns the name of the culprit
+    "an external restart": _external("minimd/restart/positions"),
+    "external frames": _external("particles/trajectory/velocity/value"),
+    "external species": _external("minimd/species_index"),
+    "a virtual dataset": _virtual("minimd/restart/velocities"),
+    "an external link": _linked("minimd/masses", lambda folder: h5py.ExternalLink(str(folder / "precious.h5"), "x")),
+    "an external link as a group": _put(
+        "observables", lambda h5: (h5.move("observables", "kept"), h5.__setitem__("observables", h5py.ExternalLink("a", "b")))
+    ),
+    "a link to a link": _linked("minimd/cell", lambda _: h5py.SoftLink("/minimd/restart/../cell")),
+    "a link to itself": _put("minimd/loop", lambda h5: h5.__setitem__("minimd/loop", h5py.SoftLink("/minimd/loop"))),
+    "a group in itself": _put("minimd/again", lambda h5: h5.__setitem__("minimd/again", h5["/"])),
+    "a deep group": _put("minimd/a/a/a/a/a/a/a/a", lambda h5: h5.create_group("minimd/" + "/".join("a" * 2000))),
+    "a compound": _typed("minimd/restart/positions", COMPOUND),
+    "references": _typed("minimd/masses", h5py.ref_dtype),
+    "numbers of any length": _typed("minimd/cell", NUMBERS_OF_ANY_LENGTH),
+    "texts": _typed("minimd/restart/positions", h5py.string_dtype()),
+    "opaque bytes": _typed("minimd/masses", "V8"),
+    "no numbers": _put("minimd/nothing", lambda h5: h5.create_dataset("minimd/nothing", data=h5py.Empty("V8"))),
+    "a type": _put("minimd/kind", lambda h5: h5.__setitem__("minimd/kind", np.dtype("f8"))),
+    "a filter": _put("minimd/zipped", lambda h5: h5.create_dataset("minimd/zipped", data=np.zeros(10), chunks=(10,), compression="gzip")),
+    "numbers that are not there": _put("minimd/zeros", lambda h5: h5.create_dataset("minimd/zeros", (10**12,), "f8", chunks=(1,))),
+    "a size that overflows": _put("minimd/zeros", lambda h5: h5.create_dataset("minimd/zeros", (2**40, 2**40), "f8", chunks=(1, 1))),
+    "many half as large": _put(
+        "minimd/zeros", lambda h5: [h5.create_dataset(f"minimd/zeros{k}", (h5.id.get_filesize() // 16,), "f8") for k in range(3)]
+    ),
+    "an attribute of another kind": _put("minimd", lambda h5: _attribute(h5, COMPOUND)),
+}
+
 IN_BYTES = (
     flip_bit,
     flip_bit_in_a_table,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import minimd as md
 from minimd.compiled.machine import MISSING, available_cores, processor_name, version
+from minimd.files.claim import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,10 +67,14 @@ def as_json(outcome: Outcome) -> str:
 
 def write(outcome: Outcome, folder: Path) -> None:
     """Write bench_NAME.md, .json and .png into a folder; files of these names are replaced."""
+    from minimd.analysis.picture import save  # matplotlib is slow to load
+
     stem = folder / f"bench_{outcome.name.replace('-', '_')}"
-    stem.with_suffix(".md").write_text(markdown(outcome) + "\n", encoding="utf-8")
-    stem.with_suffix(".json").write_text(as_json(outcome) + "\n", encoding="utf-8")
-    outcome.figure().savefig(stem.with_suffix(".png"), dpi=DPI)
+    write_whole(stem.with_suffix(".md"), markdown(outcome) + "\n")
+    write_whole(stem.with_suffix(".json"), as_json(outcome) + "\n")
+    figure = outcome.figure()
+    figure.set_dpi(DPI)
+    save(figure, stem.with_suffix(".png"))
 
 
 def versions(packages: Sequence[str]) -> dict[str, str]:

@@ -4,13 +4,14 @@ import argparse
 import sys
 import warnings
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
 from typing import Any
 
 from minimd.bench.outcome import DisagreementError
 from minimd.commands import archive, bench, check, doctor, frames, lammps, plot, replay, resume, run, scan, view
 from minimd.compiled.machine import version
 from minimd.ensemble.running import EnsembleError
+from minimd.structure.checks import printable
 from minimd.structure.console import Terminated, endings_are_told
 from minimd.structure.errors import ConstraintError, HandOverError, NonFiniteError, sentence
 
@@ -35,8 +36,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if "command" not in arguments:
         parser.print_help()
         return OK
+    printed: Any = sys.stdout and Printable(sys.stdout)  # None if the shell has closed it
     try:
-        with endings_are_told(), warnings.catch_warnings():  # for the whole process, which is this command
+        with endings_are_told(), redirect_stdout(printed), warnings.catch_warnings():  # for the whole process, which is this command
             warnings.showwarning = _tell
             passed = arguments.command(arguments)  # None for a command without a judgement
         return OK if passed is None or passed else FAILED
@@ -44,16 +46,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         with suppress(OSError):  # the reader may be gone
             sys.stdout.flush()
         for line in sentence(error).splitlines():
-            print(f"minimd: error: {line}", file=sys.stderr)
+            print(f"minimd: error: {printable(line)}", file=sys.stderr)
         return next(code for kind, code in CODES.items() if isinstance(error, kind))
     except Terminated as error:
         print(f"minimd: error: {error}", file=sys.stderr)
         return int(error.code or FAILED)
 
 
+class Printable:
+    """Standard output of a command: names and texts of files give no orders to the terminal."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> None:
+        """Called by print."""
+        self._stream.write(printable(text))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 def _tell(message: Warning | str, *_where: Any, **_more: Any) -> None:
     """Print a warning as a sentence, without the line of Python from which it comes, which is not the user's."""
-    print(f"minimd: warning: {message}", file=sys.stderr)
+    print(f"minimd: warning: {printable(str(message))}", file=sys.stderr)
 
 
 if __name__ == "__main__":

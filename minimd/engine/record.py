@@ -137,10 +137,12 @@ class Record(Displayed):
         Raises FileExistsError if the file exists and overwrite is false.  OSError if it cannot be written.
         """
         columns, path = self.columns(), Path(path)
-        if path.exists() and not overwrite:
-            raise FileExistsError(f"output {str(path)!r} exists; choose another name, or pass overwrite=True")
         rows = zip(*(column.tolist() for column in columns.values()), strict=True)
-        path.write_text("\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""]), encoding="utf-8")
+        try:
+            with path.open("w" if overwrite else "x", encoding="utf-8") as file:
+                file.write("\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""]))
+        except FileExistsError:
+            raise FileExistsError(f"output {str(path)!r} exists; choose another name, or pass overwrite=True") from None
         return path
 
     def plot(self) -> Figure:

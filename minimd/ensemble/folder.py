@@ -25,7 +25,7 @@ from minimd.ensemble.member import Value, file_of
 from minimd.ensemble.notes import SUFFIX as NOTE
 from minimd.ensemble.own_file import stopped_file
 from minimd.ensemble.work import DONE, Row
-from minimd.files.claim import locked
+from minimd.files.claim import locked, write_whole
 from minimd.files.crash_file import crash_file_place
 from minimd.structure.checks import checked_count, shown
 
@@ -130,7 +130,7 @@ class EnsembleFolder:
             return Asked(**{name: told[name] for name in Asked._fields} | {"parameters": rows})
         except FileNotFoundError:
             return None
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ValueError(
                 f"{file} is not a description of an ensemble ({type(error).__name__}: {error}); choose another folder, or remove it"
             ) from None
@@ -206,20 +206,6 @@ def name_of(function: Callable | None) -> str:
     script = getattr(sys.modules["__main__"], "__file__", None)
     module = Path(script).stem if named.__module__ == "__main__" and script else named.__module__
     return f"{module}.{named.__qualname__}"
-
-
-def write_whole(file: Path, text: str) -> None:
-    """Write a file under another name, then rename it: nobody sees it half written.  Raises OSError with a message."""
-    part = file.with_name(f"{file.name}.part")
-    try:
-        with part.open("w", encoding="utf-8") as whole:
-            whole.write(text)
-            whole.flush()
-            os.fsync(whole.fileno())
-        os.replace(part, file)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise OSError(f"{file} cannot be written: {error.strerror}") from None
 
 
 def is_done(row: Row | None, steps: int, has_run: bool) -> bool:

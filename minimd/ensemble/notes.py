@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from minimd.ensemble.member import Member
-from minimd.files.claim import is_locked, locked
+from minimd.files.claim import is_locked, new_file
 from minimd.simulation.simulation import Simulation
 
 SECONDS_BETWEEN_NOTES = 2.0
@@ -32,7 +32,7 @@ class Note:
     def write(self) -> None:
         """Write the note to its file.  Raises OSError."""
         if self._descriptor < 0:
-            self._descriptor = locked(self._place, create=True)
+            self._descriptor = new_file(self._place)
         os.lseek(self._descriptor, 0, os.SEEK_SET)
         os.write(self._descriptor, f"{self}\n".rjust(LENGTH).encode())
 

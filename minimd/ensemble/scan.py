@@ -11,10 +11,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from minimd.ensemble.folder import write_whole
 from minimd.ensemble.member import Member, Value
 from minimd.ensemble.running import ensemble
 from minimd.ensemble.table import EnsembleTable
+from minimd.files.claim import write_whole
 from minimd.files.crash_file import crash_file_place
 from minimd.scene.document import Scene, load_scene, parse_scene
 from minimd.scene.running import equilibrate, minimize
@@ -74,7 +74,7 @@ def _value(text: str) -> Value:
     """A number, text or bool as TOML reads it; anything else is a text."""
     try:
         value = tomllib.loads(f"value = {text.strip()}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         value = text.strip()
     return value if isinstance(value, bool | int | float | str) else text.strip()
 

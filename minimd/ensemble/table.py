@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.record import SERIES
-from minimd.ensemble.folder import Asked, EnsembleFolder, is_done, write_whole
+from minimd.ensemble.folder import Asked, EnsembleFolder, is_done
 from minimd.ensemble.member import file_of
 from minimd.ensemble.work import BEGUN, DONE, FAILED, MISSING, Row
+from minimd.files.claim import write_whole
 from minimd.structure.checks import near
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.statistics import with_error

@@ -26,7 +26,7 @@ class ASEWriter:
         is_binary = claim.path.suffix.lower() == ".traj"
         if is_binary:
             label_by_tags(self._template, engine.system)
-        self._output = TrajectoryWriter(claim.place, "w") if is_binary else claim.place.open("w", encoding="utf-8")
+        self._output = TrajectoryWriter(claim.stream, "w") if is_binary else claim.stream.open("w", encoding="utf-8")
 
     def write(self, frame: Frame) -> None:
         """Append one frame."""

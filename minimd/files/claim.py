@@ -2,7 +2,8 @@
 
 A claim holds a lock, so that no other run writes the file, neither in another process nor in this one, under any name or link. A new file is
 written under a temporary name, and gets the name that was asked for when its first frame is in it: a file that it replaces is kept until
-then, and a run that does not get the claim changes nothing.
+then, and a run that does not get the claim changes nothing. Temporary names are those of new files, and never followed as links: whoever
+can write to the folder could have put links there.
 """
 
 import errno
@@ -17,6 +18,7 @@ except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
 IN_USE = "another run is writing it, or a program has it open; if a universe in this process reads it, close that first: universe.trajectory.close()"
+NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # and no waiting for what is a pipe
 UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
 
 
@@ -25,7 +27,7 @@ class Claim:
 
 
 
-    path : links are followed.  is_new : begin a new file.  overwrite : a new file may replace one that exists.
+    path : links are followed, as the user gave it.  is_new : begin a new file.  overwrite : a new file may replace one that exists.
     place : where to write: the path, or the temporary name of a new file.  descriptor : of the file, locked.
     replaced : descriptor of the file that will be replaced, locked; −1 if there is none.
 
@@ -38,7 +40,7 @@ class Claim:
         self.place = self.path.with_name(f"{self.path.name}.begun") if is_new else self.path
         if is_new and self.path.exists() and not overwrite:
             raise FileExistsError(errno.EEXIST, "it exists; choose another name, or pass overwrite=True")
-        self.descriptor = _begun(self.place) if is_new else locked(self.place)
+        self.descriptor = new_file(self.place) if is_new else locked(self.place)
         try:
             if is_new and self.path.exists():
                 self.replaced = locked(self.path)
@@ -58,10 +60,16 @@ class Claim:
         _sync_folder(self.path.parent)
         self._release_replaced()
 
+    @property
+    def stream(self) -> Path:
+        """A name under which a library may open the claimed file for writing: it leads there whatever its other names lead to by now."""
+        own = Path(f"/dev/fd/{self.descriptor}")
+        return own if own.exists() else self.place
+
     def check(self) -> None:
         """Raise OSError if the file was removed or replaced by another program."""
         try:
-            is_there = _is_same(os.stat(self.place), os.fstat(self.descriptor))
+            is_there = _is_same(os.lstat(self.place), os.fstat(self.descriptor))
         except FileNotFoundError:
             raise OSError(errno.ENOENT, "it was removed while the run was writing it") from None
         if not is_there:
@@ -87,16 +95,66 @@ class Claim:
 def locked(path: Path, create: bool = False) -> int:
     """A descriptor of a regular file, locked: no other run can lock the file while it is open.
 
-    Raises OSError if another run holds the lock, or it is not a regular file.
+    Raises OSError if another run holds the lock, or it is not a regular file; a link is none.
     """
     with suppress(FileNotFoundError):
-        if not stat.S_ISREG(os.stat(path).st_mode):
+        if not stat.S_ISREG(os.lstat(path).st_mode):
             raise OSError(errno.EINVAL, "it is not a regular file")
-    descriptor = os.open(path, os.O_RDWR | (os.O_CREAT if create else 0) | getattr(os, "O_BINARY", 0), 0o666)
+    return _locked(os.open(path, os.O_RDWR | (os.O_CREAT if create else 0) | NO_LINK, 0o666), path)
+
+
+def new_file(path: Path) -> int:
+    """A descriptor of a new and empty regular file, locked. A link in its place is removed, and so is a file that a killed run has left.
+
+    Raises OSError as locked, and if another run is faster.
+    """
+    with suppress(FileNotFoundError):
+        if path.is_symlink():
+            path.unlink()
+        else:
+            left = locked(path)
+            try:
+                path.unlink()  # while it is locked, so that nobody else takes it for left
+            finally:
+                os.close(left)
+    try:
+        return _locked(os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | NO_LINK, 0o666), path)
+    except FileExistsError:
+        raise OSError(errno.EBUSY, IN_USE) from None
+
+
+def write_whole(file: Path, content: str | bytes) -> None:
+    """Write a file under another name, then rename it: nobody sees it half written, and a link is replaced, not followed.
+
+    Raises OSError with a message.
+    """
+    part = file.with_name(f"{file.name}.part")
+    try:
+        if file.exists() and not file.is_file():
+            raise OSError(errno.EINVAL, "it is not a regular file")
+        with open(new_file(part), "wb") as whole:
+            try:
+                whole.write(content.encode() if isinstance(content, str) else content)
+                whole.flush()
+                os.fsync(whole.fileno())
+                os.replace(part, file)
+            except BaseException:
+                part.unlink(missing_ok=True)
+                raise
+    except OSError as error:
+        raise OSError(f"{str(file)!r} cannot be written: {error.strerror}") from None
+
+
+def no_link(path: str, flags: int) -> int:
+    """For open(path, opener=no_link): a link is not followed, and a pipe is not waited for."""
+    return os.open(path, flags | NO_LINK)
+
+
+def _locked(descriptor: int, path: Path) -> int:
     try:
         if fcntl is not None:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if not _is_same(os.fstat(descriptor), os.stat(path)):
+        if not _is_same(os.fstat(descriptor), os.lstat(path)):
             raise BlockingIOError
     except (BlockingIOError, FileNotFoundError):
         os.close(descriptor)
@@ -110,7 +168,7 @@ def locked(path: Path, create: bool = False) -> int:
 
 def is_locked(path: Path) -> bool:
     """Whether a process holds the lock of a file; True also where this cannot be found out.  Raises OSError if the file cannot be opened."""
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+    descriptor = os.open(path, os.O_RDONLY | NO_LINK)
     try:
         if fcntl is not None:
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -120,17 +178,6 @@ def is_locked(path: Path) -> bool:
         return fcntl is None
     finally:
         os.close(descriptor)
-
-
-def _begun(place: Path) -> int:
-    """The descriptor of an empty file, locked. A killed run may have left a file here; with a second link it is complete, and only unlinked."""
-    descriptor = locked(place, create=True)
-    if os.fstat(descriptor).st_nlink > 1:
-        os.close(descriptor)
-        place.unlink()
-        descriptor = locked(place, create=True)
-    os.ftruncate(descriptor, 0)
-    return descriptor
 
 
 def _rename(old: Path, new: Path) -> None:

@@ -24,6 +24,7 @@ from minimd.forces.contacts import Contact
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.neighbors.queries import ClosestPair
+from minimd.structure.checks import printable
 from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.system import System
 
@@ -88,7 +89,7 @@ def _free_name(path: Path) -> Path:
     """The path or, if there is a file already, the first path with a number that is free."""
     suffix = SUFFIX if path.name.endswith(SUFFIX) else path.suffix
     numbered = (path.with_name(f"{path.name.removesuffix(suffix)}-{number}{suffix}") for number in count(2))
-    return next(free for free in chain([path], numbered) if not free.exists())
+    return next(free for free in chain([path], numbered) if not os.path.lexists(free))
 
 
 def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> None:
@@ -105,6 +106,8 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     start = guard.failed_from or last.state
     claim = Claim(part, overwrite=True)
     try:
+        if claim.path.name != part.name:
+            raise OSError(f"{str(part)!r} is a link to another file; remove it")
         writer = H5MDWriter(claim, engine, store_forces=True, every=max(1, last.state.step - start.step), n_frames=2)
         try:
             for snapshot in (start, last.state):
@@ -131,8 +134,8 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
 
 
 def is_crash_file(path: str | Path) -> bool:
-    """Whether a file is a crash file.  Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_schema.opened."""
-    from minimd.files.h5md_schema import opened
+    """Whether a file is a crash file.  Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_opening.opened."""
+    from minimd.files.h5md_opening import opened
 
     with opened(path) as h5:
         return "minimd/crash_report" in h5
@@ -140,9 +143,9 @@ def is_crash_file(path: str | Path) -> bool:
 
 def read_crash_report(path: str | Path) -> CrashFile:
     """The contents of a crash file.  Raises FileNotFoundError, OSError, ValueError as read_file, and ValueError for another file of minimd."""
+    from minimd.files.h5md_opening import opened
     from minimd.files.h5md_reader import read_file
     from minimd.files.h5md_restart import read_group, unflattened
-    from minimd.files.h5md_schema import opened
 
     contents = read_file(path)
     with opened(path) as h5:
@@ -150,6 +153,7 @@ def read_crash_report(path: str | Path) -> CrashFile:
             raise ValueError(f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed")
         group = h5["minimd/crash_report"]
         told, found = (json.loads(group[name].asstr()[()]) for name in ("simulation", "findings"))
+        found = {name: printable(value) if isinstance(value, str) else value for name, value in found.items()}
         start, system = unflattened(*read_group(group["start"])).state, contents.system
     system.positions, system.velocities = start.positions, start.velocities
     found["pair"], found["closest"] = found["pair"] and Contact(**found["pair"]), found["closest"] and ClosestPair(*found["closest"])

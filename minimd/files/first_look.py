@@ -17,12 +17,13 @@ Found = TypeVar("Found")
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 SECONDS, BYTES_PER_SECOND = 10, 10_000_000  # of processor time that a look may take; reading needs a hundredth of it
+MEMORY, SIZES = 2**32, 4  # bytes that a look may take, and besides so many times those of the file: texts of a file may claim the same bytes
 
 
 def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
     """Return or raise what look() does; it is called in a child process if the system can fork, else in this one.
 
-    Raises OSError if the child crashes, or computes for longer than reading could take.
+    Raises OSError if the child crashes, or takes more time or memory than reading could take.
     """
     if not hasattr(os, "fork"):
         return look()
@@ -68,10 +69,12 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
         end_with(parent)
         faulthandler.disable()
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        _limit(SECONDS + (os.path.getsize(path) // BYTES_PER_SECOND if os.path.exists(path) else 0))
+        _limit(os.path.getsize(path) if os.path.exists(path) else 0)
         answer: tuple[Any, Exception | None]
         try:
             answer = look(), None
+        except MemoryError:
+            answer = None, OSError(f"file {str(path)!r} is damaged: to read it takes more memory than {MEMORY / 1e9:.2g} GB; copy it, or run, again")
         except Exception as error:
             answer = None, error
         with open(pipe, "wb") as told:
@@ -90,10 +93,14 @@ def end_with(parent: int, number: int = signal.SIGKILL) -> None:
             os._exit(1)
 
 
-def _limit(seconds: int) -> None:
-    """Limit the processor time of this process [s], and let it leave no core file."""
+def _limit(n_bytes: int) -> None:
+    """Limit processor time and memory of this process to what a file of n_bytes may take, and let it leave no core file."""
     import resource  # a system without fork does not have this module
 
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds if hard == resource.RLIM_INFINITY else min(seconds, hard), hard))
+    limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: SECONDS + n_bytes // BYTES_PER_SECOND}
+    with suppress(OSError):  # not every system tells how much memory a process has
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        limits[resource.RLIMIT_AS] = pages * resource.getpagesize() + MEMORY + SIZES * n_bytes
+    for which, limit in limits.items():
+        hard = resource.getrlimit(which)[1]
+        resource.setrlimit(which, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))

@@ -38,17 +38,6 @@ def digest_of_block(entries: dict[str, np.ndarray]) -> int:
     return digest
 
 
-def check_sizes(h5: h5py.File) -> None:
-    """Raise ValueError if a dataset claims to be larger than the file, before memory is allocated for it."""
-    n_bytes = h5.id.get_filesize()
-
-    def check(name: str, item: h5py.HLObject) -> None:
-        if isinstance(item, h5py.Dataset) and item.nbytes > n_bytes:
-            raise ValueError(f"{name} would be larger than the file, {item.nbytes} bytes")
-
-    h5.visititems(check)
-
-
 def damaged_frames(h5: h5py.File) -> str:
     """The frames that are not as they were written, in words; empty if there are none."""
     series, first = {one: h5[one] for one in h5[BLOCKS].attrs["series"]}, 0

@@ -16,7 +16,6 @@ import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
@@ -27,10 +26,8 @@ from minimd.diagnosis.first_hints import too_long_a_step
 from minimd.engine.engine import Engine
 from minimd.engine.record import SERIES, Frame
 from minimd.files.h5md_constraints import describe_constraints
-from minimd.files.journaled_file import repair
 from minimd.structure.cell import Cell
 from minimd.structure.display import as_text
-from minimd.structure.errors import sentence
 from minimd.structure.system import System
 
 CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own
@@ -177,29 +174,3 @@ def _describe_standard(h5: h5py.File, system: System) -> None:
         if len(groups) or name == "bonds":
             h5[f"connectivity/{name}"] = groups
             h5[f"connectivity/{name}"].attrs["particles_group"] = particles.ref
-
-
-def opened(path: str | Path) -> h5py.File:
-    """Open an HDF5 file for reading. A commit that was interrupted is finished first.
-
-    Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5.  OSError if it is damaged, or being written by a run.
-    """
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")
-    try:
-        repair(path)
-        if not h5py.is_hdf5(path):
-            raise ValueError(f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run")
-        return h5py.File(path, "r")
-    except (OSError, RuntimeError) as error:
-        raise OSError(f"file {str(path)!r} cannot be opened: {_reason(error)}") from error
-
-
-def _reason(error: Exception) -> str:
-    """Why a file cannot be opened, in words."""
-    words = sentence(error)
-    if "unable to lock file" in words:
-        return "another run is writing it"
-    if "truncated file" in words:
-        return "it is damaged, it ends before its data do; copy it again, or run again"
-    return words.splitlines()[0]

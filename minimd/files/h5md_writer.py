@@ -26,6 +26,7 @@ from minimd.files.frame_block import FrameBlock
 from minimd.files.h5md_constraints import difference
 from minimd.files.h5md_digest import add_block, drop_frames, sign
 from minimd.files.h5md_observers import describe_observers, restore_observers, states_of, write_answers
+from minimd.files.h5md_opening import admitted, opened
 from minimd.files.h5md_reader import H5MDContents, check_description, contents_of
 from minimd.files.h5md_restart import set_aside_damaged, write_restart
 from minimd.files.journaled_file import JournaledFile
@@ -181,7 +182,7 @@ class H5MDWriter:
     def _begin(self, claim: Claim, engine: Engine, store_forces: bool, mode: Any) -> None:
         self._claim, self._engine, self._method, self._store_forces = claim, engine, engine.method, store_forces
         self._disk = JournaledFile(claim)
-        self._h5 = h5py.File(self._disk, mode)
+        self._h5 = admitted(h5py.File(self._disk, mode), claim.name)
         self._pending, self._n_frames = None, 0  # frames that are not yet in the file, and the number of those that are
         self._last_step, self._next_flush = -1, -np.inf  # step of the frame taken last; time of the next flush [s]
 
@@ -254,7 +255,7 @@ def edit(path: str | Path, change: Any) -> None:
     claim = _claimed(path)
     try:
         disk = JournaledFile(claim)
-        with h5py.File(disk, "r+") as h5:
+        with admitted(h5py.File(disk, "r+"), path) as h5:
             check_description(h5, path)
             change(h5)
             sign(h5)
@@ -265,7 +266,7 @@ def edit(path: str | Path, change: Any) -> None:
 
 def _claimed(path: str | Path) -> Claim:
     """The claim on an HDF5 file that exists.  Raises as opened, and OSError if another run writes it."""
-    layout.opened(path).close()
+    opened(path).close()
     try:
         return Claim(path, is_new=False)
     except OSError as error:

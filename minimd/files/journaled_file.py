@@ -20,7 +20,7 @@ import zlib
 from contextlib import suppress
 from pathlib import Path
 
-from minimd.files.claim import Claim, locked
+from minimd.files.claim import Claim, locked, new_file, no_link
 
 MAGIC = b"minimd journal 1\n"
 HEAD = struct.Struct("<qqII")  # size of the file after the commit, number of pieces, witness, CRC-32 of these and of all that follows
@@ -154,16 +154,24 @@ def repair(path: str | Path) -> bool:
     place = Path(os.path.realpath(path))
     if not journal_of(place).exists() or not place.exists():
         return False
-    descriptor = locked(place)
     try:
-        return _finish(journal_of(place), descriptor)
-    finally:
-        os.close(descriptor)
+        descriptor = locked(place)
+        try:
+            return _finish(journal_of(place), descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
+            raise
+        left = f"its last commit was interrupted, and must be finished from {journal_of(place).name!r} beside it"
+        raise OSError(error.errno, f"{left}, which is not allowed here ({error.strerror}); copy both files to a folder of your own") from None
 
 
 def _finish(journal: Path, descriptor: int) -> bool:
-    """Carry out a journal if it is complete, and remove it; True if the file was changed."""
+    """Carry out a journal if it is complete, and remove it; True if the file was changed. A link in its place is only removed."""
     try:
+        if journal.is_symlink():
+            journal.unlink()
         found = _read_journal(journal, descriptor)
     except FileNotFoundError:
         return False
@@ -176,7 +184,7 @@ def _finish(journal: Path, descriptor: int) -> bool:
 def _write_journal(path: Path, file: int, size: int, pieces: Pieces) -> None:
     head = size, len(pieces), _witness(file, size, pieces)
     body = b"".join([PIECE.pack(place, len(data)) + data for place, data in pieces])
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
+    descriptor = new_file(path)
     try:
         _write_all(descriptor, MAGIC + HEAD.pack(*head, _checksum(head, body)) + body, 0)
         os.fsync(descriptor)
@@ -186,7 +194,8 @@ def _write_journal(path: Path, file: int, size: int, pieces: Pieces) -> None:
 
 def _read_journal(path: Path, file: int) -> tuple[int, Pieces] | None:
     """Size and pieces in a journal; None if it is incomplete, or of another file."""
-    text, start = path.read_bytes(), len(MAGIC) + HEAD.size
+    with open(path, "rb", opener=no_link) as journal:
+        text, start = journal.read(), len(MAGIC) + HEAD.size
     if len(text) < start or not text.startswith(MAGIC):
         return None
     *head, checksum = HEAD.unpack_from(text, len(MAGIC))
@@ -194,11 +203,12 @@ def _read_journal(path: Path, file: int) -> tuple[int, Pieces] | None:
         return None
     size, n_pieces, witness = head
     pieces = []
-    for _ in range(n_pieces):
+    while start + PIECE.size <= len(text):
         place, n_bytes = PIECE.unpack_from(text, start)
-        start += PIECE.size + n_bytes
+        start += PIECE.size + max(0, n_bytes)
         pieces.append((place, text[start - n_bytes : start]))
-    return (size, pieces) if _witness(file, size, pieces) == witness else None
+    is_whole = start == len(text) and len(pieces) == n_pieces and min([size, *(place for place, _ in pieces)]) >= 0
+    return (size, pieces) if is_whole and _witness(file, size, pieces) == witness else None
 
 
 def _checksum(head: tuple[int, ...], body: bytes) -> int:

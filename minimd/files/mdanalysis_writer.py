@@ -94,7 +94,7 @@ class MDAnalysisWriter:
         steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1  # between frames
         spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
         options: dict[str, dict[str, Any]] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": spacing}
-        return MDAnalysis.Writer(str(self._claim.place), n_atoms=len(self._universe.atoms), format=self._format, **options.get(self._format, {}))
+        return MDAnalysis.Writer(str(self._claim.stream), n_atoms=len(self._universe.atoms), format=self._format, **options.get(self._format, {}))
 
     def _place(self, frame: Frame) -> None:
         ts = self._universe.trajectory.ts

@@ -10,7 +10,8 @@ import h5py
 from minimd.files.claim import Claim
 from minimd.files.first_look import looked_at
 from minimd.files.h5md_digest import BLOCKS, add_block, drop_frames, sign
-from minimd.files.h5md_reader import contents_of, damage_told
+from minimd.files.h5md_opening import admitted, damage_told
+from minimd.files.h5md_reader import contents_of
 from minimd.files.h5md_restart import read_restart, set_aside_damaged, write_restart
 from minimd.files.journaled_file import JournaledFile
 
@@ -22,7 +23,7 @@ def rehearse(claim: Claim) -> None:
 
 def _continue_in_memory(claim: Claim) -> None:
     """Add the last frame once more, and two restarts, in memory only: nothing is committed."""
-    with h5py.File(JournaledFile(claim), "r+") as h5:
+    with admitted(h5py.File(JournaledFile(claim), "r+"), claim.name) as h5:
         contents_of(h5, claim.name)
     with damage_told(claim.name), h5py.File(JournaledFile(claim), "r+") as h5:
         set_aside_damaged(h5)

@@ -16,6 +16,7 @@ import numpy as np
 
 from minimd.engine.observation import check_extras, observe
 from minimd.engine.record import Record
+from minimd.files.claim import write_whole
 from minimd.files.trajectory import open_trajectories
 from minimd.integrators import LangevinBAOAB
 from minimd.lammps import script
@@ -232,9 +233,9 @@ class Job:
             self.engine.begin()
             self.model = Model(self.engine)
             script.write_atoms(self.folder / script.ATOMS, self.engine, self.model)
-            (self.folder / script.FORCES).write_text(script.forces_script(self.model), encoding="ascii")
-            (self.folder / script.VERIFY).write_text(script.verify_script(), encoding="ascii")
-            (self.folder / script.RUN).write_text(script.run_script(self.engine, self.model, self.steps, self.every), encoding="ascii")
+            write_whole(self.folder / script.FORCES, script.forces_script(self.model))
+            write_whole(self.folder / script.VERIFY, script.verify_script())
+            write_whole(self.folder / script.RUN, script.run_script(self.engine, self.model, self.steps, self.every))
         self.tell(f"LAMMPS         {self.program.version}, on {self.processes} process{'es' * (self.processes > 1)}")
         for k, line in enumerate(not_carried_over(self.simulation)):
             self.tell(f"{'' if k else 'not carried':<14} {line}")

@@ -89,7 +89,8 @@ def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
     They are in a process group led by a shell, which waits for the end of its input and then kills the group. Only this process can end that
     input: by closing the pipe, or by dying, even by kill -9.
     """
-    with (folder / OUTPUT).open("w") as output:
+    (folder / OUTPUT).unlink(missing_ok=True)  # of the run before
+    with (folder / OUTPUT).open("x") as output:
         silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         guard = subprocess.Popen(["/bin/sh", "-c", GUARD], stdin=subprocess.PIPE, process_group=0, **silent)
         try:

@@ -43,7 +43,7 @@ def check_method(engine: Engine) -> None:
 def write_atoms(path: Path, engine: Engine, model: Model) -> None:
     """The data file: box, masses, atoms, velocities, bonds, angles, dihedrals; all numbers with all their digits."""
     types, is_bonded = model.types, model.atom_style != "atomic"
-    with path.open("w", encoding="ascii") as file:
+    with path.open("x", encoding="ascii") as file:
         file.write(f"atoms of a scene of minimd\n\n{len(types.of_atom)} atoms\n{len(types.masses)} atom types\n")
         for word, groups in model.joined.items():
             if is_bonded and (word != "dihedral" or len(groups.atoms)):

@@ -5,6 +5,7 @@ from typing import Any
 from MDAnalysis.coordinates.H5MD import H5MDReader
 from MDAnalysis.lib.util import store_init_arguments
 
+from minimd.files.h5md_opening import admitted
 from minimd.files.turned_cell import Turn
 
 
@@ -15,6 +16,11 @@ class RunReader(H5MDReader):
     def __init__(self, filename: str, turn: Turn | None = None, **kwargs: Any) -> None:
         self._turn = turn
         super().__init__(filename, **kwargs)
+
+    def open_trajectory(self) -> None:
+        """Called by MDAnalysis, which opens the file itself; see admitted."""
+        super().open_trajectory()
+        admitted(self._file, self.filename)
 
     def _read_frame(self, frame: int) -> Any:
         ts = super()._read_frame(frame)

@@ -197,6 +197,8 @@ def parse_scene(text: str, path: Path) -> Scene:
         place = re.search(r"at line (\d+)", str(error))  # without it the message says "at end of document"
         line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
         raise ValueError(f"{path}: this is not valid TOML: {error}, in {line!r}") from None
+    except RecursionError:
+        raise ValueError(f"{path}: its brackets are nested too deeply for a scene file") from None
     except ValidationError as error:
         raise ValueError("\n".join(f"{path}: {sentence}" for sentence in problems(reading, error))) from None
 

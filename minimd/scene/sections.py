@@ -19,6 +19,7 @@ from minimd.scene.observer_section import ObserverSection
 from minimd.scene.section import Dimension, Section, one_of, reading_of
 from minimd.scene.tables import Numbers, TableSection
 from minimd.scene.values import NotNegative, PairOfAtoms, Positive, Three
+from minimd.structure.checks import printable
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
 
@@ -282,7 +283,7 @@ PotentialSection = Annotated[LennardJonesSection | TabulatedSection | BondedSect
 class SceneSections(Section):
     """A whole scene file."""
 
-    title: str = ""
+    title: Annotated[str, AfterValidator(printable)] = ""
     units: Literal["ASE", "LJ"] = "ASE"
     structure: StructureSection
     constraints: ConstraintsSection | None = None

@@ -35,6 +35,8 @@ class TableSection(Section):
 
 def read_table(path: Path) -> Numbers:
     """The two columns of a text file, in the units of the scene; '#' begins a comment.  Raises ValueError, with the path, for anything else."""
+    if path.exists() and not path.is_file():
+        raise ValueError(f"table {str(path)!r} is not a regular file")
     try:
         with quiet():  # NumPy warns of an empty file, which is refused
             columns = np.loadtxt(path, ndmin=2, encoding="utf-8")

@@ -147,6 +147,11 @@ def listed(names: Iterable[Any]) -> str:
     return ", ".join(repr(name) for name in names)
 
 
+def printable(text: str) -> str:
+    """A text of a file, with escapes in place of characters that a terminal would obey, or that reorder others; ends of lines are kept."""
+    return "".join(one if one.isprintable() or one == "\n" else one.encode("unicode_escape").decode() for one in text)
+
+
 def shown(value: Any) -> str:
     """A value as Python writes it, in one line, shortened."""
     try:

@@ -252,6 +252,8 @@ def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, N
     if not any(all(isinstance(label, kind) and not isinstance(label, bool) for label in labels) for kind in (str, (int, np.integer))):
         raise ValueError(f"species must be all strings or all whole numbers; they are {shown(labels[:3].tolist())} ...")
     names, index = np.unique(labels.tolist(), return_inverse=True)
+    if strange := [name for name in names.tolist() if not str(name).isprintable()]:
+        raise ValueError(f"species must be labels of printable characters; one is {shown(strange[0])}")
     one = np.zeros(n_atoms, dtype=np.int64)  # pages of zeros that nobody writes to need no memory
     return tuple(names.tolist()), one if len(names) == 1 else index.astype(np.int64)
 

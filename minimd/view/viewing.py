@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from minimd.engine.record import Record
+from minimd.files.claim import write_whole
 from minimd.forces.forces import Potential
 from minimd.structure.checks import checked_count
 from minimd.structure.keywords import names_keywords
@@ -26,15 +27,12 @@ class View:
     summary: str
 
     def save(self, page: str | Path | None = None) -> Path:
-        """Write the page and return its name; if not given, that of the run with .html. A file with this name is replaced.
+        """Write the page and return its name; if not given, that of the run with .html. A file or link with this name is replaced.
 
         Raises OSError if it cannot be written.
         """
         path = self.file.with_suffix(".html") if page is None else Path(page)
-        try:
-            path.write_text(self.html, encoding="utf-8")
-        except OSError as error:
-            raise OSError(f"page {str(path)!r} cannot be written: {error.strerror or error}") from error
+        write_whole(path, self.html)
         return path
 
     def __repr__(self) -> str:

@@ -1,0 +1,136 @@
+"""The door: every HDF5 file that minimd reads or continues is opened here, and searched before anything in it is read.
+
+HDF5 lets a file lead elsewhere: links may name objects in other files, and the numbers of a dataset may lie in any other file, which is then
+read, or overwritten when a run goes on. A file of minimd consists of groups and plain datasets in itself; all others are refused.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import h5py
+from h5py import h5a, h5d, h5g, h5l, h5o, h5t
+
+from minimd.files.journaled_file import repair
+from minimd.structure.errors import sentence
+
+NUMBERS = (h5t.INTEGER, h5t.FLOAT, h5t.ENUM)  # bools and species are enumerations
+TEXTS = (*NUMBERS, h5t.STRING)
+MAY_BE_TEXTS = ("minimd/species_names", *(f"minimd/crash_report/{name}" for name in ("findings", "words", "simulation")))
+REFERENCE = b"particles_group"  # the only attribute that refers to an object
+LAYOUTS = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
+DEEPEST = 8  # groups in groups; minimd has 5
+
+
+def opened(path: str | Path) -> h5py.File:
+    """Open a minimd file for reading. A commit that was interrupted is finished first.
+
+    Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5, or not written by minimd.  OSError if it is damaged, as
+    admitted, or if a run is writing it.
+    """
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")
+    try:
+        repair(path)
+        if not h5py.is_hdf5(path):
+            raise ValueError(f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run")
+        h5 = h5py.File(path, "r")
+    except (OSError, RuntimeError) as error:
+        raise OSError(f"file {str(path)!r} cannot be opened: {_reason(error)}") from error
+    with damage_told(path):
+        is_ours = h5.id.links.exists(b"minimd")
+    if not is_ours:
+        h5.close()
+        raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
+    return admitted(h5, path)
+
+
+def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
+    """The file, if all of it is of the kinds that minimd writes, lies in the file, and is not larger than it.
+
+    path : for messages.  Raises OSError, with the name of the first thing that is not, and closes the file.
+    """
+    try:
+        with damage_told(path):
+            problem = _strange_thing(h5)
+        if problem:
+            raise OSError(f"file {str(path)!r} is refused: {problem}; minimd writes no such thing, do not use this file")
+    except BaseException:
+        h5.close()
+        raise
+    return h5
+
+
+def _strange_thing(h5: h5py.File) -> str:
+    """The first thing that minimd does not write, in words; empty if there is none. No link out of the file is followed, and no number read."""
+    room, seen, groups = h5.id.get_filesize(), {h5o.get_info(h5.id).addr}, [("", h5.id)]
+    while groups:
+        path, group = groups.pop()
+        links: list[tuple[bytes, int]] = []
+        group.links.iterate(lambda key, info, links=links: links.append((key, info.type)), info=True)  # h5py uses one info for all
+        for key, kind in links:
+            name = f"{path}{key.decode(errors='replace')}"
+            if kind != h5l.TYPE_HARD:
+                return f"{name!r} is a link by name, which may lead into another file"
+            item = h5o.open(group, key)
+            is_second = (address := h5o.get_info(item).addr) in seen
+            seen.add(address)
+            if isinstance(item, h5g.GroupID):
+                groups.append((f"{name}/", item))
+                if is_second or name.count("/") >= DEEPEST:
+                    return f"{name!r} is a group with a second name, or in more than {DEEPEST} others"
+            if not is_second:
+                words, n_bytes = _strange_in(item, name)
+                room -= n_bytes
+                if words or room < 0:
+                    return f"{name!r} {words or f'with what precedes it would be larger than the file, by {-room} bytes'}"
+    return ""
+
+
+def _strange_in(item: Any, name: str) -> tuple[str, int]:
+    """What is strange in a group or dataset, in words, and the number of bytes that it asks for."""
+    keys: list[bytes] = []
+    h5a.iterate(item, keys.append)
+    attributes = [h5a.open(item, key) for key in keys]
+    for key, one in zip(keys, attributes, strict=True):
+        if one.get_type().get_class() not in TEXTS and key != REFERENCE:
+            return f"has the attribute {key.decode(errors='replace')!r} that is neither numbers nor texts", 0
+    n_bytes = sum(prod(one.shape) * one.get_type().get_size() for one in attributes)
+    if isinstance(item, h5g.GroupID):
+        return "", n_bytes
+    if not isinstance(item, h5d.DatasetID):
+        return "is neither a group nor a dataset", 0
+    made, kind = item.get_create_plist(), item.get_type()
+    if made.get_external_count():
+        return "is a dataset whose numbers lie in other files", 0
+    if made.get_layout() not in LAYOUTS:
+        return "is a dataset that consists of parts of others", 0
+    if made.get_nfilters():
+        return "is a dataset whose numbers pass through filters", 0
+    if kind.get_class() not in (TEXTS if name in MAY_BE_TEXTS else NUMBERS):
+        return "is a dataset of other things than numbers", 0
+    return "", n_bytes + prod(item.get_space().get_simple_extent_dims()) * kind.get_size()
+
+
+@contextmanager
+def damage_told(path: str | Path) -> Iterator[None]:
+    """Turn any error in reading a file into an OSError with one sentence."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:  # HDF5 and h5py raise almost anything for bytes they do not expect
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise OSError(f"file {str(path)!r} is damaged: {reason}; copy it again, or run again") from error
+
+
+def _reason(error: Exception) -> str:
+    """Why a file cannot be opened, in words."""
+    words = sentence(error)
+    if "unable to lock file" in words:
+        return "another run is writing it"
+    if "truncated file" in words:
+        return "it is damaged, it ends before its data do; copy it again, or run again"
+    return words.splitlines()[0]

@@ -102,9 +102,10 @@ class Section(BaseModel):
 
 
 def sections_below(section: type[Section]) -> Iterator[type[Section]]:
-    """All subclasses of a section, with theirs."""
+    """All subclasses of a section that have fields, with theirs."""
     for one in section.__subclasses__():
-        yield one
+        if one.model_fields:
+            yield one
         yield from sections_below(one)
 
 

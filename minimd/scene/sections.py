@@ -13,8 +13,7 @@ from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, M
 from minimd.potentials import LennardJones, Tabulated
 from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
 from minimd.potentials.truncation import TRUNCATIONS
-from minimd.scene.bonded_sections import BondedSection
-from minimd.scene.field_sections import FieldSection
+from minimd.scene.force_sections import ForceSection
 from minimd.scene.observer_section import ObserverSection
 from minimd.scene.section import Dimension, Section, one_of, reading_of
 from minimd.scene.tables import Numbers, TableSection
@@ -277,7 +276,7 @@ class OutputSection(Section):
         return [name for name in ("shadow_energy", "stress") if getattr(self, name)]
 
 
-PotentialSection = Annotated[LennardJonesSection | TabulatedSection | BondedSection | FieldSection, Field(discriminator="type")]
+PotentialSection = Annotated[LennardJonesSection | TabulatedSection | ForceSection, Field(discriminator="type")]  # type: ignore[valid-type]
 
 
 class SceneSections(Section):

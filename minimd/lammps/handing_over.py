@@ -74,8 +74,7 @@ def not_carried_over(simulation: Simulation) -> list[str]:
     engine, method = simulation.engine, simulation.method
     told = ["exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from positions and velocities only"]
     if method.is_thermostat:
-        bath = "its bath is LAMMPS' fix langevin" if isinstance(method, LangevinBAOAB) else "its bath is LAMMPS' fix temp/csvr"
-        told.append(f"noise: {bath}, with its own random numbers, which depend on the number of processes")
+        told.append(f"noise: its bath is LAMMPS' {script.BATHS[type(method)]}, with random numbers that depend on the number of processes")
     if isinstance(method, LangevinBAOAB):
         told.append("order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors of order Δt² differ")
     if len(engine.extra_observables):

@@ -22,7 +22,7 @@ LARGEST_SEED = 900_000_000  # of LAMMPS' random numbers
 LOOKS = 50  # least number of lines with energies in the log of a run
 PER_ATOM = "c_energies fx fy fz c_stresses[1] c_stresses[2] c_stresses[3] c_stresses[6] c_stresses[5] c_stresses[4]"  # xx yy zz yz xz xy
 
-BATHS = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
+BATHS: dict[type, str] = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
 METHODS: tuple[type[Splitting], ...] = (
     VelocityVerlet,
     Leapfrog,
@@ -140,22 +140,17 @@ def _shake(model: Model) -> list[str]:
 
 
 def _bath(engine: Engine, moving: str) -> list[str]:
-    """The commands of the bath; LAMMPS' temperature is k_B T, in the unit of energies."""
-    method, k_b = engine.method, engine.system.units.k_B
-    if isinstance(method, LangevinBAOAB) and method.friction > 0.0:
-        heat = f"{k_b * method.temperature:.17g}"
-        return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {_seed(method.seed)} tally yes"]
-    if isinstance(method, StochasticVelocityRescaling):
-        heat = f"{k_b * method.temperature:.17g}"
-        style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
-        lines = [f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"]
-        bath = f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {_seed(method.seed)}"
-        return [*lines, bath, "fix_modify bath temp heat"]
-    return []
-
-
-def _seed(seed: int) -> int:
-    return 1 + seed % LARGEST_SEED
+    """The commands of the bath; LAMMPS' temperature is k_B T, in the unit of energies. The seed differs from part to part of a run."""
+    method: Any = engine.method
+    if type(method) not in BATHS or (isinstance(method, LangevinBAOAB) and method.friction == 0.0):
+        return []
+    seed = 1 + int(np.random.SeedSequence(method.seed, spawn_key=(engine.step,)).generate_state(1)[0]) % LARGEST_SEED
+    heat = f"{engine.system.units.k_B * method.temperature:.17g}"
+    if isinstance(method, LangevinBAOAB):
+        return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {seed} tally yes"]
+    style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
+    lines = [f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"]
+    return [*lines, f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}", "fix_modify bath temp heat"]
 
 
 def look_every(n_steps: int, every: int) -> int:

@@ -3,9 +3,10 @@
 import math
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
-from lammps_scenes import LJ, SCENES, TIMESTEP, buckingham, fluid, in_mixed_precision
+from lammps_scenes import LJ, SCENES, SKEWED, TIMESTEP, buckingham, fluid, in_mixed_precision
 from references import liquid, melt_scene
 
 import minimd as md
@@ -14,6 +15,7 @@ from minimd.commands import main as cli
 from minimd.lammps.box import Box
 from minimd.lammps.dump import frames
 from minimd.lammps.expression import UnwritableError, energy_expression
+from minimd.lammps.handing_over import Job
 from minimd.lammps.program import find_program, run
 from minimd.potentials.law import checked_law
 
@@ -202,10 +204,43 @@ def test_the_code_of_the_page_runs(tmp_path, monkeypatch):
     assert names["simulation"].step == 2000
 
 
+def flying(cell, box=6.0):
+    """Four atoms on lanes that never meet, each with a velocity of its own; one of them rests."""
+    lanes = np.array([[0.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 0.0, 0.0], [3.0, 3.0, 0.0]])
+    velocities = np.array([[0.0, 0.0, 100.0], [0.0, 0.0, -83.0], [0.0, 0.0, 17.0], [0.0, 0.0, 0.0]])
+    system = md.System(lanes @ cell, velocities=velocities @ cell, cell=box * np.asarray(cell))
+    return md.Simulation(system, LJ, md.VelocityVerlet(0.02))
+
+
+@pytest.mark.parametrize(("cell", "every"), [(np.eye(3), 100), (SKEWED, 4000), (np.diag([1.0, 1.0, -1.0]) @ SKEWED, 1000)])
+def test_atoms_that_cross_many_cells_come_back_in_the_right_image(cell, every, tmp_path):
+    """LAMMPS counts 512 images in each direction; here atoms cross 1300 cells, between two frames or in a hundred of them."""
+    simulation = flying(cell)
+    start, velocities = simulation.positions.copy(), simulation.velocities.copy()
+    done = handed_over(simulation, tmp_path / "run", 4001, every=every)
+    assert np.abs(simulation.positions - (start + 4001 * 0.02 * velocities)).max() < 1e-8  # rounding in 4000 steps
+    with h5py.File(done.trajectory) as file:
+        frame = file["particles/trajectory/position/value"][-1]
+    assert np.abs(frame - (start + 4000 * 0.02 * velocities)).max() < 1e-8
+
+
+def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
+    """Frames so far apart that accelerated atoms may have crossed any number of cells."""
+    end = Job._end
+
+    def slowed(job, *more):
+        job.engine.velocities[0] -= [0.0, 0.0, 90.0]
+        return end(job, *more)
+
+    monkeypatch.setattr(Job, "_end", slowed)
+    with pytest.raises(md.lammps.HandOverError, match=r"images .* 600 cells.*every = 5000"):
+        handed_over(flying(np.eye(3)), tmp_path / "run", 4000, every=5000)
+
+
 def test_positions_come_back_to_where_they_were():
     system = SCENES["turned"]().system
     system.positions[:] += 7.0 * system.cell.vectors[0] - 11.0 * system.cell.vectors[2]
     box = Box(system)
-    assert np.abs(box.positions_back(box.positions) - system.positions).max() < 1e-12
+    assert np.abs(box.positions_back(box.positions, system.positions) - system.positions).max() < 1e-12
     assert box.edges == pytest.approx(system.cell.lattice @ box.turn, abs=1e-12)
-    assert fluid().positions == pytest.approx(Box(fluid()).positions_back(Box(fluid()).positions), abs=1e-14)
+    assert fluid().positions == pytest.approx(Box(fluid()).positions_back(Box(fluid()).positions, fluid().positions), abs=1e-14)

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from minimd.structure.system import System
 from minimd.structure.upright import handedness, upright
 
+IMAGES = 1024  # LAMMPS counts images with ten bits
+
 Array = NDArray[np.float64]
 
 
@@ -22,11 +24,11 @@ class Box:
     low, high : (3,) bounds along the diagonal [length].  open : (3,) bool.
     positions : (N, 3) [length], turned and wrapped.
 
-    Periodic directions begin at 0. Atoms are wrapped here and their images are remembered, because LAMMPS counts only some hundred images.
+    Periodic directions begin at 0. Atoms are wrapped here and their images are remembered.
     """
 
     def __init__(self, system: System) -> None:
-        cell = system.cell
+        self._cell = cell = system.cell
         hand = handedness(cell.lattice)
         self.turn, self.edges = upright(hand * cell.lattice)
         self.open = ~cell.pbc
@@ -54,9 +56,17 @@ class Box:
         """Vectors (N, 3) of LAMMPS, turned back as in minimd."""
         return vectors if self._is_straight else vectors @ self.turn.T
 
-    def positions_back(self, unwrapped: Array) -> Array:
-        """Unwrapped positions of LAMMPS (N, 3) [length], turned back and in the images of minimd."""
-        return self.back(unwrapped) + self._shifts
+    def positions_back(self, unwrapped: Array, expected: Array) -> Array:
+        """Unwrapped positions of LAMMPS (N, 3) [length], turned back and in the images of minimd.
+
+        LAMMPS loses multiples of IMAGES cells; those are taken that come closest to the expected positions, (N, 3) [length].
+        """
+        positions = self.back(unwrapped) + self._shifts
+        return positions + IMAGES * np.rint(self.crossed(expected - positions) / IMAGES) @ self._cell.lattice
+
+    def crossed(self, displacements: Array) -> Array:
+        """How many cells displacements (N, 3) [length] are long, along each periodic lattice vector."""
+        return np.where(self.open, 0.0, displacements @ self._cell.inverse)
 
     def tensors_back(self, virials: Array) -> Array:
         """Symmetric tensors of LAMMPS (N, 6), xx yy zz yz xz xy, turned back as in minimd."""

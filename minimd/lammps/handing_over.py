@@ -19,11 +19,11 @@ from minimd.engine.record import Record
 from minimd.files.trajectory import open_trajectories
 from minimd.integrators import LangevinBAOAB
 from minimd.lammps import script
-from minimd.lammps.box import IMAGES
+from minimd.lammps.box import IMAGES, Box
 from minimd.lammps.dump import frames
 from minimd.lammps.model import Model
 from minimd.lammps.program import INSTALL, OUTPUT, Log, Program, find_program, run
-from minimd.lammps.verification import LEAST, Verification, compare, tails_of
+from minimd.lammps.verification import LEAST, Verification, compare, in_both, tails_of
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag
 from minimd.structure.console import progress_of, stop_on_signals
@@ -45,7 +45,7 @@ class HandOver(Displayed):
 
     folder : of all files.  trajectory : the H5MD file, from which Simulation.resume goes on.  record : Record of its frames.
     verification : of step 0.  energy_difference : largest difference, in all frames, of the potential energies of LAMMPS and minimd, as a
-        fraction of Σ|e_i| at step 0.
+        fraction of the largest of Verification.scale, the potential energy of the frame and its N k_B T.
     seconds : of each phase.  version : of LAMMPS.  processes : their number.
     """
 
@@ -216,7 +216,7 @@ class Job:
             raise OSError(f"the hand-over needs {sizes}; free some space, or write frames less often (every = {self.every})")
 
     def _remove_raw(self) -> None:
-        for name in (script.FRAMES, script.LAST, script.STEP_0, OUTPUT):
+        for name in (*script.RAW, OUTPUT):
             (self.folder / name).unlink(missing_ok=True)
 
     @contextmanager
@@ -231,7 +231,7 @@ class Job:
         with self.phase("writing"):
             self.engine.begin()
             self.model = Model(self.engine)
-            script.write_atoms(self.folder / script.ATOMS, self.engine, self.model)
+            script.write_atoms(self.folder / script.ATOMS, self.model, self.model.box, self.engine.velocities)
             (self.folder / script.FORCES).write_text(script.forces_script(self.model), encoding="ascii")
             (self.folder / script.VERIFY).write_text(script.verify_script(), encoding="ascii")
             (self.folder / script.RUN).write_text(script.run_script(self.engine, self.model, self.steps, self.every), encoding="ascii")
@@ -239,22 +239,25 @@ class Job:
         for k, line in enumerate(not_carried_over(self.simulation)):
             self.tell(f"{'' if k else 'not carried':<14} {line}")
         with self.phase("verifying"):
+            copy, ours = in_both(self.engine, self.model.smallest_cutoff)
+            box = Box(copy)
+            box.make_room(self.model.reach)
+            script.write_atoms(self.folder / script.COPY, self.model, box, copy.velocities)
             log = run(self.program.command(script.VERIFY, script.LOG, self.processes), self.folder, script.LOG, self)
             if self.stop_requested:
                 raise KeyboardInterrupt("stopped before the run of LAMMPS")
             if log.processes != self.processes:
                 why = f"{self.program.lmp} was probably built without MPI, or for another mpiexec than {self.program.mpiexec}"
                 raise HandOverError(f"LAMMPS runs on {log.processes} process instead of {self.processes}; {why}: {INSTALL}")
-            _, columns = next(frames(self.folder / script.STEP_0, len(self.engine.system)), (0, None))
-            if columns is None:
+            read = [next(frames(self.folder / name, len(copy)), None) for name in script.STEP_0.values()]
+            if read[0] is None or read[1] is None:
                 raise HandOverError("LAMMPS has not written step 0; is the disk full?")
-            energies, forces, virials = script.per_atom(columns)
-            box = self.model.box
-            verification = compare(self.engine, energies, box.back(forces), box.tensors_back(virials))
-            self._scale = float(np.abs(energies).sum())
-            verification.check()
+            theirs = script.per_atom(read[0][1], self.model.box), script.per_atom(read[1][1], box)
+            verification = compare(ours, theirs)
+            verification.check(self.engine)
+            self._scale = verification.scale
         self.tell(f"verified       {verification}")
-        (self.folder / script.STEP_0).unlink()
+        self._remove_raw()
         return verification
 
     def run(self, verification: Verification, store_forces: bool) -> HandOver:
@@ -301,8 +304,9 @@ class Job:
 
         is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one after the first.
         """
-        path, record = self.folder / script.FRAMES, Record(self.simulation.system.units, len(self.simulation.system), self.trajectory)
-        found = (one for one in frames(path, len(self.engine.system)) if one[0] > self.first_step) if path.is_file() else iter(())
+        path, n_atoms, k_b = self.folder / script.FRAMES, len(self.engine.system), self.engine.system.units.k_B
+        record = Record(self.engine.system.units, n_atoms, self.trajectory)
+        found = (one for one in frames(path, n_atoms) if one[0] > self.first_step) if path.is_file() else iter(())
         first = next(found, None)
         self.keeps_frames = first is not None
         if first is None and not is_whole:
@@ -320,10 +324,11 @@ class Job:
                 record.append(frame)
                 for writer in writers:
                     writer.write(frame)
-                apart.append(abs(theirs.get(step, np.nan) - float(frame.observables["potential_energy"]) + tail))
+                energy, heat = float(frame.observables["potential_energy"]) - tail, n_atoms * k_b * float(frame.observables["temperature"])
+                apart.append(abs(theirs.get(step, np.nan) - energy) / max(self._scale, abs(energy), heat, LEAST))
             n_missing = self._end(baths.get(self.first_step + self.steps, start), len(record)) if is_whole else 0
         self.simulation.record = record
-        return Brought(record, float(np.max(apart)) / max(self._scale, LEAST), n_missing)
+        return Brought(record, float(np.max(apart)), n_missing)
 
     @contextmanager
     def _titled(self) -> Iterator[None]:

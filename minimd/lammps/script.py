@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
 from minimd.integrators import LangevinBAOAB, Leapfrog, Splitting, StochasticVelocityRescaling, VelocityVerlet
+from minimd.lammps.box import Box
 from minimd.lammps.model import Model
+from minimd.lammps.verification import Evaluated
 
-ATOMS, FORCES, VERIFY, RUN = "atoms.data", "forces.lmp", "verify.lmp", "run.lmp"
-LOG, FRAMES, LAST, STEP_0 = "run.log", "frames.bin", "last.bin", "step0.bin"
-FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, FRAMES, LAST, STEP_0)  # all files of a hand-over except the trajectory
+ATOMS, FORCES, VERIFY, RUN, LOG = "atoms.data", "forces.lmp", "verify.lmp", "run.lmp", "run.log"
+COPY, STEP_0 = "copy.data", {"atoms.data": "atoms.data.bin", "copy.data": "copy.data.bin"}  # the results of step 0 of each data file
+FRAMES, LAST = "frames.bin", "last.bin"
+RAW = (FRAMES, LAST, COPY, *STEP_0.values())  # removed at the end
+FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, *RAW)  # all files of a hand-over except the trajectory
 ATOMS_AT_ONCE = 100_000  # written in one piece
 SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-13, 200  # tolerance relative to the lengths
 LARGEST_SEED = 900_000_000  # of LAMMPS' random numbers
@@ -40,20 +44,20 @@ def check_method(engine: Engine) -> None:
         raise ValueError(f"the time step must be positive for LAMMPS; timestep = {method.timestep!r}")
 
 
-def write_atoms(path: Path, engine: Engine, model: Model) -> None:
-    """The data file: box, masses, atoms, velocities, bonds, angles, dihedrals; all numbers with all their digits."""
+def write_atoms(path: Path, model: Model, box: Box, velocities: NDArray[np.float64]) -> None:
+    """The data file: box, masses, atoms, velocities (N, 3), bonds, angles, dihedrals; all numbers with all their digits."""
     types, is_bonded = model.types, model.atom_style != "atomic"
     with path.open("w", encoding="ascii") as file:
         file.write(f"atoms of a scene of minimd\n\n{len(types.of_atom)} atoms\n{len(types.masses)} atom types\n")
         for word, groups in model.joined.items():
             if is_bonded and (word != "dihedral" or len(groups.atoms)):
                 file.write(f"{len(groups.atoms)} {word}s\n{len(groups.coefficients)} {word} types\n")
-        file.write("\n".join(["", *model.box.lines(), "", "Masses", "", ""]))
+        file.write("\n".join(["", *box.lines(), "", "Masses", "", ""]))
         file.writelines(f"{k} {mass:.17g}\n" for k, mass in enumerate(types.masses, start=1))
         file.write(f"\nAtoms # {model.atom_style}\n\n")
-        file.writelines(_rows(f"%d{' 1' if is_bonded else ''} %d %.17g %.17g %.17g\n", types.of_atom + 1, model.box.positions))
+        file.writelines(_rows(f"%d{' 1' if is_bonded else ''} %d %.17g %.17g %.17g\n", types.of_atom + 1, box.positions))
         file.write("\nVelocities\n\n")
-        file.writelines(_rows("%d %.17g %.17g %.17g\n", model.box.turned(engine.velocities)))
+        file.writelines(_rows("%d %.17g %.17g %.17g\n", box.turned(velocities)))
         for word, groups in model.joined.items():
             if len(groups.atoms):
                 file.write(f"\n{word.capitalize()}s\n\n")
@@ -80,7 +84,7 @@ def forces_script(model: Model) -> str:
         "box tilt large",
         *([f"special_bonds lj/coul {' '.join(f'{factor:.17g}' for factor in model.special_bonds())}"] if is_bonded else []),
         f"comm_modify cutoff {model.reach:.17g}",
-        f"read_data {ATOMS}",
+        "read_data ${atoms}",
         *model.pair_commands(),
         *(line for word, groups in model.joined.items() for line in groups.commands(word)),
         f"neighbor {model.skin:.17g} {model.search}",
@@ -90,15 +94,19 @@ def forces_script(model: Model) -> str:
 
 
 def verify_script() -> str:
-    """The run of 0 steps: energy, force and virial of each atom."""
+    """The runs of 0 steps: energy, force and virial of each atom, in the scene and in its copy."""
     lines = [
+        f"variable atoms index {ATOMS} {COPY}",
         f"include {FORCES}",
         "compute energies all pe/atom",
         "compute stresses all stress/atom NULL virial",
-        f"dump step0 all custom 1 {STEP_0} id {PER_ATOM}",
+        f"dump step0 all custom 1 ${{atoms}}.bin id {PER_ATOM}",
         "thermo_style custom step pe",
         "thermo_modify norm no format float %.17g",
         "run 0",
+        "clear",
+        "next atoms",
+        "jump SELF",
     ]
     return "\n".join([*lines, ""])
 
@@ -109,6 +117,7 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     moving = "mobile" if fixed else "all"
     bath = _bath(engine, moving)
     lines = [
+        f"variable atoms index {ATOMS}",
         f"include {FORCES}",
         *([f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []),
         f"reset_timestep {engine.step}",
@@ -159,6 +168,6 @@ def look_every(n_steps: int, every: int) -> int:
     return max(k for k in range(1, every + 1) if every % k == 0 and (k <= most or k == 1))
 
 
-def per_atom(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Energies (N,), forces (N, 3) and virials (N, 6) of the columns of step 0; LAMMPS' stress is minus the virial."""
-    return columns[:, 0], columns[:, 1:4], -columns[:, 4:]
+def per_atom(columns: NDArray[np.float64], box: Box) -> Evaluated:
+    """Energies, forces and virials of the columns of step 0, turned back; LAMMPS' stress is minus the virial."""
+    return Evaluated(columns[:, 0], box.back(columns[:, 1:4]), box.tensors_back(-columns[:, 4:]))

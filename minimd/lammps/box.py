@@ -43,18 +43,13 @@ class Box:
             column = self.positions[:, k]
             self.low[k], self.high[k] = column.min() - length, column.max() + length
 
-    @property
-    def is_tilted(self) -> bool:
-        """Whether the cell is not a rectangular box."""
-        return bool(np.tril(self.edges, -1).any())
-
     def turned(self, vectors: Array) -> Array:
         """Vectors (N, 3) of minimd, turned as in LAMMPS."""
-        return vectors if self._is_straight else vectors @ self.turn
+        return vectors @ self.turn
 
     def back(self, vectors: Array) -> Array:
         """Vectors (N, 3) of LAMMPS, turned back as in minimd."""
-        return vectors if self._is_straight else vectors @ self.turn.T
+        return vectors @ self.turn.T
 
     def positions_back(self, unwrapped: Array, expected: Array) -> Array:
         """Unwrapped positions of LAMMPS (N, 3) [length], turned back and in the images of minimd.
@@ -70,15 +65,9 @@ class Box:
 
     def tensors_back(self, virials: Array) -> Array:
         """Symmetric tensors of LAMMPS (N, 6), xx yy zz yz xz xy, turned back as in minimd."""
-        if self._is_straight:
-            return virials
         full = virials[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
         turned = self.turn @ full @ self.turn.T
         return turned[:, [0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
-
-    @property
-    def _is_straight(self) -> bool:
-        return np.array_equal(self.turn, np.eye(3))
 
     def boundary(self) -> str:
         """The arguments of LAMMPS' command boundary: p (periodic), or m, an open boundary that follows the atoms but keeps a smallest extent."""
@@ -88,4 +77,4 @@ class Box:
         """The lines of a data file about the box."""
         lines = [f"{low:.17g} {high:.17g} {axis}lo {axis}hi" for low, high, axis in zip(self.low, self.high, "xyz", strict=True)]
         tilts = self.edges[[1, 2, 2], [0, 0, 1]]
-        return lines + ([f"{' '.join(f'{tilt:.17g}' for tilt in tilts)} xy xz yz"] if self.is_tilted else [])
+        return lines + ([f"{' '.join(f'{tilt:.17g}' for tilt in tilts)} xy xz yz"] if tilts.any() else [])

@@ -31,7 +31,7 @@ from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import HandOverError, sentence
 
 TRAJECTORY = "run.h5md"
-BYTES_PER_ATOM, BYTES_PER_FRAME = 260, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
+BYTES_PER_ATOM, BYTES_PER_FRAME = 450, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
 DISAGREEMENT = {"double": 1e-8, "mixed": 1e-5}  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
 
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
@@ -157,7 +157,7 @@ class Job:
     ) -> None:
         if simulation.barostat is not None:
             raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than minimd; run it with minimd")
-        self.simulation, self.engine, self.folder = simulation, simulation.engine, folder
+        self.simulation, self.engine, self.folder, self.trajectory = simulation, simulation.engine, folder, folder / TRAJECTORY
         self.steps, self.every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
         self.processes = checked_count("processes", processes)
         self.progress, self.tell = progress, tell
@@ -167,11 +167,6 @@ class Job:
         script.check_method(self.engine)
         self.program: Program = find_program()
         self.program.command(script.RUN, script.LOG, processes)
-
-    @property
-    def trajectory(self) -> Path:
-        """The H5MD file."""
-        return self.folder / TRAJECTORY
 
     @contextmanager
     def in_folder(self, overwrite: bool) -> Iterator[None]:
@@ -239,7 +234,7 @@ class Job:
         for k, line in enumerate(not_carried_over(self.simulation)):
             self.tell(f"{'' if k else 'not carried':<14} {line}")
         with self.phase("verifying"):
-            copy, ours = in_both(self.engine, self.model.smallest_cutoff)
+            copy, ours = in_both(self.engine, self.model.smallest_cutoff, self.model.skin)
             box = Box(copy)
             box.make_room(self.model.reach)
             script.write_atoms(self.folder / script.COPY, self.model, box, copy.velocities)

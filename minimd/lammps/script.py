@@ -27,11 +27,7 @@ LOOKS = 50  # least number of lines with energies in the log of a run
 PER_ATOM = "c_energies fx fy fz c_stresses[1] c_stresses[2] c_stresses[3] c_stresses[6] c_stresses[5] c_stresses[4]"  # xx yy zz yz xz xy
 
 BATHS: dict[type, str] = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
-METHODS: tuple[type[Splitting], ...] = (
-    VelocityVerlet,
-    Leapfrog,
-    *BATHS,
-)  # minimd's leapfrog has the same observed states as velocity Verlet
+METHODS: tuple[type[Splitting], ...] = (VelocityVerlet, Leapfrog, *BATHS)  # minimd's leapfrog has the observed states of velocity Verlet
 
 
 def check_method(engine: Engine) -> None:

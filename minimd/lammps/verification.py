@@ -21,8 +21,8 @@ from minimd.structure.system import System
 
 TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed over
 LEAST = 1e-30  # [energy], of a scene without energies
-SHEAR = np.array([[1.0, 0.02, -0.01], [0.01, 0.99, 0.02], [-0.02, 0.01, 1.01]])  # changes angles too; no singular value is above 1.04
-SMALLER = 0.95  # the size of a copy, relative to the one before; times SHEAR, it shortens every distance
+SMALLER = 0.95  # the size of a copy, relative to the one before
+SHAKEN = 0.05  # of the skin: displacements of atoms in the copies, in each direction at most
 NEAREST = 0.3  # of the smallest cutoff: copies whose closest pair is nearer are not made
 PART = 0.01  # of the energies, forces and virials of the copy: the scale of those that vanish or cancel in the scene
 
@@ -34,7 +34,7 @@ class Verification:
     """The largest differences at step 0, each relative to the largest of its kind; in the scene or in the copy, whichever is worse.
 
     energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative to the largest one;
-    where they vanish or cancel, as in a crystal, in a dilute gas or in springs at rest, relative to what follows from energies or the copy.
+    where they vanish or cancel, as in a crystal, in a dilute gas or in springs at rest, relative to what follows from energies, virials or the copy.
     atom : the atom whose force differs most.  scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it is larger.
     """
 
@@ -108,22 +108,24 @@ def evaluated(engine: Engine, system: System) -> Evaluated:
     return Evaluated(energies, sums[0], sums[2], length, n_idle)
 
 
-def in_both(engine: Engine, shortest: float) -> tuple[System, tuple[Evaluated, Evaluated]]:
+def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple[Evaluated, Evaluated]]:
     """A copy of the scene, and what minimd computes in the scene and in the copy.
 
-    The copy is sheared, and made smaller until each term has an energy, and not only at its cutoff: it has had one in the size before. If
-    no size achieves this, the first one is taken in which fewest terms have no energy; the scene itself if energies are never finite.
-    shortest : the smallest cutoff [length].  Raises NonFiniteError if energies or forces of the scene are not finite.
+    In the copy atoms are slightly displaced, which also bends angles. It is made smaller until each term has an energy there, and, so that
+    this is not by a pair at the cutoff only, in the size before. If no size achieves this, the first one is taken in which fewest terms have
+    none; the scene itself if energies are never finite.
+    shortest : the smallest cutoff [length].  skin : [length].  Raises NonFiniteError if energies or forces of the scene are not finite.
     """
     system, before = engine.system, evaluated(engine, engine.system)
     if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
         raise NonFiniteError(f"forces or energies are not finite; the closest pair is {closest_pair(system)}: move them apart")
+    positions = system.cell.wrapped(system.positions) + np.random.default_rng(0).uniform(-SHAKEN * skin, SHAKEN * skin, system.positions.shape)
     here, size, least, fewest, chosen = before, 1.0, 0.0, np.inf, (system, before)
     while size >= least and fewest > 0:
         size *= SMALLER
         copy = system.copy()
-        copy.positions[:] = system.positions @ (size * SHEAR)
-        copy.cell = Cell.of(system.cell.vectors @ (size * SHEAR), system.cell.pbc)
+        copy.positions[:] = size * positions
+        copy.cell = Cell.of(size * system.cell.vectors, system.cell.pbc)
         found = evaluated(engine, copy)
         if np.isfinite(found.energies).all() and (n_idle := max(before.n_idle, found.n_idle)) < fewest:
             fewest, chosen = n_idle, (copy, found)
@@ -140,10 +142,10 @@ def compare(ours: tuple[Evaluated, Evaluated], theirs: tuple[Evaluated, Evaluate
     for here, there, part in zip(ours, theirs, (PART, 0.0), strict=True):
         least = [part * _largest(numbers) for numbers in ours[1][:3]]
         energy, atom = max(_largest(here.energies), least[0], LEAST), longest(there.forces - here.forces)[0]
+        virial = max(_largest(here.virials), least[2], energy)
+        force = max(_largest(here.forces), least[1], virial / here.length)
         whole = abs(float(there.energies.sum() - here.energies.sum())) / max(float(np.abs(here.energies).sum()), energy)
-        force = _largest(there.forces - here.forces) / max(_largest(here.forces), least[1], energy / here.length)
-        virial = _largest(there.virials - here.virials) / max(_largest(here.virials), least[2], energy)
-        rows.append((whole, _largest(there.energies - here.energies) / energy, force, virial))
+        rows.append((whole, *(_largest(b - a) / most for a, b, most in zip(here[:3], there[:3], (energy, force, virial), strict=True))))
         atoms.append(atom)
     whole, energies, forces, virials = np.max(rows, axis=0).tolist()
     scale = max(float(np.abs(ours[0].energies).sum()), PART * float(np.abs(ours[1].energies).sum()))

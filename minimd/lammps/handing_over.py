@@ -33,7 +33,6 @@ from minimd.structure.errors import HandOverError, sentence
 TRAJECTORY = "run.h5md"
 BYTES_PER_ATOM, BYTES_PER_FRAME = 450, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
 DISAGREEMENT = {"double": 1e-8, "mixed": 1e-5}  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
-
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 
 Tell = Callable[[str], object]
@@ -244,10 +243,8 @@ class Job:
             if log.processes != self.processes:
                 why = f"{self.program.lmp} was probably built without MPI, or for another mpiexec than {self.program.mpiexec}"
                 raise HandOverError(f"LAMMPS runs on {log.processes} process instead of {self.processes}; {why}: {INSTALL}")
-            read = [next(frames(self.folder / name, len(copy)), None) for name in script.STEP_0.values()]
-            if read[0] is None or read[1] is None:
-                raise HandOverError("LAMMPS has not written step 0; is the disk full?")
-            theirs = script.per_atom(read[0][1], self.model.box), script.per_atom(read[1][1], box)
+            found = [frames(self.folder / name, len(copy)) for name in script.STEP_0.values()]
+            theirs = (script.per_atom(columns, place) for one, place in zip(found, (self.model.box, box), strict=True) for _, columns in one)
             verification = compare(ours, theirs)
             verification.check(self.engine)
             self._scale = verification.scale

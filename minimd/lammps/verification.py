@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -136,10 +137,12 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
     return chosen[0], (here, chosen[1])
 
 
-def compare(ours: tuple[Evaluated, Evaluated], theirs: tuple[Evaluated, Evaluated]) -> Verification:
-    """Compare what minimd and LAMMPS have computed in the scene and in its copy."""
+def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> Verification:
+    """Compare what minimd and LAMMPS have computed in the scene and in its copy.  Raises HandOverError if LAMMPS' numbers are missing."""
     rows, atoms = [], []
-    for here, there, part in zip(ours, theirs, (PART, 0.0), strict=True):
+    for here, part in zip(ours, (PART, 0.0), strict=True):
+        if (there := next(theirs, None)) is None:
+            raise HandOverError("LAMMPS has not written step 0; is the disk full?")
         least = [part * _largest(numbers) for numbers in ours[1][:3]]
         energy, atom = max(_largest(here.energies), least[0], LEAST), longest(there.forces - here.forces)[0]
         virial = max(_largest(here.virials), least[2], energy)

@@ -63,7 +63,7 @@ class HandOver(Displayed):
         return [
             ("LAMMPS", f"{self.version}, on {self.processes} process{'es' * (self.processes > 1)}"),
             ("verified", f"{self.verification}"),
-            ("frames", f"{len(self.record)}; the potential energies of LAMMPS and minimd differ by at most {self.energy_difference:.1e} of Σ|e_i|"),
+            ("frames", f"{len(self.record)}; potential energies differ by at most {self.energy_difference:.1e} of Σ|e_i| or N k_B T"),
             ("time", times),
             ("written", str(self.trajectory)),
         ]
@@ -284,7 +284,7 @@ class Job:
             words = f"LAMMPS has made all steps, but {brought.missing} frames are not on the disk; is the disk full?"
         elif not different <= allowed:
             why = f"its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time step"
-            words = f"the potential energies of LAMMPS and minimd differ by {different:.1e} of Σ|e_i| in a frame, allowed is {allowed:g}; {why}"
+            words = f"potential energies of a frame differ by {different:.1e} of Σ|e_i| or N k_B T, allowed is {allowed:g}; {why}"
         if words and self.keeps_frames:
             kept = f"{len(brought.record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
             words = f"{kept}; {words}" if self.stop_requested else f"{words}; {kept}"  # the name of the signal follows

@@ -16,7 +16,7 @@ from minimd.lammps.model import Model
 from minimd.lammps.verification import Evaluated
 
 ATOMS, FORCES, VERIFY, RUN, LOG = "atoms.data", "forces.lmp", "verify.lmp", "run.lmp", "run.log"
-COPY, STEP_0 = "copy.data", {"atoms.data": "atoms.data.bin", "copy.data": "copy.data.bin"}  # the results of step 0 of each data file
+COPY, STEP_0 = "copy.data", {"atoms.data": "atoms.data.bin", "copy.data": "copy.data.bin"}  # results at step 0
 FRAMES, LAST = "frames.bin", "last.bin"
 RAW = (FRAMES, LAST, COPY, *STEP_0.values())  # removed at the end
 FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, *RAW)  # all files of a hand-over except the trajectory
@@ -27,7 +27,7 @@ LOOKS = 50  # least number of lines with energies in the log of a run
 PER_ATOM = "c_energies fx fy fz c_stresses[1] c_stresses[2] c_stresses[3] c_stresses[6] c_stresses[5] c_stresses[4]"  # xx yy zz yz xz xy
 
 BATHS: dict[type, str] = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
-METHODS: tuple[type[Splitting], ...] = (VelocityVerlet, Leapfrog, *BATHS)  # minimd's leapfrog has the observed states of velocity Verlet
+METHODS: tuple[type[Splitting], ...] = (VelocityVerlet, Leapfrog, *BATHS)  # Leapfrog: same observed states
 
 
 def check_method(engine: Engine) -> None:
@@ -145,7 +145,7 @@ def _shake(model: Model) -> list[str]:
 
 
 def _bath(engine: Engine, moving: str) -> list[str]:
-    """The commands of the bath; LAMMPS' temperature is k_B T, in the unit of energies. The seed differs from part to part of a run."""
+    """The commands of the bath; LAMMPS' temperature is k_B T [energy]. Each part of a run has its own seed."""
     method: Any = engine.method
     if type(method) not in BATHS or (isinstance(method, LangevinBAOAB) and method.friction == 0.0):
         return []

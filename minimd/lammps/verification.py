@@ -1,4 +1,4 @@
-"""The verification at step 0: energy, force and virial of each atom, computed by LAMMPS and by minimd, in the scene and in a smaller copy."""
+"""The verification at step 0: energies, forces and virials of atoms in LAMMPS and minimd, in the scene and a smaller copy."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Verification:
-    """The largest differences at step 0, each relative to the largest of its kind; in the scene or in the copy, whichever is worse.
+    """The largest differences at step 0, each relative to the largest of its kind; the worse of scene and copy.
 
     energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative to the largest one;
-    where they vanish or cancel, as in a crystal, in a dilute gas or in springs at rest, relative to what follows from energies, virials or the copy.
+    where they vanish or cancel, as in a crystal or a dilute gas, relative to what follows from energies, virials or the copy.
     atom : the atom whose force differs most.  scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it is larger.
     """
 
@@ -66,7 +66,7 @@ class Verification:
 
 
 def on_a_cutoff(engine: Engine) -> str:
-    """A clause about a pair at the distance where a potential ends with a step of the energy or the force; empty if there is none."""
+    """A clause about a pair on a cutoff at which the energy or the force jumps; empty if there is none."""
     system = engine.system
     for one in engine.interactions.potentials:
         if isinstance(one, PairPotential) and one.truncation in ("truncated", "shifted") and one.cutoff < np.inf:
@@ -97,7 +97,7 @@ class Evaluated(NamedTuple):
 
 
 def evaluated(engine: Engine, system: System) -> Evaluated:
-    """Energies, forces and virials of single atoms of a system, as minimd computes them in double precision, without tail corrections."""
+    """What minimd computes for single atoms of a system, in double precision, without tail corrections."""
     n, forces = len(system), Forces(system, engine.interactions.potentials, Options(skin=0.0, threads=engine.interactions.options.threads))
     length = forces.largest_cutoff if np.isfinite(forces.largest_cutoff) else 1.0
     energies, sums, n_idle = np.zeros(n), (np.zeros((n, 3)), np.zeros(n), np.zeros((n, 6))), 0
@@ -138,7 +138,7 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
 
 
 def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> Verification:
-    """Compare what minimd and LAMMPS have computed in the scene and in its copy.  Raises HandOverError if LAMMPS' numbers are missing."""
+    """Compare the numbers of scene and copy.  Raises HandOverError if those of LAMMPS are missing."""
     rows, atoms = [], []
     for here, part in zip(ours, (PART, 0.0), strict=True):
         if (there := next(theirs, None)) is None:

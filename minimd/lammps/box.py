@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from minimd.structure.system import System
 from minimd.structure.upright import handedness, upright
 
+IMAGES = 1024  # LAMMPS counts images with ten bits
+
 Array = NDArray[np.float64]
 
 
@@ -22,11 +24,11 @@ class Box:
     low, high : (3,) bounds along the diagonal [length].  open : (3,) bool.
     positions : (N, 3) [length], turned and wrapped.
 
-    Periodic directions begin at 0. Atoms are wrapped here and their images are remembered, because LAMMPS counts only some hundred images.
+    Periodic directions begin at 0. Atoms are wrapped here and their images are remembered.
     """
 
     def __init__(self, system: System) -> None:
-        cell = system.cell
+        self._cell = cell = system.cell
         hand = handedness(cell.lattice)
         self.turn, self.edges = upright(hand * cell.lattice)
         self.open = ~cell.pbc
@@ -41,34 +43,33 @@ class Box:
             column = self.positions[:, k]
             self.low[k], self.high[k] = column.min() - length, column.max() + length
 
-    @property
-    def is_tilted(self) -> bool:
-        """Whether the cell is not a rectangular box."""
-        return bool(np.tril(self.edges, -1).any())
-
     def turned(self, vectors: Array) -> Array:
         """Vectors (N, 3) of minimd, turned as in LAMMPS."""
-        return vectors if self._is_straight else vectors @ self.turn
+        return vectors @ self.turn
 
     def back(self, vectors: Array) -> Array:
         """Vectors (N, 3) of LAMMPS, turned back as in minimd."""
-        return vectors if self._is_straight else vectors @ self.turn.T
+        return vectors @ self.turn.T
 
-    def positions_back(self, unwrapped: Array) -> Array:
-        """Unwrapped positions of LAMMPS (N, 3) [length], turned back and in the images of minimd."""
-        return self.back(unwrapped) + self._shifts
+    def positions_back(self, unwrapped: Array, expected: Array) -> Array:
+        """Unwrapped positions of LAMMPS (N, 3) [length], turned back and in the images of minimd.
+
+        LAMMPS loses multiples of IMAGES cells; those are taken that come closest to the expected positions, (N, 3) [length].
+        """
+        positions = self.back(unwrapped) + self._shifts
+        return positions + IMAGES * np.rint(self.crossed(expected - positions) / IMAGES) @ self._cell.lattice
+
+    def crossed(self, displacements: Array) -> Array:
+        """How many cells displacements (N, 3) [length] are long, along each periodic lattice vector."""
+        return np.where(self.open, 0.0, displacements @ self._cell.inverse)
 
     def tensors_back(self, virials: Array) -> Array:
         """Symmetric tensors of LAMMPS (N, 6), xx yy zz yz xz xy, turned back as in minimd."""
-        if self._is_straight:
+        if np.array_equal(self.turn, np.eye(3)):
             return virials
         full = virials[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
         turned = self.turn @ full @ self.turn.T
         return turned[:, [0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
-
-    @property
-    def _is_straight(self) -> bool:
-        return np.array_equal(self.turn, np.eye(3))
 
     def boundary(self) -> str:
         """The arguments of LAMMPS' command boundary: p (periodic), or m, an open boundary that follows the atoms but keeps a smallest extent."""
@@ -78,4 +79,4 @@ class Box:
         """The lines of a data file about the box."""
         lines = [f"{low:.17g} {high:.17g} {axis}lo {axis}hi" for low, high, axis in zip(self.low, self.high, "xyz", strict=True)]
         tilts = self.edges[[1, 2, 2], [0, 0, 1]]
-        return lines + ([f"{' '.join(f'{tilt:.17g}' for tilt in tilts)} xy xz yz"] if self.is_tilted else [])
+        return lines + ([f"{' '.join(f'{tilt:.17g}' for tilt in tilts)} xy xz yz"] if tilts.any() else [])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import builtins
 import math
+import operator
 from collections import Counter
 from collections.abc import Callable, Iterator
 from types import CellType, CodeType, FunctionType, SimpleNamespace
@@ -26,8 +27,11 @@ FUNCTIONS = {  # names in math and numpy: in Lepton
     **dict(zip(("arcsin", "arccos", "arctan", "asin", "acos", "atan"), ("asin", "acos", "atan") * 2, strict=True)),
     **dict.fromkeys(("abs", "fabs", "absolute"), "abs"),
 }
-OPERATORS = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "true_divide": "/", "power": "^", "float_power": "^"}
-COMPARISONS = {"less": "<", "greater": ">", "less_equal": "<=", "greater_equal": ">="}
+OPERATORS: dict[str, Callable[[Any, Any], Any]] = {  # of numpy
+    **dict(zip(("add", "subtract", "multiply", "power"), (operator.add, operator.sub, operator.mul, operator.pow), strict=True)),
+    **dict(zip(("divide", "true_divide", "float_power", "pow"), (operator.truediv, operator.truediv, operator.pow, operator.pow), strict=True)),
+    **dict(zip(("less", "greater", "less_equal", "greater_equal"), (operator.lt, operator.gt, operator.le, operator.ge), strict=True)),
+}
 
 
 class UnwritableError(ValueError):
@@ -42,6 +46,11 @@ class Undecided(Exception):  # noqa: N818 - not an error: it is always caught in
         self.condition = condition
 
 
+def _methods(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
+    """The methods of Symbol for an operator: with the symbol on its left, and on its right."""
+    return lambda self, other: self.of(operation, self, other), lambda self, other: self.of(operation, other, self)
+
+
 class Symbol:
     """An unknown number: an operation, and its arguments, which are symbols and numbers.
 
@@ -53,76 +62,50 @@ class Symbol:
     def __init__(self, operation: str, arguments: tuple[Any, ...], decisions: Iterator[bool]) -> None:
         self.operation, self.arguments, self.decisions = operation, arguments, decisions
 
-    def _of(self, operation: str, *arguments: Any) -> Symbol:
+    def of(self, operation: str, *arguments: Any) -> Symbol:
+        """An operation or a function of Lepton with these arguments. √(r²) is r."""
         for one in arguments:
             if not isinstance(one, Symbol | int | float | np.number | np.bool_):
                 raise UnwritableError(f"it computes with {type(one).__name__}, not with numbers")
+        if arguments and isinstance(arguments[0], Symbol) and arguments[0].operation == "r2":
+            if operation == "sqrt":
+                return self.of("r")
+            if operation == "^" and isinstance(arguments[1], float) and arguments[1] % 1.0 == 0.5:
+                return self.of("^", self.of("r"), 2.0 * arguments[1])
         return Symbol(operation, arguments, self.decisions)
 
-    def call(self, name: str, *arguments: Any) -> Symbol:
-        """A function of Lepton with these arguments, of which this symbol is one. √(r²) is r."""
-        if name == "sqrt" and self.operation == "r2":
-            return self._of("r")
-        return self._of(name, *arguments)
-
-    def __add__(self, other: Any) -> Symbol:
-        return self._of("+", self, other)
-
-    def __radd__(self, other: Any) -> Symbol:
-        return self._of("+", other, self)
-
-    def __sub__(self, other: Any) -> Symbol:
-        return self._of("-", self, other)
-
-    def __rsub__(self, other: Any) -> Symbol:
-        return self._of("-", other, self)
-
-    def __mul__(self, other: Any) -> Symbol:
-        return self._of("*", self, other)
-
-    def __rmul__(self, other: Any) -> Symbol:
-        return self._of("*", other, self)
-
-    def __truediv__(self, other: Any) -> Symbol:
-        return self._of("/", self, other)
-
-    def __rtruediv__(self, other: Any) -> Symbol:
-        return self._of("/", other, self)
-
-    def __pow__(self, other: Any) -> Symbol:
-        if self.operation == "r2" and isinstance(other, float) and other % 1.0 == 0.5:
-            return self._of("^", self._of("r"), 2.0 * other)
-        return self._of("^", self, other)
-
-    def __rpow__(self, other: Any) -> Symbol:
-        return self._of("^", other, self)
+    __add__, __radd__ = _methods("+")
+    __sub__, __rsub__ = _methods("-")
+    __mul__, __rmul__ = _methods("*")
+    __truediv__, __rtruediv__ = _methods("/")
+    __pow__, __rpow__ = _methods("^")
 
     def __neg__(self) -> Symbol:
-        return self._of("-", 0.0, self)
+        return self.of("-", 0.0, self)
 
     def __pos__(self) -> Symbol:
         return self
 
     def __abs__(self) -> Symbol:
-        return self._of("abs", self)
+        return self.of("abs", self)
 
     def __lt__(self, other: Any) -> Symbol:
-        return self._of("-", 1.0, self._of("step", self - other))
+        return self.of("-", 1.0, self.of("step", self - other))
 
     def __gt__(self, other: Any) -> Symbol:
-        return self._of("-", 1.0, self._of("step", other - self))
+        return self.of("-", 1.0, self.of("step", other - self))
 
     def __le__(self, other: Any) -> Symbol:
-        return self._of("step", other - self)
+        return self.of("step", other - self)
 
     def __ge__(self, other: Any) -> Symbol:
-        return self._of("step", self - other)
+        return self.of("step", self - other)
 
     def __eq__(self, other: object) -> Any:
-        return self._of("delta", self - other)
+        return self.of("delta", self - other)
 
     def __ne__(self, other: object) -> Any:
-        return self._of("-", 1.0, self == other)
+        return self.of("-", 1.0, self == other)
 
     def __bool__(self) -> bool:
         decision = next(self.decisions, None)
@@ -152,25 +135,20 @@ def applied(name: str, *inputs: Any) -> Any:
     """Apply a function of math or numpy, given by name, to symbols and numbers.  Raises UnwritableError if Lepton does not have it."""
     first = next(one for one in inputs if isinstance(one, Symbol))
     if name in OPERATORS:
-        a, b = (x if isinstance(x, Symbol) else float(x) for x in inputs)
-        return a**b if OPERATORS[name] == "^" else first._of(OPERATORS[name], a, b)
-    if name in COMPARISONS:
-        a, b = inputs
-        return {"<": lambda: a < b, ">": lambda: a > b, "<=": lambda: a <= b, ">=": lambda: a >= b}[COMPARISONS[name]]()
+        return OPERATORS[name](*(x if isinstance(x, Symbol) else float(x) for x in inputs))
     if name in FUNCTIONS:
-        return first.call(FUNCTIONS[name], *inputs)
+        return first.of(FUNCTIONS[name], *inputs)
     special: dict[str, Callable[[], Any]] = {
-        "maximum": lambda: first.call("max", *inputs),
-        "minimum": lambda: first.call("min", *inputs),
-        "where": lambda: first.call("select", *inputs),
+        "maximum": lambda: first.of("max", *inputs),
+        "minimum": lambda: first.of("min", *inputs),
+        "where": lambda: first.of("select", *inputs),
         "square": lambda: first * first,
         "negative": lambda: -first,
         "reciprocal": lambda: 1.0 / first,
-        "pow": lambda: inputs[0] ** inputs[1],
-        "expm1": lambda: first.call("exp", first) - 1.0,
-        "log1p": lambda: first.call("log", 1.0 + first),
-        "log10": lambda: first.call("log", first) / math.log(10.0),
-        "log2": lambda: first.call("log", first) / math.log(2.0),
+        "expm1": lambda: first.of("exp", first) - 1.0,
+        "log1p": lambda: first.of("log", 1.0 + first),
+        "log10": lambda: first.of("log", first) / math.log(10.0),
+        "log2": lambda: first.of("log", first) / math.log(2.0),
         "cbrt": lambda: first ** (1.0 / 3.0),
     }
     if name not in special:
@@ -205,7 +183,7 @@ def _followed(law: tuple, parameters: tuple[float, ...], decisions: tuple[bool, 
         return u
     except Undecided as stopped:
         both = (_followed(law, parameters, (*decisions, outcome)) for outcome in (True, False))
-        return stopped.condition.call("select", stopped.condition, *both)
+        return stopped.condition.of("select", stopped.condition, *both)
     except UnwritableError:
         raise
     except (TypeError, ValueError, AttributeError, NotImplementedError, LookupError) as error:

@@ -20,10 +20,11 @@ from minimd.files.claim import write_whole
 from minimd.files.trajectory import open_trajectories
 from minimd.integrators import LangevinBAOAB
 from minimd.lammps import script
+from minimd.lammps.box import IMAGES, Box
 from minimd.lammps.dump import frames
 from minimd.lammps.model import Model
 from minimd.lammps.program import INSTALL, OUTPUT, Log, Program, find_program, run
-from minimd.lammps.verification import LEAST, Verification, compare, tails_of
+from minimd.lammps.verification import LEAST, Verification, compare, in_both, tails_of
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag
 from minimd.structure.console import progress_of, stop_on_signals
@@ -31,9 +32,8 @@ from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import HandOverError, sentence
 
 TRAJECTORY = "run.h5md"
-BYTES_PER_ATOM, BYTES_PER_FRAME = 260, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
+BYTES_PER_ATOM, BYTES_PER_FRAME = 450, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
 DISAGREEMENT = {"double": 1e-8, "mixed": 1e-5}  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
-
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 
 Tell = Callable[[str], object]
@@ -45,7 +45,7 @@ class HandOver(Displayed):
 
     folder : of all files.  trajectory : the H5MD file, from which Simulation.resume goes on.  record : Record of its frames.
     verification : of step 0.  energy_difference : largest difference, in all frames, of the potential energies of LAMMPS and minimd, as a
-        fraction of Σ|e_i| at step 0.
+        fraction of the largest of Verification.scale, the potential energy of the frame and its N k_B T.
     seconds : of each phase.  version : of LAMMPS.  processes : their number.
     """
 
@@ -64,7 +64,7 @@ class HandOver(Displayed):
         return [
             ("LAMMPS", f"{self.version}, on {self.processes} process{'es' * (self.processes > 1)}"),
             ("verified", f"{self.verification}"),
-            ("frames", f"{len(self.record)}; the potential energies of LAMMPS and minimd differ by at most {self.energy_difference:.1e} of Σ|e_i|"),
+            ("frames", f"{len(self.record)}; potential energies differ by at most {self.energy_difference:.1e} of Σ|e_i| or N k_B T"),
             ("time", times),
             ("written", str(self.trajectory)),
         ]
@@ -75,8 +75,7 @@ def not_carried_over(simulation: Simulation) -> list[str]:
     engine, method = simulation.engine, simulation.method
     told = ["exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from positions and velocities only"]
     if method.is_thermostat:
-        bath = "its bath is LAMMPS' fix langevin" if isinstance(method, LangevinBAOAB) else "its bath is LAMMPS' fix temp/csvr"
-        told.append(f"noise: {bath}, with its own random numbers, which depend on the number of processes")
+        told.append(f"noise: its bath is LAMMPS' {script.BATHS[type(method)]}, with random numbers that depend on the number of processes")
     if isinstance(method, LangevinBAOAB):
         told.append("order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors of order Δt² differ")
     if len(engine.extra_observables):
@@ -158,7 +157,7 @@ class Job:
     ) -> None:
         if simulation.barostat is not None:
             raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than minimd; run it with minimd")
-        self.simulation, self.engine, self.folder = simulation, simulation.engine, folder
+        self.simulation, self.engine, self.folder, self.trajectory = simulation, simulation.engine, folder, folder / TRAJECTORY
         self.steps, self.every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
         self.processes = checked_count("processes", processes)
         self.progress, self.tell = progress, tell
@@ -168,11 +167,6 @@ class Job:
         script.check_method(self.engine)
         self.program: Program = find_program()
         self.program.command(script.RUN, script.LOG, processes)
-
-    @property
-    def trajectory(self) -> Path:
-        """The H5MD file."""
-        return self.folder / TRAJECTORY
 
     @contextmanager
     def in_folder(self, overwrite: bool) -> Iterator[None]:
@@ -217,7 +211,7 @@ class Job:
             raise OSError(f"the hand-over needs {sizes}; free some space, or write frames less often (every = {self.every})")
 
     def _remove_raw(self) -> None:
-        for name in (script.FRAMES, script.LAST, script.STEP_0, OUTPUT):
+        for name in (*script.RAW, OUTPUT):
             (self.folder / name).unlink(missing_ok=True)
 
     @contextmanager
@@ -232,7 +226,7 @@ class Job:
         with self.phase("writing"):
             self.engine.begin()
             self.model = Model(self.engine)
-            script.write_atoms(self.folder / script.ATOMS, self.engine, self.model)
+            script.write_atoms(self.folder / script.ATOMS, self.model, self.model.box, self.engine.velocities)
             write_whole(self.folder / script.FORCES, script.forces_script(self.model))
             write_whole(self.folder / script.VERIFY, script.verify_script())
             write_whole(self.folder / script.RUN, script.run_script(self.engine, self.model, self.steps, self.every))
@@ -240,22 +234,23 @@ class Job:
         for k, line in enumerate(not_carried_over(self.simulation)):
             self.tell(f"{'' if k else 'not carried':<14} {line}")
         with self.phase("verifying"):
+            copy, ours = in_both(self.engine, self.model.smallest_cutoff, self.model.skin)
+            box = Box(copy)
+            box.make_room(self.model.reach)
+            script.write_atoms(self.folder / script.COPY, self.model, box, copy.velocities)
             log = run(self.program.command(script.VERIFY, script.LOG, self.processes), self.folder, script.LOG, self)
             if self.stop_requested:
                 raise KeyboardInterrupt("stopped before the run of LAMMPS")
             if log.processes != self.processes:
                 why = f"{self.program.lmp} was probably built without MPI, or for another mpiexec than {self.program.mpiexec}"
                 raise HandOverError(f"LAMMPS runs on {log.processes} process instead of {self.processes}; {why}: {INSTALL}")
-            _, columns = next(frames(self.folder / script.STEP_0, len(self.engine.system)), (0, None))
-            if columns is None:
-                raise HandOverError("LAMMPS has not written step 0; is the disk full?")
-            energies, forces, virials = script.per_atom(columns)
-            box = self.model.box
-            verification = compare(self.engine, energies, box.back(forces), box.tensors_back(virials))
-            self._scale = float(np.abs(energies).sum())
-            verification.check()
+            found = [frames(self.folder / name, len(copy)) for name in script.STEP_0.values()]
+            theirs = (script.per_atom(columns, place) for one, place in zip(found, (self.model.box, box), strict=True) for _, columns in one)
+            verification = compare(ours, theirs)
+            verification.check(self.engine)
+            self._scale = verification.scale
         self.tell(f"verified       {verification}")
-        (self.folder / script.STEP_0).unlink()
+        self._remove_raw()
         return verification
 
     def run(self, verification: Verification, store_forces: bool) -> HandOver:
@@ -290,7 +285,7 @@ class Job:
             words = f"LAMMPS has made all steps, but {brought.missing} frames are not on the disk; is the disk full?"
         elif not different <= allowed:
             why = f"its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time step"
-            words = f"the potential energies of LAMMPS and minimd differ by {different:.1e} of Σ|e_i| in a frame, allowed is {allowed:g}; {why}"
+            words = f"potential energies of a frame differ by {different:.1e} of Σ|e_i| or N k_B T, allowed is {allowed:g}; {why}"
         if words and self.keeps_frames:
             kept = f"{len(brought.record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
             words = f"{kept}; {words}" if self.stop_requested else f"{words}; {kept}"  # the name of the signal follows
@@ -302,8 +297,9 @@ class Job:
 
         is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one after the first.
         """
-        path, record = self.folder / script.FRAMES, Record(self.simulation.system.units, len(self.simulation.system), self.trajectory)
-        found = (one for one in frames(path, len(self.engine.system)) if one[0] > self.first_step) if path.is_file() else iter(())
+        path, n_atoms, k_b = self.folder / script.FRAMES, len(self.engine.system), self.engine.system.units.k_B
+        record = Record(self.engine.system.units, n_atoms, self.trajectory)
+        found = (one for one in frames(path, n_atoms) if one[0] > self.first_step) if path.is_file() else iter(())
         first = next(found, None)
         self.keeps_frames = first is not None
         if first is None and not is_whole:
@@ -321,10 +317,11 @@ class Job:
                 record.append(frame)
                 for writer in writers:
                     writer.write(frame)
-                apart.append(abs(theirs.get(step, np.nan) - float(frame.observables["potential_energy"]) + tail))
+                energy, heat = float(frame.observables["potential_energy"]) - tail, n_atoms * k_b * float(frame.observables["temperature"])
+                apart.append(abs(theirs.get(step, np.nan) - energy) / max(self._scale, abs(energy), heat, LEAST))
             n_missing = self._end(baths.get(self.first_step + self.steps, start), len(record)) if is_whole else 0
         self.simulation.record = record
-        return Brought(record, float(np.max(apart)) / max(self._scale, LEAST), n_missing)
+        return Brought(record, float(np.max(apart)), n_missing)
 
     @contextmanager
     def _titled(self) -> Iterator[None]:
@@ -348,10 +345,15 @@ class Job:
 
     def _stand(self, step: int, columns: np.ndarray, reservoir_energy: float) -> None:
         """Put the engine in the state of LAMMPS at a step."""
-        engine, box = self.engine, self.model.box
+        engine, box, velocities = self.engine, self.model.box, self.model.box.back(columns[:, 3:])
         if not np.isfinite(columns).all():
             raise HandOverError(f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step ({engine.method.timestep:g})")
-        engine.positions[:], engine.velocities[:] = box.positions_back(columns[:, :3]), box.back(columns[:, 3:])
+        half = 0.5 * (step - engine.step) * engine.method.timestep
+        if (most := np.abs(box.crossed(half * (velocities - engine.velocities))).max()) > IMAGES / 2:
+            why = f"the change of their velocities since step {engine.step} amounts to {most:.3g} cells, and LAMMPS counts {IMAGES // 2}"
+            raise HandOverError(f"the images of atoms at step {step} are unknown: {why}; bring frames back more often (every = {self.every})")
+        engine.positions[:] = box.positions_back(columns[:, :3], engine.positions + half * (velocities + engine.velocities))
+        engine.velocities[:] = velocities
         engine.count(step - engine.step)
         engine.reservoir_energy = reservoir_energy
         engine.moved()

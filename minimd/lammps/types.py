@@ -51,28 +51,16 @@ class Groups:
     """
 
     def __init__(self, size: int) -> None:
-        self.size = size
-        self.coefficients: list[tuple[str, str]] = []
-        self._atoms: list[NDArray[np.int64]] = []
-        self._types: list[NDArray[np.int64]] = []
+        self.size, self.coefficients = size, list[tuple[str, str]]()
+        self.atoms, self.types = np.zeros((0, size), dtype=np.int64), np.zeros(0, dtype=np.int64)
 
     def add(self, atoms: NDArray[np.int64], of_each: NDArray[np.int64], coefficients: list[tuple[str, str]]) -> range:
         """Add groups with new types, one for each of the coefficients, and return the new types.  of_each : (G,) index of a group's coefficients."""
         first = len(self.coefficients)
-        self._atoms.append(atoms.reshape(-1, self.size))
-        self._types.append(np.broadcast_to(of_each, len(atoms)) + first)
+        self.atoms = np.concatenate([self.atoms, atoms.reshape(-1, self.size)])
+        self.types = np.concatenate([self.types, np.broadcast_to(of_each, len(atoms)) + first])
         self.coefficients += coefficients
         return range(first, len(self.coefficients))
-
-    @property
-    def atoms(self) -> NDArray[np.int64]:
-        """(G, size) atoms, from 0 on."""
-        return np.concatenate([np.zeros((0, self.size), dtype=np.int64), *self._atoms])
-
-    @property
-    def types(self) -> NDArray[np.int64]:
-        """(G,) types, from 0 on."""
-        return np.concatenate([np.zeros(0, dtype=np.int64), *self._types])
 
     def commands(self, word: str) -> list[str]:
         """Styles and coefficients as commands.  word : bond, angle or dihedral."""

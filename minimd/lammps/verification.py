@@ -1,7 +1,8 @@
-"""The verification at step 0: energy, force and virial of each atom, computed by LAMMPS and by minimd."""
+"""The verification at step 0: energies, forces and virials of atoms in LAMMPS and minimd, in the scene and a smaller copy."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +13,8 @@ from minimd.engine.engine import Engine
 from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces
 from minimd.forces.options import Options
+from minimd.neighbors.queries import closest_pair, neighbor_list
+from minimd.potentials import PairPotential
 from minimd.potentials.term import PER_ATOM, bound
 from minimd.structure.cell import Cell
 from minimd.structure.errors import HandOverError, NonFiniteError
@@ -19,20 +22,22 @@ from minimd.structure.observables import longest
 from minimd.structure.system import System
 
 TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed over
-ROUNDING = 1e-13  # of the largest: for smaller differences, the effect of a strain is not needed
 LEAST = 1e-30  # [energy], of a scene without energies
-STRAIN, PART = 0.01, 0.01  # forces of springs at rest are only rounding; then this part of the forces after such a strain is the scale
+SMALLER = 0.95  # the size of a copy, relative to the one before
+SHAKEN = 0.05  # of the skin: displacements of atoms in the copies, in each direction at most
+NEAREST = 0.3  # of the smallest cutoff: copies whose closest pair is nearer are not made
+PART = 0.01  # of the energies, forces and virials of the copy: the scale of those that vanish or cancel in the scene
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Verification:
-    """The largest differences at step 0, each relative to the largest of its kind.
+    """The largest differences at step 0, each relative to the largest of its kind; the worse of scene and copy.
 
     energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative to the largest one;
-    if forces cancel, as in a crystal or in springs at rest, relative to what follows from energies or from a small strain.
-    atom : the atom whose force differs most.
+    where they vanish or cancel, as in a crystal or a dilute gas, relative to what follows from energies, virials or the copy.
+    atom : the atom whose force differs most.  scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it is larger.
     """
 
     energy: float
@@ -40,6 +45,7 @@ class Verification:
     forces: float
     virials: float
     atom: int
+    scale: float
 
     @property
     def worst(self) -> float:
@@ -47,77 +53,107 @@ class Verification:
         return float(np.max([self.energy, self.energies, self.forces, self.virials]))
 
     def __str__(self) -> str:
+        if self.scale == 0.0:
+            return "nothing was compared: no term has an energy at step 0, nor when all distances are made smaller"
         figures = (f"{self.energy:.1e} in the energy", f"{self.energies:.1e} in those of atoms", f"{self.forces:.1e} in forces")
         return f"step 0 agrees within {', '.join(figures)}, {self.virials:.1e} in virials"
 
-    def check(self) -> None:
+    def check(self, engine: Engine) -> None:
         """Raise HandOverError if LAMMPS and minimd differ by more than TOLERANCE."""
         if not self.worst <= TOLERANCE:
             where = f"energies of atoms by {self.energies:.1e}, forces by {self.forces:.1e} (atom {self.atom}), virials by {self.virials:.1e}"
-            raise HandOverError(f"LAMMPS and minimd differ at step 0: {where} of the largest, allowed is {TOLERANCE:g}; the run was not started")
+            why = f"of the largest, allowed is {TOLERANCE:g}; the run was not started{on_a_cutoff(engine)}"
+            raise HandOverError(f"LAMMPS and minimd differ at step 0: {where} {why}")
 
 
-def compare(engine: Engine, energies: Array, forces: Array, virials: Array) -> Verification:
-    """Compare energies (N,), forces (N, 3) and virials (N, 6), as xx yy zz yz xz xy, of LAMMPS with those of minimd in double precision.
-
-    Tail corrections are left out. The scene after a strain is evaluated only if the differences exceed rounding of the present forces.
-    Raises NonFiniteError if energies or forces of minimd are not finite.
-    """
-    ours = evaluated(engine, engine.system)
-    tails = tails_of(engine) / len(energies)
-    ours.energies[:] -= tails[0]
-    ours.virials[:] -= np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * tails[1] / 3.0
-    if not (np.isfinite(ours.energies).all() and np.isfinite(ours.forces).all()):
-        raise NonFiniteError(f"forces or energies are not finite: {why_not_finite(engine.system, engine.interactions.potentials)}")
-    theirs = Evaluated(energies, forces, virials, ours.length)
-    found = _compared(theirs, ours, (0.0, 0.0, 0.0))
-    if found.worst <= ROUNDING:
-        return found
-    strained = evaluated(engine, dilated(engine.system))
-    return _compared(theirs, ours, tuple(map(strain_makes, (strained.energies, strained.forces, strained.virials))))
-
-
-def _compared(theirs: Evaluated, ours: Evaluated, least: tuple[float, ...]) -> Verification:
-    """The differences.  least : energy, force and virial of an atom that are used as scale if all of the scene are smaller."""
-    atom, _ = longest(theirs.forces - ours.forces)
-    largest = max(_largest(ours.energies), least[0], LEAST)
-    force = max(_largest(ours.forces), least[1], largest / ours.length)
-    return Verification(
-        energy=abs(float(theirs.energies.sum() - ours.energies.sum())) / max(float(np.abs(ours.energies).sum()), largest),
-        energies=_largest(theirs.energies - ours.energies) / largest,
-        forces=_largest(theirs.forces - ours.forces) / force,
-        virials=_largest(theirs.virials - ours.virials) / max(_largest(ours.virials), least[2], largest),
-        atom=atom,
-    )
+def on_a_cutoff(engine: Engine) -> str:
+    """A clause about a pair on a cutoff at which the energy or the force jumps; empty if there is none."""
+    system = engine.system
+    for one in engine.interactions.potentials:
+        if isinstance(one, PairPotential) and one.truncation in ("truncated", "shifted") and one.cutoff < np.inf:
+            cutoffs, species = (
+                np.sqrt(one.table(system.species_names)[:, :, 0]),
+                system.species_index if one.depends_on_species else 0 * system.species_index,
+            )
+            first, second, distances = neighbor_list("ijd", system, float(cutoffs.max()) * (1.0 + TOLERANCE))
+            apart = np.abs(distances / cutoffs[species[first], species[second]] - 1.0)
+            if (apart <= TOLERANCE).any():
+                k = int(np.argmin(apart))
+                pair = f"atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of {type(one).__name__}"
+                return f"; {pair}, where rounding decides whether they interact: change the cutoff, or take truncation='force-shifted'"
+    return ""
 
 
 class Evaluated(NamedTuple):
-    """For each atom: energies (N,) [energy], forces (N, 3) [energy/length], virials (N, 6) [energy].  length : the largest cutoff [length], or 1."""
+    """For each atom: energies (N,) [energy], forces (N, 3) [energy/length], virials (N, 6) [energy], as xx yy zz yz xz xy.
+
+    length : the largest cutoff [length], or 1.  n_idle : number of terms without any energy.
+    """
 
     energies: Array
     forces: Array
     virials: Array
-    length: float
+    length: float = 1.0
+    n_idle: int = 0
 
 
 def evaluated(engine: Engine, system: System) -> Evaluated:
-    """Energies, forces and virials of single atoms of a system, as minimd computes them in double precision."""
-    forces = Forces(system, engine.interactions.potentials, Options(skin=0.0, threads=engine.interactions.options.threads))
-    forces.compute(PER_ATOM)
-    return Evaluated(forces.energies, forces.forces, forces.virials, forces.largest_cutoff if np.isfinite(forces.largest_cutoff) else 1.0)
+    """What minimd computes for single atoms of a system, in double precision, without tail corrections."""
+    n, forces = len(system), Forces(system, engine.interactions.potentials, Options(skin=0.0, threads=engine.interactions.options.threads))
+    length = forces.largest_cutoff if np.isfinite(forces.largest_cutoff) else 1.0
+    energies, sums, n_idle = np.zeros(n), (np.zeros((n, 3)), np.zeros(n), np.zeros((n, 6))), 0
+    for term in forces.terms:
+        sums[1][:] = 0.0
+        term.add_to(system, PER_ATOM, sums)
+        energies += sums[1]
+        n_idle += not sums[1].any()
+    return Evaluated(energies, sums[0], sums[2], length, n_idle)
 
 
-def strain_makes(numbers: Array) -> float:
-    """PART of the largest magnitude; 0 if a number is not finite."""
-    return PART * _largest(numbers) if np.isfinite(numbers).all() else 0.0
+def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple[Evaluated, Evaluated]]:
+    """A copy of the scene, and what minimd computes in the scene and in the copy.
+
+    In the copy atoms are slightly displaced, which also bends angles. It is made smaller until each term has an energy there, and, so that
+    this is not by a pair at the cutoff only, in the size before. If no size achieves this, the first one is taken in which fewest terms have
+    none; the scene itself if energies are never finite.
+    shortest : the smallest cutoff [length].  skin : [length].  Raises NonFiniteError if energies or forces of the scene are not finite.
+    """
+    system, before = engine.system, evaluated(engine, engine.system)
+    if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
+        raise NonFiniteError(f"forces or energies are not finite: {why_not_finite(system, engine.interactions.potentials)}")
+    positions = system.cell.wrapped(system.positions) + np.random.default_rng(0).uniform(-SHAKEN * skin, SHAKEN * skin, system.positions.shape)
+    here, size, least, fewest, chosen = before, 1.0, 0.0, np.inf, (system, before)
+    while size >= least and fewest > 0:
+        size *= SMALLER
+        copy = system.copy()
+        copy.positions[:] = size * positions
+        copy.cell = Cell.of(size * system.cell.vectors, system.cell.pbc)
+        found = evaluated(engine, copy)
+        if np.isfinite(found.energies).all() and (n_idle := max(before.n_idle, found.n_idle)) < fewest:
+            fewest, chosen = n_idle, (copy, found)
+        before = found
+        if fewest > 0 and least == 0.0:
+            closest = closest_pair(system)
+            least = NEAREST * shortest / closest.distance if closest is not None else np.inf
+    return chosen[0], (here, chosen[1])
 
 
-def dilated(system: System) -> System:
-    """The same atoms and cell, stretched by STRAIN."""
-    larger = system.copy()
-    larger.positions[:] *= 1.0 + STRAIN
-    larger.cell = Cell.of((1.0 + STRAIN) * system.cell.vectors, system.cell.pbc)
-    return larger
+def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> Verification:
+    """Compare the numbers of scene and copy.  Raises HandOverError if those of LAMMPS are missing."""
+    rows, atoms = [], []
+    for here, part in zip(ours, (PART, 0.0), strict=True):
+        if (there := next(theirs, None)) is None:
+            raise HandOverError("LAMMPS has not written step 0; is the disk full?")
+        least = [part * _largest(numbers) for numbers in ours[1][:3]]
+        energy, atom = max(_largest(here.energies), least[0], LEAST), longest(there.forces - here.forces)[0]
+        virial = max(_largest(here.virials), least[2], energy)
+        force = max(_largest(here.forces), least[1], virial / here.length)
+        whole = abs(float(there.energies.sum() - here.energies.sum())) / max(float(np.abs(here.energies).sum()), energy)
+        rows.append((whole, *(_largest(b - a) / most for a, b, most in zip(here[:3], there[:3], (energy, force, virial), strict=True))))
+        atoms.append(atom)
+    whole, energies, forces, virials = np.max(rows, axis=0).tolist()
+    scale = max(float(np.abs(ours[0].energies).sum()), PART * float(np.abs(ours[1].energies).sum()))
+    return Verification(whole, energies, forces, virials, int(atoms[np.argmax(rows, axis=0)[2]]), scale)
 
 
 def tails_of(engine: Engine) -> Array:

@@ -56,9 +56,13 @@ CM2_PER_S = 1e-4  # per Å²/ps
 
 
 class RunUniverse(MDAnalysis.Universe):
-    """The universe of a run.  system : System.  contents : of its file, apart from frames; a universe in memory has none."""
+    """The universe of a run.
+
+    system : System.  contents : of its file, apart from frames; a universe in memory has none.  leaves_out_center : as that of the engine.
+    """
 
     system: System
+    leaves_out_center: bool
     contents: H5MDContents
 
 
@@ -102,7 +106,7 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     spacing = _spacing(f"the frames of {str(run)!r}", contents.record.step, contents.record.time * system.units.to_picosecond)
     with quiet():
         made = bare_universe(RunUniverse, system)
-        made.contents, made.system = contents, system
+        made.contents, made.system, made.leaves_out_center = contents, system, contents.leaves_out_center
         made.trajectory = RunReader(str(run), turn=turn, n_atoms=len(system), **({} if spacing is None else {"dt": spacing}))
     return made
 
@@ -115,7 +119,7 @@ def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
     spacing = _spacing("the frames in memory", frames.series("step"), frames.series("time")) or timestep
     with quiet():
         made = bare_universe(RunUniverse, frames.system)
-        made.system = frames.system
+        made.system, made.leaves_out_center = frames.system, frames.leaves_out_center
         made.trajectory = RecordedReader(**frames.reader_arguments(spacing))
     return made
 
@@ -244,6 +248,7 @@ class Diffusion(Displayed):
 def mean_square_displacement(run: Run) -> tuple[Array, Array]:
     """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
 
+    Positions are relative to the center of mass of all atoms if the degrees of freedom of the run leave out its motion, as the file tells.
     If there are many frames or atoms, some of them are used, evenly chosen.  run : an argument of universe, or a universe.
 
     Raises
@@ -259,7 +264,13 @@ def _displacements(run: Run) -> tuple[Array, Array]:
     with universe_of(run) as made, quiet():
         if len(made.trajectory) < 2:
             raise ValueError(f"a displacement needs at least 2 frames; {_name(made)} holds {len(made.trajectory)}")
-        result = EinsteinMSD(_every(made, MSD_ATOMS), fft=False).run(step=ceil(len(made.trajectory) / MSD_FRAMES)).results
+        some, rows, positions = _every(made, MSD_ATOMS), [], []
+        for ts in made.trajectory[:: ceil(len(made.trajectory) / MSD_FRAMES)]:
+            rows.append({"time": ts.time})
+            positions.append(some.positions - (made.atoms.center_of_mass() if made.leaves_out_center else 0.0))
+        relative = MDAnalysis.Universe.empty(len(some))
+        relative.trajectory = RecordedReader(np.array(positions), rows)
+        result = EinsteinMSD(relative.atoms, fft=False).run().results
     return np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.msds_by_particle)
 
 

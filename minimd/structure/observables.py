@@ -13,6 +13,7 @@ from minimd.compiled.fixed_point import on_grid
 from minimd.compiled.kernels import kernel, scalar
 
 Array = NDArray[np.float64]
+AT_REST = 1e-12  # of the kinetic energy: if less than this is relative to the center of mass, it is only rounding
 
 
 @scalar
@@ -30,23 +31,41 @@ def kinetic_energy(velocities, masses, step=0.0):
     return total
 
 
+def leaves_out_center(n_atoms: int, conserves_momentum: bool) -> bool:
+    """Whether the motion of the center of mass is no degree of freedom: where the total momentum is a constant, but for a single atom.
+
+    What degrees_of_freedom leaves out, all thermal quantities leave out: energy, temperature, pressure, stress, displacements. See center.
+    """
+    return conserves_momentum and n_atoms > 1
+
+
 def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True) -> int:
-    """3N − 3 − n_constraints where the total momentum is a constant, else 3N − n_constraints.
-
-    A single atom has three degrees of freedom, whether its momentum is a constant or not.
-
-    n_atoms : those that are not held fixed.
+    """3N − 3 − n_constraints if leaves_out_center, else 3N − n_constraints.  n_atoms : those that are not held fixed.
 
     Raises ValueError if none is left.
     """
-    n_dof = 3 * n_atoms - (3 if n_atoms > 1 and conserves_momentum else 0) - n_constraints
+    n_dof = 3 * n_atoms - (3 if leaves_out_center(n_atoms, conserves_momentum) else 0) - n_constraints
     if n_dof <= 0:
         raise ValueError(f"no degree of freedom is left for {n_atoms} atoms with {n_constraints} constraints")
     return n_dof
 
 
+def center(vectors: Array, masses: Array, is_left_out: bool = True) -> Array:
+    """Σ m r / Σ m of positions or velocities, (3,), if the motion of the center of mass is left out, else 0: what to subtract from them."""
+    return np.asarray(momentum(vectors, masses) / masses.sum() if is_left_out else np.zeros(3))
+
+
+def thermal_energy(kinetic: float, drift: Array, masses: Array) -> float:
+    """½ Σ m (v − V)² = K − ½ V² Σ m [energy]; 0 if what is left of K is only rounding.
+
+    drift : V [length/time], (3,), of the center of mass if its motion is left out, else 0.
+    """
+    left = kinetic - 0.5 * float(masses.sum()) * float(drift @ drift)
+    return 0.0 if left <= AT_REST * kinetic else left
+
+
 def temperature(kinetic: float, n_dof: int, k_B: float = 1.0) -> float:  # noqa: N803
-    """Kinetic temperature T = 2K / (n_dof k_B).  n_dof : see degrees_of_freedom."""
+    """Kinetic temperature T = 2K / (n_dof k_B).  kinetic : see thermal_energy.  n_dof : see degrees_of_freedom."""
     return 2.0 * kinetic / (n_dof * k_B)
 
 
@@ -131,7 +150,7 @@ def angular_momentum(positions, velocities, masses):
 
 def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
     """Σ m |r − r_cm| |v| [mass length²/time]: the scale with which a change of the angular momentum is compared."""
-    return _absolute_moments(positions, velocities, masses, momentum(positions, masses) / masses.sum())  # r_cm = Σ m r / Σ m: the same sum
+    return _absolute_moments(positions, velocities, masses, center(positions, masses))
 
 
 @kernel

@@ -49,6 +49,7 @@ def _frame(h5: h5py.File, number: int, template: Atoms, contents: H5MDContents) 
     if "force" in group:
         results["forces"] = group["force/value"][number] * (units.to_angstrom / units.to_kj_per_mol)
     if "stress" in h5["observables"]:
-        results["stress"] = calculators_stress(h5["observables/stress/value"][number], atoms, contents.leaves_out_center)
+        stress = h5["observables/stress/value"][number]
+        results["stress"] = calculators_stress(stress, atoms, contents.conserves_momentum)
     atoms.calc = SinglePointCalculator(atoms, **results)
     return atoms

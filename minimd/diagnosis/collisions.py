@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.lennard_jones import curvature_at_minimum
 from minimd.potentials.pair import PairPotential
-from minimd.structure.observables import center, kinetic_energy, leaves_out_center, temperature, thermal_energy
+from minimd.structure.observables import center, kinetic_energy, temperature, thermal_energy
 from minimd.structure.system import System
 from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV
 
@@ -80,5 +80,5 @@ def _tables(system: System, potentials: Sequence[Any]) -> Iterator[NDArray[np.fl
 def velocity_temperature(system: System) -> float:
     """T of the velocities relative to the center of mass [temperature], with all 3N degrees of freedom; 0 at rest."""
     velocities, masses = system.velocities, system.masses
-    drift = center(velocities, masses, leaves_out_center(len(system), conserves_momentum=True))
-    return temperature(thermal_energy(kinetic_energy(velocities, masses), drift, masses), velocities.size, system.units.k_B)
+    thermal = thermal_energy(kinetic_energy(velocities, masses), center(velocities, masses), masses)
+    return temperature(thermal, velocities.size, system.units.k_B)

@@ -65,8 +65,8 @@ def _moving_center(engine: Engine) -> Iterator[str]:
     system, units, speed = engine.system, engine.system.units, float(np.linalg.norm(engine.drift))
     if speed * system.masses.sum() > MOVING * absolute_momentum(system.velocities, system.masses):
         yield (
-            f"the center of mass moves at {speed / units.to_picosecond:.3g} {units.length}/{units.shown_time}: temperature, pressure, diffusion and "
-            "viscosity are relative to it; sim.velocities -= sim.drift stops it"
+            f"the center of mass moves at {speed / units.to_picosecond:.3g} {units.length}/{units.shown_time}: "
+            "temperature, pressure, diffusion and viscosity are relative to it; sim.velocities -= sim.drift stops it"
         )
 
 

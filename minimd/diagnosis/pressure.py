@@ -28,8 +28,8 @@ def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, con
     yield Line("volume", f"{record.volume.mean():.6g} {units.volume} on average", f"standard deviation {record.volume.std():.2g}", True)
     if barostat.coupling not in ("isotropic", "triclinic"):
         return
-    of_center = units.k_B * record.temperature / record.volume if conserves_momentum else 0.0  # its degrees of freedom, which the record lacks
-    mean, error = mean_and_error(record.pressure + of_center)
+    missing = units.k_B * record.temperature / record.volume if conserves_momentum else 0.0  # of the center of mass
+    mean, error = mean_and_error(record.pressure + missing)
     is_there = abs(mean - barostat.pressure) <= FAR * error
     words = f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted"
     yield Line("pressure", words, "reached" if is_there else "NOT REACHED; equilibrate longer", is_there)

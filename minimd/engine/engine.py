@@ -22,7 +22,7 @@ from minimd.integrators.splitting.substeps import Kick
 from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.constraints import Constraint
 from minimd.structure.grid import Grid
-from minimd.structure.observables import Array, kinetic_energy, leaves_out_center
+from minimd.structure.observables import Array, center, kinetic_energy, leaves_out_center
 from minimd.structure.quiet import quiet
 from minimd.structure.system import AnySystem, System
 
@@ -37,7 +37,7 @@ class Engine:
     noise_shift : step n has the noise with number n + noise_shift.  extra_observables : names of additional observables.
     is_whole : whether a checkpoint has the bits of the run; false after a failure, when an earlier state was restored, but not its lists.
     holds_center : whether the center of mass must not move, because atoms with FixCom of ASE were given.
-    counts_center : whether its motion is a degree of freedom although nothing changes it, as in ASE's dynamics.
+    counts_center : whether it counts as a degree of freedom although nothing moves it, as in ASE's dynamics.
     barostat : StochasticCellRescaling, or None.
     equilibrated : steps of equilibrations so far: none of them has the noise of another.  notes : title and scene, texts for files.
     """
@@ -313,22 +313,18 @@ class Engine:
 
     def _describe_bath(self) -> None:
         """Set n_dof and conserves_momentum of the bath."""
-        self._bath.n_dof, self._bath.conserves_momentum = self.n_dof, self.leaves_out_center
+        self._bath.n_dof = self.n_dof
+        self._bath.conserves_momentum = leaves_out_center(len(self.system), self.conserves_momentum)
 
     @property
     def n_dof(self) -> int:
         """Degrees of freedom that share the thermal energy."""
-        return self.constraint_set.degrees_of_freedom(self.leaves_out_center)
-
-    @property
-    def leaves_out_center(self) -> bool:
-        """Whether the motion of the center of mass is no degree of freedom, and no part of what is thermal; see observables."""
-        return leaves_out_center(len(self.system), self.conserves_momentum and not self.counts_center)
+        return self.constraint_set.degrees_of_freedom(self.conserves_momentum)
 
     @property
     def drift(self) -> Array:
         """Velocity of the center of mass if n_dof leaves it out, else 0 [length/time], (3,)."""
-        return self._state.momentum() / self._state.masses.sum() if self.leaves_out_center else np.zeros(3)
+        return center(self.velocities, self.system.masses, self.conserves_momentum)
 
     @property
     def has_bath(self) -> bool:
@@ -337,11 +333,12 @@ class Engine:
 
     @property
     def conserves_momentum(self) -> bool:
-        """Whether the total momentum is constant: nothing acts from outside, no atom is fixed, and no bath acts on each atom separately."""
+        """Whether momentum is constant: no fixed atoms, no force from outside, no bath that acts on each atom, and no counts_center."""
         return self._is_still_under(self.method)
 
     def _is_still_under(self, method: Splitting) -> bool:
-        return method.conserves_momentum and not self.interactions.act_from_outside and not self.constraint_set.n_fixed
+        moves = self.counts_center or self.interactions.act_from_outside or self.constraint_set.n_fixed
+        return method.conserves_momentum and not moves
 
     @property
     def reservoir_energy(self) -> float:

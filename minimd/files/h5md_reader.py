@@ -27,7 +27,6 @@ from minimd.observers import Accumulator
 from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
 from minimd.structure.display import Displayed, Rows
-from minimd.structure.observables import leaves_out_center
 from minimd.structure.system import System
 from minimd.structure.units import SYSTEMS
 
@@ -70,11 +69,6 @@ class H5MDContents(Displayed):
 
     def __repr__(self) -> str:
         return f"H5MDContents({self.n_frames} frames of {len(self.system)} atoms, {self.method}, step {self.step})"
-
-    @property
-    def leaves_out_center(self) -> bool:
-        """See Engine."""
-        return leaves_out_center(len(self.system), self.conserves_momentum)
 
     def display_rows(self) -> Rows:
         """See Displayed."""

@@ -26,7 +26,7 @@ POINTS = 16  # entries on each level of the correlator
 
 
 class _OfAtoms(TimeCorrelation):
-    """A correlation of a vector of each atom, relative to the center of mass of all atoms if n_dof leaves out its motion."""
+    """A correlation of a vector of each atom, relative to the center of mass of all atoms if n_dof leaves it out."""
 
     arguments = ("every", "n_levels", "most_atoms")
     law: ClassVar[tuple]  # of the correlator
@@ -55,7 +55,7 @@ class _OfAtoms(TimeCorrelation):
 
     def _look(self, engine: Engine) -> None:
         vectors = self._vectors(engine)
-        of_center = center(vectors, engine.system.masses, engine.leaves_out_center)
+        of_center = center(vectors, engine.system.masses, engine.conserves_momentum)
         self._add(engine, ((vectors if self._takes_all else np.take(vectors, self._order, axis=0)) - of_center).T)
 
     @abstractmethod

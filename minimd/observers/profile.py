@@ -28,7 +28,7 @@ class Profile(Accumulator):
         ρ(z) = ⟨n(z) / ΔV⟩,   T(z) = ⟨Σ m v²⟩ / (g k_B ⟨n(z)⟩),   g = n_dof / N
 
     z is the distance along the normal of the two other lattice vectors. If the cell changes, layers of a periodic axis move with it, and z is
-    given in the mean cell. Velocities are relative to the center of mass if n_dof leaves it out; those of a flow count as thermal.
+    given in the mean cell. The velocities of a flow count as thermal, but not those of the whole if n_dof leaves them out.
 
     Parameters
     ----------

@@ -83,7 +83,7 @@ class Simulation(Closed, Displayed):
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")
     forces = EngineAttribute[Array]("(N, 3) [energy/length], of the last evaluation.")
     n_dof = EngineAttribute[int]("Degrees of freedom that share the thermal energy.")
-    drift = EngineAttribute[Array]("Velocity of the center of mass if n_dof leaves it out, else 0 [length/time], (3,).", "drift")
+    drift = EngineAttribute[Array]("Velocity of the center of mass if n_dof leaves it out, else 0 [length/time].", "drift")
     conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant; see Engine.")
     constraints = EngineAttribute[tuple[Constraint, ...]]("What is held fixed, with the lengths that are kept; also those of system.")
     rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds")
@@ -376,8 +376,8 @@ class Simulation(Closed, Displayed):
 
         Raises ValueError if the temperature is negative or not finite, or nothing moves.
         """
-        system, engine = self.system, self.engine
-        system.velocities[:] = rescaled(system.velocities, system.masses, temperature, system.units.k_B, engine.n_dof, engine.drift)
+        v, k_B = self.velocities, self.system.units.k_B  # noqa: N806 - the symbol of the constant
+        v[:] = rescaled(v, self.system.masses, temperature, k_B, self.n_dof, self.drift)
         self.engine.turned()
 
     def snapshot(self) -> Snapshot:

@@ -14,7 +14,7 @@ from minimd.structure.ase_constraints import ases_constraints_of, constraints_of
 from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
 from minimd.structure.joined import joined_in, texts
-from minimd.structure.observables import center
+from minimd.structure.observables import center, momentum
 from minimd.structure.observables import stress as kinetic_stress
 from minimd.structure.units import ASE
 
@@ -37,7 +37,7 @@ def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: 
     found = joined_in(atoms) if bonds is None else None
     velocities, masses = atoms.get_velocities(), atoms.get_masses()
     if constraints and fixes_center(atoms):
-        velocities -= center(velocities, masses)
+        velocities -= momentum(velocities, masses) / masses.sum()
     return {
         "positions": atoms.positions,
         "masses": masses,
@@ -104,13 +104,14 @@ def same_scene(one: Atoms, other: Atoms) -> bool:
     return all(np.array_equal(a, b) for a, b in arrays) and same_labels(one, other) and one.calc is other.calc
 
 
-def calculators_stress(stress: NDArray[np.float64], atoms: Atoms, leaves_out_center: bool) -> NDArray[np.float64]:
+def calculators_stress(stress: NDArray[np.float64], atoms: Atoms, conserves_momentum: bool) -> NDArray[np.float64]:
     """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part, which get_stress(include_ideal_gas=True) adds.
 
-    stress : (3, 3), observables.stress of the atoms in their present motion.  leaves_out_center : whether without that of the center of mass.
+    stress : (3, 3), of an engine with the atoms in their present motion.  conserves_momentum : of that engine.
     """
     velocities, masses = atoms.get_velocities(), atoms.get_masses()
-    moving = kinetic_stress(velocities - center(velocities, masses, leaves_out_center), masses, np.zeros((3, 3)), volume_of(atoms))
+    velocities -= center(velocities, masses, conserves_momentum)
+    moving = kinetic_stress(velocities, masses, np.zeros((3, 3)), volume_of(atoms))
     return full_3x3_to_voigt_6_stress(stress - moving)
 
 

@@ -32,15 +32,15 @@ def kinetic_energy(velocities, masses, step=0.0):
 
 
 def leaves_out_center(n_atoms: int, conserves_momentum: bool) -> bool:
-    """Whether the motion of the center of mass is no degree of freedom: where the total momentum is a constant, but for a single atom.
+    """Whether the center of mass is no degree of freedom: where the total momentum is a constant, but for a single atom.
 
-    What degrees_of_freedom leaves out, all thermal quantities leave out: energy, temperature, pressure, stress, displacements. See center.
+    What degrees_of_freedom leaves out, all thermal quantities leave out, from temperature to displacements; see center.
     """
     return conserves_momentum and n_atoms > 1
 
 
 def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True) -> int:
-    """3N − 3 − n_constraints if leaves_out_center, else 3N − n_constraints.  n_atoms : those that are not held fixed.
+    """3N − 3 − n_constraints if leaves_out_center, else 3N − n_constraints.  n_atoms : without those held fixed.
 
     Raises ValueError if none is left.
     """
@@ -50,16 +50,15 @@ def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum:
     return n_dof
 
 
-def center(vectors: Array, masses: Array, is_left_out: bool = True) -> Array:
-    """Σ m r / Σ m of positions or velocities, (3,), if the motion of the center of mass is left out, else 0: what to subtract from them."""
-    return np.asarray(momentum(vectors, masses) / masses.sum() if is_left_out else np.zeros(3))
+def center(vectors: Array, masses: Array, conserves_momentum: bool = True) -> Array:
+    """What to subtract from positions or velocities: Σ m r / Σ m if leaves_out_center, else 0; (3,)."""
+    if leaves_out_center(len(masses), conserves_momentum):
+        return np.asarray(momentum(vectors, masses) / masses.sum())
+    return np.zeros(3)
 
 
 def thermal_energy(kinetic: float, drift: Array, masses: Array) -> float:
-    """½ Σ m (v − V)² = K − ½ V² Σ m [energy]; 0 if what is left of K is only rounding.
-
-    drift : V [length/time], (3,), of the center of mass if its motion is left out, else 0.
-    """
+    """½ Σ m (v − V)² = K − ½ V² Σ m [energy]; 0 if what is left of K is only rounding.  drift : V, center of velocities."""
     left = kinetic - 0.5 * float(masses.sum()) * float(drift @ drift)
     return 0.0 if left <= AT_REST * kinetic else left
 
@@ -150,7 +149,7 @@ def angular_momentum(positions, velocities, masses):
 
 def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
     """Σ m |r − r_cm| |v| [mass length²/time]: the scale with which a change of the angular momentum is compared."""
-    return _absolute_moments(positions, velocities, masses, center(positions, masses))
+    return _absolute_moments(positions, velocities, masses, momentum(positions, masses) / masses.sum())  # r_cm = Σ m r / Σ m: the same sum
 
 
 @kernel

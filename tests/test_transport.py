@@ -202,7 +202,7 @@ def measured(start, file):
     sim.extra_observables = ("stress",)
     moved, turned = md.observers.MeanSquareDisplacement(every=20), md.observers.VelocityAutocorrelation(every=5)
     stress, energies = md.observers.Viscosity(every=5), md.observers.Fluctuations(every=20)
-    record = sim.run(80_000, every=10, observers=[moved, turned, stress, energies], trajectory=file)
+    record = sim.run(60_000, every=20, observers=[moved, turned, stress, energies], trajectory=file)
     read, of_file = universe(file), diffusion_coefficient(file, (1.0, 10.0))
     series = {name: np.array([ts.data[name] for ts in read.trajectory]) for name in (T, "pressure", "stress")}
     a, b, c, d = (one.result() for one in (moved, turned, stress, energies))
@@ -210,13 +210,13 @@ def measured(start, file):
     found |= {"η": (c.viscosity, c.viscosity_error), "T looks": (d.temperature, d.temperature_error)}
     found |= {"T": mean_and_error(record.temperature), "P": mean_and_error(record.pressure)}
     found |= {"D file": (of_file.coefficient / units[0], of_file.error / units[0])}
-    found |= {"η file": green_kubo(series["stress"], 50.0 * md.units.fs, sim.system.volume)}
+    found |= {"η file": green_kubo(series["stress"], 100.0 * md.units.fs, sim.system.volume)}
     found |= {f"{name[0].upper()} file": mean_and_error(series[name]) for name in (T, "pressure")}
     print(f"{start}: the center moves at {np.linalg.norm(sim.drift) / SIGMA_PER_TAU:.3f} σ/τ")
     return {key: np.array(value) * units["DηTP".index(key[0])] for key, value in found.items()}
 
 
-def green_kubo(stress, spacing, volume, n_blocks=16, n_lags=60):
+def green_kubo(stress, spacing, volume, n_blocks=16, n_lags=30):
     """η and its standard error, from the off-diagonal stress in blocks, and lags of up to 3 ps."""
     shear, etas = np.stack([stress[:, 0, 1], stress[:, 1, 2], stress[:, 0, 2]], axis=1), []
     for block in np.array_split(shear, n_blocks):

@@ -5,9 +5,12 @@ from time import time_ns
 
 import numpy as np
 import pytest
+from argon_atoms import argon, lennard_jones, with_calculator
+from ase.md.velocitydistribution import Stationary, thermalize_momenta
 from references import liquid
 
 import minimd as md
+import minimd.ase
 from minimd.compiled.kernels import compile_clock
 from minimd.diagnosis.first_hints import _long_timestep, too_long_a_step
 from minimd.engine.engine import Engine
@@ -187,3 +190,30 @@ def test_a_step_that_no_slip_of_a_unit_makes_is_meant(recwarn):
     system = md.System(positions, cell=edges, masses=39.9, units=md.units.ASE)
     md.Simulation(system, md.LennardJones(0.0103, 3.4, 8.5), md.VelocityVerlet(1e-100)).run(0)
     assert not recwarn.list
+
+
+def test_a_center_that_moves_is_told_where_its_motion_is_no_degree_of_freedom():
+    system = liquid(3)
+    system.velocities += [0.3, 0.0, 0.4]
+    (hint,) = hints_of(system, LAW)
+    assert "center of mass" in hint
+    assert "0.5 σ/τ" in hint
+    assert hints_of(system, LAW, method=lambda dt: md.LangevinBAOAB(dt, 1.0, 1.0, seed=1)) == []
+    sim = md.Simulation(system, LAW, md.VelocityVerlet(0.004))
+    exec(hint.split("; ")[-1].removesuffix(" stops it"), {"sim": sim})
+    assert hints_of(sim.system, LAW) == []
+    system.velocities[:] = np.float32(sim.velocities)
+    assert hints_of(system, LAW) == []
+
+
+def test_a_thermal_center_of_ase_is_told_by_a_simulation_and_not_by_its_own_dynamics():
+    atoms, step = argon(), 4.0 * md.units.fs
+    thermalize_momenta(atoms, 94.4, rng=np.random.default_rng(1))
+    speed = np.linalg.norm(atoms.get_momenta().sum(axis=0)) / atoms.get_masses().sum() * md.units.ps
+    (hint,) = hints_of(atoms, lennard_jones(), step)
+    assert f"{speed:.3g} Å/ps" in hint
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        minimd.ase.VelocityVerlet(with_calculator(atoms, minimd.ase.Calculator(lennard_jones())), step).run(2)
+    Stationary(atoms)
+    assert hints_of(atoms, lennard_jones(), step) == []

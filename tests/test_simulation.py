@@ -149,6 +149,23 @@ def test_set_temperature_is_exact_seeded_and_without_momentum():
     assert not np.allclose(first, simulation.velocities)
 
 
+def test_rescaling_keeps_a_drift_unless_the_center_is_thermal():
+    drift = [0.5, 0.0, -1.0]
+    sim = md.Simulation(liquid(3), LJ, md.VelocityVerlet(0.002))
+    sim.velocities[:] += drift
+    sim.equilibrate(20, 1.3)
+    assert sim.temperature == pytest.approx(1.3, rel=1e-12)
+    assert sim.velocities.mean(axis=0) == pytest.approx(drift, abs=1e-13)  # rounding
+    sim.velocities[:] = drift
+    assert sim.temperature == 0.0
+    with pytest.raises(ValueError, match="velocities"):
+        sim.rescale_temperature(1.0)
+    sim.method = md.LangevinBAOAB(0.002, 1.0, 1.0, seed=1)
+    sim.rescale_temperature(1.0)
+    assert sim.temperature == pytest.approx(1.0, rel=1e-12)
+    assert sim.velocities[0, 2] == pytest.approx(-2.0 * sim.velocities[0, 0], rel=1e-12)
+
+
 def test_velocities_are_normal_with_variance_by_mass():
     from scipy import stats
 

@@ -1,12 +1,20 @@
-"""Viscosity and diffusion of the Lennard-Jones liquid near its triple point are the published ones."""
+"""Viscosity and diffusion of the Lennard-Jones liquid near its triple point are the published ones; motion changes nothing."""
 
+from itertools import combinations
+
+import ase.io
 import numpy as np
 import pytest
+from argon_atoms import argon, lennard_jones
+from ase.md.velocitydistribution import thermalize_momenta
+from references import liquid
 
 import minimd as md
+from minimd.diagnosis.collisions import velocity_temperature
+from minimd.mdanalysis import diffusion_coefficient, universe
 from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.green_kubo import plateau, running_integral
-from minimd.structure.statistics import replicas
+from minimd.structure.statistics import mean_and_error, replicas
 
 VISCOSITY, DIFFUSION, N_PUBLISHED = 3.258, 0.0325, 1372  # K. Meier, A. Laesecke, S. Kabelac, J. Chem. Phys. 121, 3671 and 9526 (2004)
 DENSITY, TEMPERATURE = 0.8442, 0.722
@@ -122,3 +130,107 @@ def test_viscosity_and_diffusion_near_the_triple_point():
     correction = md.observers.finite_size_correction(TEMPERATURE, VISCOSITY, (N_PUBLISHED / DENSITY) ** (1.0 / 3.0))
     error = np.hypot(np.sqrt(np.square(infinite_errors).sum()) / len(errors), 0.01 * DIFFUSION)  # theirs is some 1 %
     assert abs(infinite.mean() - (DIFFUSION + correction)) < 2.0 * error
+
+
+DRIFT, SCALE, T = np.array([0.5, 0.0, -0.5]), "scale of the report", "temperature"
+BAROSTAT = md.StochasticCellRescaling(5.0, 0.1, 5.0, seed=4, every=5, temperature=1.0)
+RUNS = {  # method and options
+    "double": (md.VelocityVerlet(0.004), {}),
+    "fixed-point": (md.VelocityVerlet(0.004), {"precision": "fixed-point"}),
+    "barostat": (md.VelocityVerlet(0.004), {"barostat": BAROSTAT}),
+    "bath": (md.StochasticVelocityRescaling(0.004, 1.0, 1.0, seed=3), {}),
+    "langevin": (md.LangevinBAOAB(0.004, 1.0, 1e-9, seed=1), {}),
+}
+
+
+def results(name, velocity, file):
+    """All that is thermal in a short run, by name, of atoms with this velocity added."""
+    system, (method, options) = liquid(3), RUNS[name]
+    system.velocities += velocity
+    sim = md.Simulation(system, md.LennardJones(1.0, 1.0, 1.85, "switched"), method, **options)
+    sim.extra_observables = ("stress",)
+    kinds = "mean-square-displacement", "velocity-autocorrelation", "viscosity", "fluctuations"
+    looking = [md.observers.KINDS[kind](every=2) for kind in kinds] + [md.observers.Profile(every=2, n_bins=1)]
+    record, found = sim.run(60, every=4, observers=looking, trajectory=file), {}
+    for one in looking:
+        answers = one.result().columns() | one.result().numbers()
+        found |= {f"{one.kind} {key}": values for key, values in answers.items()}
+    found |= {key: getattr(record, key) for key in (T, "pressure", "stress", "potential_energy", "total_energy")}
+    found |= {SCALE: sim.report().kinetic_energy, "for advice": velocity_temperature(sim.system)}
+    found |= {"file": diffusion_coefficient(file).displacements, "of ase": ase.io.read(file).get_stress()}
+    sim.rescale_temperature(0.8)
+    return found | {"rescaled": sim.velocities - sim.drift, "drift": sim.drift}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_drift_changes_nothing_that_is_thermal(name, tmp_path):
+    """Galilei: before rounding has grown, a liquid that moves has the results of one at rest; not if its center is thermal."""
+    rest, moving = (results(name, velocity, tmp_path / f"{velocity[0]}.h5md") for velocity in (0.0 * DRIFT, DRIFT))
+    energy = 0.5 * float(DRIFT @ DRIFT)
+    if name == "langevin":
+        assert not moving["drift"].any()
+        assert (moving[T] - rest[T]).mean() == pytest.approx(2.0 / 3.0 * energy, rel=1e-5)  # the noise of 1e-9/τ
+        return
+    assert moving.pop("drift") == pytest.approx(DRIFT, abs=1e-12)  # rounding
+    assert (moving.pop("total_energy") - rest["total_energy"]).mean() == pytest.approx(108 * energy, rel=1e-9)
+    assert moving.pop(SCALE) == pytest.approx(rest[SCALE], rel=0.01)  # it is that of 3N degrees of freedom, at most
+    for key, values in moving.items():  # rounding, which grows; that of float32 in what MDAnalysis reads
+        np.testing.assert_allclose(values, rest[key], rtol=1e-6, atol=1e-6 * np.nanmax(np.abs(rest[key])), err_msg=key)
+
+
+SIGMA_PER_TAU = (0.0103 / 39.948) ** 0.5  # of argon_atoms [Å/(Å √(u/eV))]
+SEEDS = {"rest": 1, "moving": 2, "thermal": 3}
+
+
+def argon_at(start):
+    """Argon at rest, moving at 0.5 σ/τ, or thermalized as by ASE, which leaves the center of mass its thermal motion."""
+    atoms, dt = argon(), 5.0 * md.units.fs
+    thermalize_momenta(atoms, 188.8, rng=np.random.default_rng(21))
+    bath = md.StochasticVelocityRescaling(dt, 94.4, 1.0 * md.units.ps, seed=SEEDS[start])
+    sim = md.Simulation(atoms, lennard_jones(), bath)
+    if start != "thermal":
+        sim.velocities -= sim.drift
+    if start == "moving":
+        sim.velocities[:] += [0.5 * SIGMA_PER_TAU, 0.0, 0.0]
+    sim.equilibrate(4000, 94.4)
+    return sim
+
+
+def measured(start, file):
+    """Name: value, standard error; of observers, the record, and the file as MDAnalysis reads it [Å²/ps, mPa s, K, MPa]."""
+    sim, units = argon_at(start), (md.units.ps, 1.0 / (1e4 * md.units.BAR * md.units.ps), 1.0, 0.1 / md.units.BAR)
+    sim.extra_observables = ("stress",)
+    moved, turned = md.observers.MeanSquareDisplacement(every=20), md.observers.VelocityAutocorrelation(every=5)
+    stress, energies = md.observers.Viscosity(every=5), md.observers.Fluctuations(every=20)
+    record = sim.run(60_000, every=20, observers=[moved, turned, stress, energies], trajectory=file)
+    read, of_file = universe(file), diffusion_coefficient(file, (1.0, 10.0))
+    series = {name: np.array([ts.data[name] for ts in read.trajectory]) for name in (T, "pressure", "stress")}
+    a, b, c, d = (one.result() for one in (moved, turned, stress, energies))
+    found = {"D moved": (a.diffusion, a.diffusion_error), "D turned": (b.diffusion, b.diffusion_error)}
+    found |= {"η": (c.viscosity, c.viscosity_error), "T looks": (d.temperature, d.temperature_error)}
+    found |= {"T": mean_and_error(record.temperature), "P": mean_and_error(record.pressure)}
+    found |= {"D file": (of_file.coefficient / units[0], of_file.error / units[0])}
+    found |= {"η file": green_kubo(series["stress"], 100.0 * md.units.fs, sim.system.volume)}
+    found |= {f"{name[0].upper()} file": mean_and_error(series[name]) for name in (T, "pressure")}
+    print(f"{start}: the center moves at {np.linalg.norm(sim.drift) / SIGMA_PER_TAU:.3f} σ/τ")
+    return {key: np.array(value) * units["DηTP".index(key[0])] for key, value in found.items()}
+
+
+def green_kubo(stress, spacing, volume, n_blocks=16, n_lags=30):
+    """η and its standard error, from the off-diagonal stress in blocks, and lags of up to 3 ps."""
+    shear, etas = np.stack([stress[:, 0, 1], stress[:, 1, 2], stress[:, 0, 2]], axis=1), []
+    for block in np.array_split(shear, n_blocks):
+        correlation = [np.mean(block[: len(block) - lag] * block[lag:]) for lag in range(n_lags)]
+        etas.append(volume / (md.units.ASE.k_B * 94.4) * np.trapezoid(correlation, dx=spacing))
+    return np.mean(etas), np.std(etas, ddof=1) / n_blocks**0.5
+
+
+@pytest.mark.slow
+def test_argon_that_moves_has_the_diffusion_viscosity_temperature_and_pressure_of_argon_at_rest(tmp_path):
+    found = {start: measured(start, tmp_path / f"{start}.h5md") for start in SEEDS}
+    for name in found["rest"]:
+        print(f"{name:8}", *(f"{start}: {one[name][0]:.5g} ± {one[name][1]:.2g}  " for start, one in found.items()))
+    for name in found["rest"]:
+        for one, other in combinations(SEEDS, 2):
+            (a, da), (b, db) = found[one][name], found[other][name]
+            assert abs(a - b) < 4.0 * np.hypot(da, db), (name, one, other)  # statistics

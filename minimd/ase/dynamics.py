@@ -149,7 +149,7 @@ class MinimdSteps(MolecularDynamics):
                 warnings.warn(calculators_said(calculator), stacklevel=outside_minimd())
                 self._is_told = True
             engine = Engine(system, ForcesOnAtoms(atoms), self.method())
-        engine.step = self.nsteps
+        engine.step, engine.counts_center = self.nsteps, True
         self._guard, self._made_for, self._made_with = RunGuard(engine), atoms.copy(), _essence(atoms)
         self._made_for.calc = calculator
         return self._guard

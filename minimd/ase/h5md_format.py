@@ -11,10 +11,9 @@ from ase import Atoms
 from ase.calculators.singlepoint import SinglePointCalculator
 
 from minimd.files.h5md_opening import opened
-from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.h5md_schema import STEPS, TRAJECTORY
 from minimd.structure.ase_atoms import atoms_from_system, calculators_stress
-from minimd.structure.units import UnitSystem
 
 
 def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
@@ -36,11 +35,11 @@ def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
     chosen = numbers[index] if isinstance(index, slice) else [numbers[index]]
     with opened(filename) as h5:
         for number in chosen:
-            yield _frame(h5, number, template, contents.system.units)
+            yield _frame(h5, number, template, contents)
 
 
-def _frame(h5: h5py.File, number: int, template: Atoms, units: UnitSystem) -> Atoms:
-    atoms, group = template.copy(), h5[TRAJECTORY]
+def _frame(h5: h5py.File, number: int, template: Atoms, contents: H5MDContents) -> Atoms:
+    atoms, group, units = template.copy(), h5[TRAJECTORY], contents.system.units
     atoms.positions[:] = group["position/value"][number] / units.to_angstrom
     if "cell" in h5["observables"]:
         atoms.cell[:] = h5["observables/cell/value"][number]
@@ -51,6 +50,7 @@ def _frame(h5: h5py.File, number: int, template: Atoms, units: UnitSystem) -> At
     if "force" in group:
         results["forces"] = group["force/value"][number] * (units.to_angstrom / units.to_kj_per_mol)
     if "stress" in h5["observables"]:
-        results["stress"] = calculators_stress(h5["observables/stress/value"][number], atoms)
+        stress = h5["observables/stress/value"][number]
+        results["stress"] = calculators_stress(stress, atoms, contents.conserves_momentum)
     atoms.calc = SinglePointCalculator(atoms, **results)
     return atoms

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.lennard_jones import curvature_at_minimum
 from minimd.potentials.pair import PairPotential
-from minimd.structure.observables import kinetic_energy, temperature
+from minimd.structure.observables import center, kinetic_energy, temperature, thermal_energy
 from minimd.structure.system import System
 from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV
 
@@ -78,5 +78,7 @@ def _tables(system: System, potentials: Sequence[Any]) -> Iterator[NDArray[np.fl
 
 
 def velocity_temperature(system: System) -> float:
-    """T of the velocities [temperature], with all 3N degrees of freedom; 0 at rest."""
-    return temperature(kinetic_energy(system.velocities, system.masses), system.velocities.size, system.units.k_B)
+    """T of the velocities relative to the center of mass [temperature], with all 3N degrees of freedom; 0 at rest."""
+    velocities, masses = system.velocities, system.masses
+    thermal = thermal_energy(kinetic_energy(velocities, masses), center(velocities, masses), masses)
+    return temperature(thermal, velocities.size, system.units.k_B)

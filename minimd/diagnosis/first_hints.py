@@ -11,12 +11,14 @@ from minimd.engine.engine import Engine
 from minimd.integrators.splitting.linear_stability import accurate_step
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.pair import PairPotential
+from minimd.structure.observables import absolute_momentum
 from minimd.structure.units import ASE, BAR
 
 QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth
 CRUSHING = 0.5  # eV/Å³: 80 GPa, far more than a Lennard-Jones solid is good for
 TOO_SHORT = 1e-6  # times 1/ω of a collision
 MEANT = 1e-30  # likewise: a step below this is no error of the unit, somebody wants atoms that stand still
+MOVING = 1e-6  # of Σ|mv|: a smaller total momentum is rounding, of files with six digits or in single precision
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 
 
@@ -31,6 +33,7 @@ def hints(engine: Engine) -> Iterator[str]:
     yield from _no_pair_in_reach(engine)
     yield from _quick_barostat(engine)
     yield from _high_pressure(engine)
+    yield from _moving_center(engine)
 
 
 def too_long_a_step(engine: Engine) -> str | None:
@@ -55,6 +58,16 @@ def _high_pressure(engine: Engine) -> Iterator[str]:
     if barostat is not None and units == ASE and abs(barostat.pressure) > CRUSHING:
         meant = f"if {barostat.pressure:g} bar is meant, give {barostat.pressure:g} * md.units.BAR"
         yield f"pressure {barostat.pressure:g} {units.pressure} is {barostat.pressure / BAR:.2g} bar; {meant}, and the compressibility per BAR"
+
+
+def _moving_center(engine: Engine) -> Iterator[str]:
+    """A hint if the center of mass moves, and its motion is no degree of freedom."""
+    system, units, speed = engine.system, engine.system.units, float(np.linalg.norm(engine.drift))
+    if speed * system.masses.sum() > MOVING * absolute_momentum(system.velocities, system.masses):
+        yield (
+            f"the center of mass moves at {speed / units.to_picosecond:.3g} {units.length}/{units.shown_time}: "
+            "temperature, pressure, diffusion and viscosity are relative to it; sim.velocities -= sim.drift stops it"
+        )
 
 
 def _short_timestep(engine: Engine) -> str | None:

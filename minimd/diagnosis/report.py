@@ -170,7 +170,8 @@ class Report(Displayed):
     constraint_violation : largest |r² − d²|/d², or None without constraints.
     mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.  temperature_error : standard error of the mean.
     duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run, if known.
-    kinetic_energy : mean per atom [energy].  energy_range : largest difference of two total energies per atom beyond rounding [energy].
+    kinetic_energy : mean per atom, without a drift [energy].
+    energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
     temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
@@ -336,6 +337,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
     on time, the total energy and the shadow energy minus their work.
     """
     units, has_bath = record.units, "conserved_energy" in record
+    at_most = 1.5 * units.k_B * record.temperature  # of 3N degrees of freedom
     time, work = record.time * units.to_picosecond, record.work if "work" in record else 0.0
     energy = (record.conserved_energy if has_bath else record.total_energy - work) / record.n_atoms
     slope = drift_of_walk(time, energy) if has_bath else drift(time, energy, beside=record.kinetic_energy)
@@ -354,7 +356,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         mean_temperature=float(record.temperature.mean()),
         temperature_deviation=float(record.temperature.std()),
         duration=float(np.ptp(time)),
-        kinetic_energy=float(record.kinetic_energy.mean() / record.n_atoms),
+        kinetic_energy=float(np.minimum(record.kinetic_energy / record.n_atoms, at_most).mean()),
         n_frames=len(time),
         n_steps=int(record.step[-1] - record.step[0]),
         cost=cost,

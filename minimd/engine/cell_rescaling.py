@@ -15,7 +15,7 @@ from minimd.integrators.splitting.state import Bath
 from minimd.structure.cell import Cell
 from minimd.structure.checks import shown
 from minimd.structure.errors import RangeError
-from minimd.structure.observables import Array, kinetic_energy, momentum, momentum_flux
+from minimd.structure.observables import Array, center, kinetic_energy, momentum, momentum_flux
 from minimd.structure.strain import strained
 from minimd.structure.system import System
 
@@ -176,7 +176,7 @@ class CellRescaling:
         if self.barostat.coupling == "triclinic":
             vectors, rotation = turned_back(before.vectors, vectors)
         cell = before.strained(vectors)
-        drift = momentum(system.velocities, system.masses) / system.masses.sum() if bath.conserves_momentum else np.zeros(3)
+        drift = center(system.velocities, system.masses, bath.conserves_momentum)
         inverse = np.asarray(np.linalg.inv(stretch))
         if self._molecules is None:
             turned = np.eye(3) if rotation is None else rotation

@@ -13,9 +13,11 @@ def holds_center(system: AnySystem) -> bool:
     return fixes_center(system)
 
 
-def refused(method: Splitting) -> ValueError:
-    """The error for atoms with FixCom whose center of mass would move."""
+def check_center(is_held: bool, stays: bool, method: Splitting) -> None:
+    """Raise ValueError for atoms with FixCom whose center of mass would move."""
+    if stays or not is_held:
+        return
     cause = "a force from outside or a fixed atom moves the center of mass: remove one of them"
     if not method.conserves_momentum:
         cause = f"{method.name} moves the center of mass: take StochasticVelocityRescaling or minimd.ase.Langevin, or remove FixCom"
-    return ValueError(f"atoms.constraints holds FixCom, but {cause}")
+    raise ValueError(f"atoms.constraints holds FixCom, but {cause}")

@@ -11,7 +11,7 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.graph import bodies_of
 from minimd.engine.arguments import checked_method, warn_of_dropped
 from minimd.engine.cell_rescaling import CellRescaling, rescaling_of
-from minimd.engine.center import holds_center, refused
+from minimd.engine.center import check_center, holds_center
 from minimd.engine.snapshots import Checkpoint, Snapshot
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import FIXED_POINT, Options
@@ -22,7 +22,7 @@ from minimd.integrators.splitting.substeps import Kick
 from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.constraints import Constraint
 from minimd.structure.grid import Grid
-from minimd.structure.observables import Array, kinetic_energy
+from minimd.structure.observables import Array, center, kinetic_energy, leaves_out_center
 from minimd.structure.quiet import quiet
 from minimd.structure.system import AnySystem, System
 
@@ -37,6 +37,7 @@ class Engine:
     noise_shift : step n has the noise with number n + noise_shift.  extra_observables : names of additional observables.
     is_whole : whether a checkpoint has the bits of the run; false after a failure, when an earlier state was restored, but not its lists.
     holds_center : whether the center of mass must not move, because atoms with FixCom of ASE were given.
+    counts_center : whether it counts as a degree of freedom although nothing moves it, as in ASE's dynamics.
     barostat : StochasticCellRescaling, or None.
     equilibrated : steps of equilibrations so far: none of them has the noise of another.  notes : title and scene, texts for files.
     """
@@ -52,22 +53,21 @@ class Engine:
     ) -> None:
         self._method = checked_method(method)
         self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
-        self.holds_center = holds_center(system)
+        self.holds_center, self.counts_center = holds_center(system), False
         self._step, self._clock, self.noise_shift = 0, (0, 0.0), 0
-        self.equilibrated, self.notes = 0, {"title": "", "scene": ""}
+        self.equilibrated, self.is_whole, self.notes = 0, True, {"title": "", "scene": ""}
         self.extra_observables: Sequence[str] = ()
         self.interactions = Forces(self.system, potentials, options)
         warn_of_dropped(self.system.constraints, constraints)
         held = self.system.constraints if constraints is None else constraints
         self.constraint_set = ConstraintSet(self.system, held, self.interactions.options.most_threads)
         self.system.constraints = self.constraint_set.kept
-        self._check_center(method)
+        check_center(self.holds_center, self._is_still_under(method), method)
         self._state = self._laid_out()
         self._fit_grid()
         self._bath = Bath(k_B=self.system.units.k_B)
         self.surroundings = Surroundings(self.constraint_set.bonds, self._bath, keeps_open_end=True)
         self._left: tuple[int, ...] | None = None
-        self.is_whole = True
         self._describe_bath()
         self.barostat = barostat
         self._rescaling = rescaling_of(barostat, self.system, self.interactions, self.constraint_set, method, self.holds_center)
@@ -259,7 +259,7 @@ class Engine:
         """For pickle and copy: a copy makes the steps that this engine would make, to the last bit."""
         scene = self.system, self.interactions.potentials, self.method, self.constraints, self.interactions.options, self.barostat
         more = {"noise_shift": self.noise_shift, "extra_observables": self.extra_observables, "notes": dict(self.notes), "is_whole": self.is_whole}
-        more["holds_center"] = self.holds_center
+        more |= {"holds_center": self.holds_center, "counts_center": self.counts_center}
         return _copied, (scene, self.checkpoint(), self.is_as_left, self.interactions.counts, more)
 
     @property
@@ -306,7 +306,7 @@ class Engine:
     @method.setter
     def method(self, method: Splitting) -> None:
         self.constraint_set.degrees_of_freedom(checked_method(method).conserves_momentum and not self.interactions.act_from_outside)
-        self._check_center(method)
+        check_center(self.holds_center, self._is_still_under(method), method)
         if self._rescaling is not None:
             self._rescaling.temperature(method)
         if type(method) is not type(self._method) or method.parameters != self._method.parameters:
@@ -318,12 +318,17 @@ class Engine:
     def _describe_bath(self) -> None:
         """Set n_dof and conserves_momentum of the bath."""
         self._bath.n_dof = self.n_dof
-        self._bath.conserves_momentum = self.conserves_momentum and len(self.system) > 1
+        self._bath.conserves_momentum = leaves_out_center(len(self.system), self.conserves_momentum)
 
     @property
     def n_dof(self) -> int:
-        """Degrees of freedom that share the kinetic energy."""
+        """Degrees of freedom that share the thermal energy."""
         return self.constraint_set.degrees_of_freedom(self.conserves_momentum)
+
+    @property
+    def drift(self) -> Array:
+        """Velocity of the center of mass if n_dof leaves it out, else 0 [length/time], (3,)."""
+        return center(self.velocities, self.system.masses, self.conserves_momentum)
 
     @property
     def has_bath(self) -> bool:
@@ -332,15 +337,12 @@ class Engine:
 
     @property
     def conserves_momentum(self) -> bool:
-        """Whether the total momentum is constant: nothing acts from outside, no atom is fixed, and no bath acts on each atom separately."""
+        """Whether momentum is constant: no fixed atoms, no force from outside, no bath that acts on each atom, and no counts_center."""
         return self._is_still_under(self.method)
 
     def _is_still_under(self, method: Splitting) -> bool:
-        return method.conserves_momentum and not self.interactions.act_from_outside and not self.constraint_set.n_fixed
-
-    def _check_center(self, method: Splitting) -> None:
-        if self.holds_center and not self._is_still_under(method):
-            raise refused(method)
+        moves = self.counts_center or self.interactions.act_from_outside or self.constraint_set.n_fixed
+        return method.conserves_momentum and not moves
 
     @property
     def reservoir_energy(self) -> float:

@@ -24,6 +24,8 @@ class Look:
         self.grid = engine.interactions.grid
         self.kinetic_energy = observables.kinetic_energy(*self.motion, self.grid.energy if self.grid else 0.0)
         self.total_energy = self.potential_energy + self.kinetic_energy
+        self.drift = engine.drift
+        self.thermal_energy = observables.thermal_energy(self.kinetic_energy, self.drift, engine.system.masses)
 
     @property
     def volume(self) -> float:
@@ -36,6 +38,11 @@ class Look:
         """(3, 3) [energy], of forces and constraint forces."""
         engine, virial = self.engine, self.engine.interactions.virial
         return virial if self.bonds is None else virial + self.bonds.virial(engine.positions, engine.velocities, engine.forces)
+
+    @property
+    def stress(self) -> Any:
+        """(3, 3) [energy/length³].  Raises ValueError if the cell has no volume."""
+        return observables.stress(self.motion[0] - self.drift, self.motion[1], self.virial, self.volume)
 
 
 @dataclass(frozen=True)
@@ -85,7 +92,7 @@ for _observable in (
     Observable("potential_energy", "energy", lambda look: look.potential_energy),
     Observable("kinetic_energy", "energy", lambda look: look.kinetic_energy),
     Observable("total_energy", "energy", lambda look: look.total_energy),
-    Observable("temperature", "temperature", lambda look: observables.temperature(look.kinetic_energy, look.engine.n_dof, look.system.units.k_B)),
+    Observable("temperature", "temperature", lambda look: observables.temperature(look.thermal_energy, look.engine.n_dof, look.system.units.k_B)),
     Observable("momentum", "momentum", lambda look: observables.momentum(*look.motion, look.grid.momentum if look.grid else 0.0)),
     Observable("angular_momentum", "angular_momentum", lambda look: observables.angular_momentum(*look.path)),
     Observable("absolute_momentum", "momentum", lambda look: observables.absolute_momentum(*look.motion)),
@@ -93,10 +100,10 @@ for _observable in (
     Observable(
         "pressure",
         "pressure",
-        lambda look: observables.pressure(look.kinetic_energy, look.virial, look.volume),
+        lambda look: observables.pressure(look.thermal_energy, look.virial, look.volume),
         lambda engine: engine.system.volume is not None,
     ),
-    Observable("stress", "pressure", lambda look: observables.stress(*look.motion, look.virial, look.volume), demand=check_has_volume),
+    Observable("stress", "pressure", lambda look: look.stress, demand=check_has_volume),
     Observable(
         "conserved_energy",
         "energy",

@@ -23,6 +23,7 @@ class ASEWriter:
 
     def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
         self._claim, self._template, self._store_forces = claim, atoms_from_system(engine.system), store_forces
+        self._conserves_momentum = engine.conserves_momentum
         is_binary = claim.path.suffix.lower() == ".traj"
         if is_binary:
             label_by_tags(self._template, engine.system)
@@ -37,7 +38,8 @@ class ASEWriter:
         atoms.set_momenta(frame.velocities * atoms.get_masses()[:, None], apply_constraint=False)
         atoms.info.update(step=frame.step, time=frame.time)
         forces = frame.forces if self._store_forces else None
-        stress = calculators_stress(frame.observables["stress"], atoms) if "stress" in frame.observables else None
+        stress = frame.observables.get("stress")
+        stress = None if stress is None else calculators_stress(stress, atoms, self._conserves_momentum)
         atoms.calc = SinglePointCalculator(atoms, energy=frame.observables["potential_energy"], forces=forces, stress=stress)
         if isinstance(self._output, TrajectoryWriter):
             self._output.write(atoms)

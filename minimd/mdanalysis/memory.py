@@ -24,12 +24,14 @@ class Frames:
     Attributes
     ----------
     system : System, a copy made with the first frame; None before.
+    conserves_momentum : whether the simulation does.
     turn : Turn of a cell in an orientation that MDAnalysis does not hold; positions and velocities are kept turned. Else None.
     """
 
     def __init__(self) -> None:
         self.system: System | None = None
         self.turn: Turn | None = None
+        self.conserves_momentum = False
         self._rows: list[dict[str, Any]] = []
         self._moving: list[tuple[NDArray[np.float32], ...]] = []
 
@@ -44,6 +46,7 @@ class Frames:
         system = simulation.system
         if self.system is None:
             self.system, self.turn = system.copy(), turn_of(system.cell, system.units.to_angstrom)
+            self.conserves_momentum = simulation.conserves_momentum
         if len(system) != len(self.system):
             raise ValueError(f"Frames keeps frames of one simulation, of {len(self.system)} atoms; this one has {len(system)}")
         frame, units = simulation.frame(), system.units

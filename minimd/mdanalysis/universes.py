@@ -29,6 +29,7 @@ from minimd.simulation.simulation import Simulation
 from minimd.structure.cell import Cell
 from minimd.structure.console import outside_minimd
 from minimd.structure.display import Displayed, Rows
+from minimd.structure.observables import center
 from minimd.structure.quiet import quiet
 from minimd.structure.statistics import FEW, with_error
 from minimd.structure.system import System
@@ -59,6 +60,7 @@ class RunUniverse(MDAnalysis.Universe):
     """The universe of a run.  system : System.  contents : of its file, apart from frames; a universe in memory has none."""
 
     system: System
+    conserves_momentum: bool  # whether the run did
     contents: H5MDContents
 
 
@@ -102,7 +104,7 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     spacing = _spacing(f"the frames of {str(run)!r}", contents.record.step, contents.record.time * system.units.to_picosecond)
     with quiet():
         made = bare_universe(RunUniverse, system)
-        made.contents, made.system = contents, system
+        made.contents, made.system, made.conserves_momentum = contents, system, contents.conserves_momentum
         made.trajectory = RunReader(str(run), turn=turn, n_atoms=len(system), **({} if spacing is None else {"dt": spacing}))
     return made
 
@@ -115,7 +117,7 @@ def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
     spacing = _spacing("the frames in memory", frames.series("step"), frames.series("time")) or timestep
     with quiet():
         made = bare_universe(RunUniverse, frames.system)
-        made.system = frames.system
+        made.system, made.conserves_momentum = frames.system, frames.conserves_momentum
         made.trajectory = RecordedReader(**frames.reader_arguments(spacing))
     return made
 
@@ -244,6 +246,7 @@ class Diffusion(Displayed):
 def mean_square_displacement(run: Run) -> tuple[Array, Array]:
     """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
 
+    They are relative to the center of mass of all atoms if the run conserved the momentum, as its file tells.
     If there are many frames or atoms, some of them are used, evenly chosen.  run : an argument of universe, or a universe.
 
     Raises
@@ -259,7 +262,14 @@ def _displacements(run: Run) -> tuple[Array, Array]:
     with universe_of(run) as made, quiet():
         if len(made.trajectory) < 2:
             raise ValueError(f"a displacement needs at least 2 frames; {_name(made)} holds {len(made.trajectory)}")
-        result = EinsteinMSD(_every(made, MSD_ATOMS), fft=False).run(step=ceil(len(made.trajectory) / MSD_FRAMES)).results
+        some, rows, positions = _every(made, MSD_ATOMS), [], []
+        for ts in made.trajectory[:: ceil(len(made.trajectory) / MSD_FRAMES)]:
+            rows.append({"time": ts.time})
+            whole = np.asarray(ts.positions, dtype=np.float64)
+            positions.append(whole[some.ix] - center(whole, made.system.masses, made.conserves_momentum))
+        relative = MDAnalysis.Universe.empty(len(some))
+        relative.trajectory = RecordedReader(np.array(positions), rows)
+        result = EinsteinMSD(relative.atoms, fft=False).run().results
     return np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.msds_by_particle)
 
 

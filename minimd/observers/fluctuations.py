@@ -33,7 +33,7 @@ class Fluctuations(Accumulator):
         constant temperature   C_V = ⟨δE²⟩ / (k_B T²)
         constant pressure      C_P = ⟨δH²⟩ / (k_B T²),  κ_T = ⟨δV²⟩ / (k_B T V),  α_P = ⟨δV δH⟩ / (k_B T² V),   H = E + P V
 
-    f is the number of degrees of freedom in the kinetic energy K; T and P are those of the bath, and without a bath T is the mean temperature.
+    f is the number of degrees of freedom in K, which is thermal; T and P are those of the bath, and without a bath T is the mean temperature.
     The compressibility needs a volume that fluctuates.
 
     A variance s² from a run of n_c correlation times has a skewed distribution: most short runs find too small a value, with too little scatter.
@@ -66,7 +66,7 @@ class Fluctuations(Accumulator):
     def _look(self, engine: Engine) -> None:
         engine.evaluate()
         look = Look(engine)
-        now = [look.kinetic_energy, look.potential_energy, engine.system.volume or 0.0]
+        now = [look.thermal_energy, look.potential_energy, engine.system.volume or 0.0]
         self.reference = self.reference or now  # sums are over differences from the reference, which are small
         change = np.array(now) - self.reference
         self.sums.total += np.concatenate([[1.0], change, np.outer(change, change).ravel()])

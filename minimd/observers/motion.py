@@ -19,14 +19,14 @@ from minimd.observers.motion_results import DisplacementResult, VelocityResult
 from minimd.observers.time_correlation import COUNT, HEAD, TEMPERATURE, VOLUME, TimeCorrelation
 from minimd.structure.cell import Cell
 from minimd.structure.checks import checked_count
-from minimd.structure.observables import kinetic_energy
+from minimd.structure.observables import center
 
 Array = NDArray[np.float64]
 POINTS = 16  # entries on each level of the correlator
 
 
 class _OfAtoms(TimeCorrelation):
-    """A correlation of a vector of each atom."""
+    """A correlation of a vector of each atom, relative to the center of mass of all atoms if n_dof leaves it out."""
 
     arguments = ("every", "n_levels", "most_atoms")
     law: ClassVar[tuple]  # of the correlator
@@ -55,8 +55,8 @@ class _OfAtoms(TimeCorrelation):
 
     def _look(self, engine: Engine) -> None:
         vectors = self._vectors(engine)
-        entry = (vectors if self._takes_all else np.take(vectors, self._order, axis=0)).T
-        self._add(engine, kinetic_energy(engine.system.velocities, engine.system.masses), entry)
+        of_center = center(vectors, engine.system.masses, engine.conserves_momentum)
+        self._add(engine, ((vectors if self._takes_all else np.take(vectors, self._order, axis=0)) - of_center).T)
 
     @abstractmethod
     def _vectors(self, engine: Engine) -> Array:

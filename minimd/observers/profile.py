@@ -28,7 +28,7 @@ class Profile(Accumulator):
         ρ(z) = ⟨n(z) / ΔV⟩,   T(z) = ⟨Σ m v²⟩ / (g k_B ⟨n(z)⟩),   g = n_dof / N
 
     z is the distance along the normal of the two other lattice vectors. If the cell changes, layers of a periodic axis move with it, and z is
-    given in the mean cell. The velocities of a flow count as thermal.
+    given in the mean cell. The velocities of a flow count as thermal, but not those of the whole if n_dof leaves them out.
 
     Parameters
     ----------
@@ -78,7 +78,8 @@ class Profile(Accumulator):
             layers = np.floor((heights - lower) / height * self.n_bins).astype(np.int64)
         inside = (layers >= 0) & (layers < self.n_bins)
         places = system.species_index[inside] * self.n_bins + layers[inside]
-        squares = system.masses * np.einsum("ij,ij->i", system.velocities, system.velocities)
+        velocities = system.velocities - engine.drift
+        squares = system.masses * np.einsum("ij,ij->i", velocities, velocities)
         sums, volume = self.sums.total, area * height / self.n_bins
         sums[:HEAD] += 1.0, height
         sums[HEAD : -self.n_bins] += np.bincount(places, minlength=n_species * self.n_bins) / volume

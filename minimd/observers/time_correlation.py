@@ -14,7 +14,7 @@ from minimd.observers.blocked_sums import BlockedSums
 from minimd.observers.correlator import MultipleTau
 from minimd.observers.green_kubo import Plateau, plateau, running_integral
 from minimd.structure.cell import Cell
-from minimd.structure.observables import temperature
+from minimd.structure.observables import temperature, thermal_energy
 
 Array = NDArray[np.float64]
 COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
@@ -45,12 +45,13 @@ class TimeCorrelation(Accumulator):
         self._volume_of: Cell | None = None
         self._volume = np.nan
 
-    def _add(self, engine: Engine, kinetic_energy: float, entry: Array) -> None:
-        """Add a look to the sums.  kinetic_energy : [energy].  entry : (C, n), for the correlator."""
+    def _add(self, engine: Engine, entry: Array) -> None:
+        """Add a look to the sums.  entry : (C, n), for the correlator."""
         sums, system = self.sums.total, engine.system
         if self._volume_of is not system.cell:  # the determinant takes as long as a lag of the correlator
             self._volume_of, self._volume = system.cell, system.volume or np.nan
-        sums[:HEAD] += 1.0, temperature(kinetic_energy, engine.n_dof, system.units.k_B), self._volume
+        thermal = thermal_energy(engine.kinetic_energy, engine.drift, system.masses)
+        sums[:HEAD] += 1.0, temperature(thermal, engine.n_dof, system.units.k_B), self._volume
         self._correlator.add(entry, sums[HEAD:])
 
     def _arrays(self) -> dict[str, NDArray[Any]]:

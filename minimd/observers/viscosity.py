@@ -16,7 +16,6 @@ from minimd.observers.green_kubo import Plateau
 from minimd.observers.time_correlation import HEAD, TEMPERATURE, VOLUME, TimeCorrelation
 from minimd.structure.checks import checked_count
 from minimd.structure.display import Rows
-from minimd.structure.observables import stress
 from minimd.structure.statistics import with_error
 from minimd.structure.units import BAR, PICOSECOND
 
@@ -66,8 +65,7 @@ class Viscosity(TimeCorrelation):
 
     def _look(self, engine: Engine) -> None:
         engine.evaluate()
-        look = Look(engine)
-        self._add(engine, look.kinetic_energy, traceless(-stress(*look.motion, look.virial, look.volume))[:, None])
+        self._add(engine, traceless(-Look(engine).stress)[:, None])
 
     def result(self) -> ViscosityResult:
         """η so far, with its standard error.  Raises ValueError before the first look."""

@@ -82,7 +82,8 @@ class Simulation(Closed, Displayed):
     positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")
     forces = EngineAttribute[Array]("(N, 3) [energy/length], of the last evaluation.")
-    n_dof = EngineAttribute[int]("Degrees of freedom that share the kinetic energy.")
+    n_dof = EngineAttribute[int]("Degrees of freedom that share the thermal energy.")
+    drift = EngineAttribute[Array]("Velocity of the center of mass if n_dof leaves it out, else 0 [length/time].", "drift")
     conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant; see Engine.")
     constraints = EngineAttribute[tuple[Constraint, ...]]("What is held fixed, with the lengths that are kept; also those of system.")
     rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds")
@@ -371,13 +372,12 @@ class Simulation(Closed, Displayed):
             self.rescale_temperature(temperature)
 
     def rescale_temperature(self, temperature: float) -> None:
-        """Multiply all velocities so that the kinetic temperature is exactly this one.
+        """Multiply all velocities, relative to the drift, so that the kinetic temperature is exactly this one.
 
-        Raises
-        ------
-        ValueError : if the temperature is negative or not finite, or nothing moves.
+        Raises ValueError if the temperature is negative or not finite, or nothing moves.
         """
-        self.velocities[:] = rescaled(self.velocities, self.system.masses, temperature, self.system.units.k_B, self.n_dof)
+        v, k_B = self.velocities, self.system.units.k_B  # noqa: N806 - the symbol of the constant
+        v[:] = rescaled(v, self.system.masses, temperature, k_B, self.n_dof, self.drift)
         self.engine.turned()
 
     def snapshot(self) -> Snapshot:

@@ -15,9 +15,9 @@ from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
 from minimd.structure.console import warn_of_charges
 from minimd.structure.joined import joined_in, texts
+from minimd.structure.observables import center, momentum
 from minimd.structure.observables import stress as kinetic_stress
 from minimd.structure.units import ASE
-from minimd.structure.velocities import without_momentum
 
 LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
 NAMES = "species_names"  # in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
@@ -40,7 +40,7 @@ def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: 
     found = joined_in(atoms) if bonds is None else None
     velocities, masses = atoms.get_velocities(), atoms.get_masses()
     if constraints and fixes_center(atoms):
-        velocities = without_momentum(velocities, masses)
+        velocities -= momentum(velocities, masses) / masses.sum()
     return {
         "positions": atoms.positions,
         "masses": masses,
@@ -107,12 +107,14 @@ def same_scene(one: Atoms, other: Atoms) -> bool:
     return all(np.array_equal(a, b) for a, b in arrays) and same_labels(one, other) and one.calc is other.calc
 
 
-def calculators_stress(stress: NDArray[np.float64], atoms: Atoms) -> NDArray[np.float64]:
+def calculators_stress(stress: NDArray[np.float64], atoms: Atoms, conserves_momentum: bool) -> NDArray[np.float64]:
     """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part, which get_stress(include_ideal_gas=True) adds.
 
-    stress : (3, 3), observables.stress of the atoms in their present motion.
+    stress : (3, 3), of an engine with the atoms in their present motion.  conserves_momentum : of that engine.
     """
-    moving = kinetic_stress(atoms.get_velocities(), atoms.get_masses(), np.zeros((3, 3)), volume_of(atoms))
+    velocities, masses = atoms.get_velocities(), atoms.get_masses()
+    velocities -= center(velocities, masses, conserves_momentum)
+    moving = kinetic_stress(velocities, masses, np.zeros((3, 3)), volume_of(atoms))
     return full_3x3_to_voigt_6_stress(stress - moving)
 
 

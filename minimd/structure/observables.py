@@ -13,6 +13,7 @@ from minimd.compiled.fixed_point import on_grid
 from minimd.compiled.kernels import kernel, scalar
 
 Array = NDArray[np.float64]
+AT_REST = 1e-12  # of the kinetic energy: if less than this is relative to the center of mass, it is only rounding
 
 
 @scalar
@@ -30,23 +31,40 @@ def kinetic_energy(velocities, masses, step=0.0):
     return total
 
 
+def leaves_out_center(n_atoms: int, conserves_momentum: bool) -> bool:
+    """Whether the center of mass is no degree of freedom: where the total momentum is a constant, but for a single atom.
+
+    What degrees_of_freedom leaves out, all thermal quantities leave out, from temperature to displacements; see center.
+    """
+    return conserves_momentum and n_atoms > 1
+
+
 def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True) -> int:
-    """3N − 3 − n_constraints where the total momentum is a constant, else 3N − n_constraints.
-
-    A single atom has three degrees of freedom, whether its momentum is a constant or not.
-
-    n_atoms : those that are not held fixed.
+    """3N − 3 − n_constraints if leaves_out_center, else 3N − n_constraints.  n_atoms : without those held fixed.
 
     Raises ValueError if none is left.
     """
-    n_dof = 3 * n_atoms - (3 if n_atoms > 1 and conserves_momentum else 0) - n_constraints
+    n_dof = 3 * n_atoms - (3 if leaves_out_center(n_atoms, conserves_momentum) else 0) - n_constraints
     if n_dof <= 0:
         raise ValueError(f"no degree of freedom is left for {n_atoms} atoms with {n_constraints} constraints")
     return n_dof
 
 
+def center(vectors: Array, masses: Array, conserves_momentum: bool = True) -> Array:
+    """What to subtract from positions or velocities: Σ m r / Σ m if leaves_out_center, else 0; (3,)."""
+    if leaves_out_center(len(masses), conserves_momentum):
+        return np.asarray(momentum(vectors, masses) / masses.sum())
+    return np.zeros(3)
+
+
+def thermal_energy(kinetic: float, drift: Array, masses: Array) -> float:
+    """½ Σ m (v − V)² = K − ½ V² Σ m [energy]; 0 if what is left of K is only rounding.  drift : V, center of velocities."""
+    left = kinetic - 0.5 * float(masses.sum()) * float(drift @ drift)
+    return 0.0 if left <= AT_REST * kinetic else left
+
+
 def temperature(kinetic: float, n_dof: int, k_B: float = 1.0) -> float:  # noqa: N803
-    """Kinetic temperature T = 2K / (n_dof k_B).  n_dof : see degrees_of_freedom."""
+    """Kinetic temperature T = 2K / (n_dof k_B).  kinetic : see thermal_energy.  n_dof : see degrees_of_freedom."""
     return 2.0 * kinetic / (n_dof * k_B)
 
 

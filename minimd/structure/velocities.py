@@ -3,7 +3,7 @@
 import numpy as np
 
 from minimd.structure.checks import checked_count, checked_number
-from minimd.structure.observables import Array, degrees_of_freedom, kinetic_energy, momentum, temperature
+from minimd.structure.observables import Array, center, degrees_of_freedom, kinetic_energy, temperature, thermal_energy
 
 SEEDS = 2**128
 
@@ -19,23 +19,20 @@ def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int 
     target = checked_number("temperature", target, "finite and not negative")
     draw = np.random.default_rng(None if seed is None else checked_count("seed", seed, 0, SEEDS)).standard_normal((len(masses), 3))
     velocities = draw * np.sqrt(k_B * target / masses)[:, None]
-    if len(masses) > 1:
-        velocities = without_momentum(velocities, masses)
-    return rescaled(velocities, masses, target, k_B) if target > 0.0 else velocities
+    velocities -= center(velocities, masses)
+    n_dof = degrees_of_freedom(len(masses))
+    return rescaled(velocities, masses, target, k_B, n_dof, np.zeros(3)) if target > 0.0 else velocities
 
 
-def without_momentum(velocities: Array, masses: Array) -> Array:
-    """Velocities relative to the center of mass, (N, 3)."""
-    return velocities - momentum(velocities, masses) / masses.sum()
+def rescaled(velocities: Array, masses: Array, target: float, k_B: float, n_dof: int, drift: Array) -> Array:  # noqa: N803
+    """V + √(T_target/T) (v − V): kinetic temperature exactly the target, (N, 3).  drift : V; scaled, too, if only rounding.
 
-
-def rescaled(velocities: Array, masses: Array, target: float, k_B: float = 1.0, n_dof: int | None = None) -> Array:  # noqa: N803
-    """Velocities times √(T_target/T): kinetic temperature exactly the target, (N, 3).  n_dof : 3N − 3 if not given.
-
-    Raises ValueError if the target is negative or not finite, or nothing moves.
+    Raises ValueError if the target is negative or not finite, or nothing moves, except all atoms alike.
     """
     target = checked_number("temperature", target, "finite and not negative")
-    now = temperature(kinetic_energy(velocities, masses), n_dof or degrees_of_freedom(len(masses)), k_B)
-    if now == 0.0:
-        raise ValueError("velocities are all zero and cannot be rescaled; draw them with set_temperature")
-    return velocities * np.sqrt(target / now)
+    kinetic = kinetic_energy(velocities, masses)
+    thermal = thermal_energy(kinetic, drift, masses)
+    if thermal == 0.0:
+        raise ValueError("velocities are all zero or all the same and cannot be rescaled; draw them with set_temperature")
+    factor = np.sqrt(target / temperature(thermal, n_dof, k_B))
+    return velocities * factor if thermal == kinetic else drift + (velocities - drift) * factor

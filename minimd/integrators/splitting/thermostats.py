@@ -19,11 +19,11 @@ from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath, Contact, Cycle, State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize
 from minimd.structure.checks import checked_count, checked_number
+from minimd.structure.observables import thermal_energy
 
 __all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
 
 SEEDS = 2**128  # keys of numpy's Philox
-AT_REST = 1e-12  # of the total kinetic energy: if less than this is relative to the center of mass, it is only rounding
 STEPS = 2**64  # numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
 
 
@@ -174,11 +174,9 @@ class StochasticVelocityRescaling(Thermostat):
         """The exact change of the kinetic energy over a duration."""
         bath = bath_of(around)
         around.project(state)
-        whole, drift = state.kinetic_energy(), np.zeros(3)
-        if bath.conserves_momentum:
-            drift = state.momentum() / state.masses.sum()
-        kinetic = whole - 0.5 * state.masses.sum() * float(drift @ drift)
-        if kinetic <= AT_REST * whole:
+        drift = state.momentum() / state.masses.sum() if bath.conserves_momentum else np.zeros(3)
+        kinetic = thermal_energy(state.kinetic_energy(), drift, state.masses)
+        if kinetic == 0.0:
             return
         noise, kept = self.noise(bath), exp(-duration / self.relaxation_time)
         one, others = noise.standard_normal(), 2.0 * noise.standard_gamma(0.5 * (bath.n_dof - 1))

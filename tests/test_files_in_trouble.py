@@ -2,7 +2,6 @@
 
 import os
 import resource
-import shutil
 import signal
 
 import numpy as np
@@ -11,7 +10,7 @@ from h5md_runs import bring_to_disk_every, resumed, simulation
 from test_kills import assert_same_file
 
 import minimd as md
-from minimd.files import h5md_reader, h5md_writer, journaled_file
+from minimd.files import h5md_reader, h5md_writer
 from minimd.files.claim import Claim
 from minimd.files.h5md_reader import read_file, verify_frames
 
@@ -58,22 +57,6 @@ def test_what_has_a_second_name_is_not_emptied(tmp_path):
     simulation().run(10, every=5, trajectory=path)
     assert_same_file(precious, path)
     assert sorted(os.listdir(tmp_path)) == ["a.h5md", "precious.h5md"]
-
-
-def test_a_journal_is_not_applied_to_another_file(tmp_path, monkeypatch):
-    path, backup = tmp_path / "a.h5md", tmp_path / "backup.h5md"
-    simulation().run(10, every=5, trajectory=path)
-    shutil.copy(path, backup)
-    sim = resumed(path)
-    with monkeypatch.context() as patch:
-        patch.setattr(journaled_file, "_apply", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            sim.run(10, every=5, trajectory=path, append=True)
-    assert (tmp_path / "a.h5md.journal").exists()
-    shutil.copy(backup, path)
-    assert read_file(path).step == 10
-    assert path.read_bytes() == backup.read_bytes()
-    assert not (tmp_path / "a.h5md.journal").exists()
 
 
 def test_a_method_that_takes_over_during_a_run_is_in_the_file(tmp_path):

@@ -112,9 +112,9 @@ def _brought_to_disk(writers: Sequence[Writer], folder: Path) -> list[bytes]:
         path = one.claim.path
         if path.suffix.lower() != ".h5md":
             one.checkpoint()
-            if path.parent == folder and path == one.claim.place:  # it has a frame, and with it its name
-                now = os.stat(path)
-                with path.open("rb") as file:
+            if path.parent == folder:
+                now = os.fstat(one.claim.descriptor)
+                with one.claim.place.open("rb") as file:
                     marks.append(MARK.pack(now.st_ino, now.st_size, file.read(128)) + os.fsencode(path.name))
     return marks
 
@@ -127,6 +127,8 @@ def _cut_back(path: Path, inode: int, size: int, first: bytes) -> None:
             if found.st_ino == inode and found.st_size >= size:
                 file.write(first[:size])
                 file.truncate(size)
+                if not size:  # it had no frame, and therefore no name
+                    path.unlink()
 
 
 def _appendable(file: Path) -> Path:

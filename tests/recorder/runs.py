@@ -66,7 +66,7 @@ class Reference(NamedTuple):
 
 def text_of(kind):
     if kind == "crash":
-        return melt_scene(3, 400, "[output]\nevery = 1\n").replace("timestep = 0.004", "timestep = 0.05")
+        return melt_scene(3, 400, "threads = 1\n[output]\nevery = 1\n").replace("timestep = 0.004", "timestep = 0.05")
     return melt_scene(3, STEPS, "threads = 1\n" + KINDS.get(kind, EVERY))
 
 
@@ -217,6 +217,11 @@ class Survey:
     def __init__(self, kind, disk, known, scratch):
         self.kind, self._disk, self._known, self._scratch, self._seen = kind, disk, known, scratch, {}
         self._frames = {}
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # children find all loaded
+            scratch.mkdir(exist_ok=True)
+            shutil.copy(known.folder / FILE, scratch)
+            assert cli.main(["check", str(scratch / FILE)]) in (0, 1)
+            assert cli.main(["resume", str(scratch / FILE), "--quiet", "--steps", "2"]) == 0 or kind == "crash"
         names = [k for k, one in enumerate(disk.changes) if one.what == "name" and one.name == FILE]
         folders = [k for k, one in enumerate(disk.changes) if one.what == "sync folder" and k > names[0]]
         self._file, self._is_safe_from = disk.changes[names[0]].file, folders[0] + 1

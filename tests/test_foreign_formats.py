@@ -90,6 +90,16 @@ def test_a_resumed_run_cuts_other_trajectories_to_its_restart(tmp_path, suffix, 
     np.testing.assert_array_equal(frames_in(path), whole[:4])
 
 
+def test_another_trajectory_of_the_same_name_is_left_alone(tmp_path):
+    sim, path, other = simulation(), tmp_path / "a.xtc", tmp_path / "b.xtc"
+    sim.run(4, every=2, trajectory=[tmp_path / "a.h5md", path])
+    content = 2 * path.read_bytes()
+    other.write_bytes(content)
+    other.replace(path)
+    sim.run(4, every=2, trajectory=tmp_path / "a.h5md", append=True)
+    assert path.read_bytes() == content
+
+
 @pytest.mark.parametrize("suffix", ["xtc", "ncdf"])
 def test_exception_leaves_a_valid_foreign_file(tmp_path, suffix):
     def stop(sim):

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 N_SERIES = 3  # K, U, V
 KINETIC, ENERGY, VOLUME = range(N_SERIES)
 OF_INTEREST = ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # K, E and V, as weights of K, U, V
+FEWEST = 16.0  # correlation times; how many fewer there are, a run cannot tell
 ENOUGH = 100.0  # correlation times; the error bar of a shorter run is itself too uncertain
 
 
@@ -35,8 +36,10 @@ class Fluctuations(Accumulator):
     f is the number of degrees of freedom in the kinetic energy K; T and P are those of the bath, and without a bath T is the mean temperature.
     The compressibility needs a volume that fluctuates.
 
-    The variance of a run of n_c correlation times is too small by that of its mean, the part 2/n_c, which is added. It has a skewed distribution:
-    of short runs, too small a value has too small an error.
+    The variance of a run of n_c correlation times is too small by that of its mean, the part 2/n_c, which is added. The standard error is the
+    root mean square of two: that of the jackknife, which in short runs is too small where the variance is too small by chance; and the change of
+    the coefficient if all variances grow by a factor e^√(2/n_c), where √(2/n_c) is the relative standard error of the variance of a series with
+    correlations e^(−t/τ). That a run is shorter than 16 correlation times it cannot tell; n_c is taken as 16 then.
 
     J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967), on constant energy; M. P. Allen, D. J. Tildesley, Computer Simulation
     of Liquids, 2nd ed. (2017), section 2.5.
@@ -73,8 +76,10 @@ class Fluctuations(Accumulator):
         reference = np.array(self.reference)
         times = correlation_times(self.sums)
         fluctuating = [KINETIC] if scene.bath_temperature is None else [ENERGY, VOLUME]
-        grown = 1.0 + np.nan_to_num(2.0 / times)
-        values, errors = self.sums.estimate(lambda sums: _coefficients(sums, reference, scene, grown))
+        missing = 2.0 / np.fmax(FEWEST, np.nan_to_num(times, nan=np.inf))
+        values, errors = self.sums.estimate(lambda sums: _coefficients(sums, reference, scene, 1.0 + missing))
+        wider = _coefficients(self.sums.total, reference, scene, (1.0 + missing) * np.exp(missing**0.5))
+        errors = np.where(wider == values, errors, np.hypot(errors, wider - values) * 0.5**0.5)
         volume_is_constant = self.sums.total[1 + VOLUME] == 0.0 and self.sums.total[-1] == 0.0
         ensemble = "constant energy" if scene.bath_temperature is None else "constant temperature"
         if not volume_is_constant:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 FEW = 4  # entries or blocks: from fewer, no error can be estimated
 MOST_BLOCKS = 32  # at this number, blocks are joined in pairs: a long run always has 16 to 31
-TIMES = (0.01, 0.022, 0.05, 0.11, 0.25)  # correlation times, of the length of a run
-SHARES = (0.5, 0.8, 0.95, 1.0)  # of slow correlations in the variance of the mean
+TIMES, SHARES = (0.02, 0.05, 0.12, 0.3), (0.7, 0.9, 0.97, 1.0)  # of slow correlations, in parts of the run and of the variance of the mean
+NONE = 0.8  # weight of no correlation; the weights of the 16 correlations add up to the rest
 LEVEL, LINE = (1.0, 3.0), (2.0, 4.0)  # bias of a correlation where a mean, or a straight line, was fitted
 
 
@@ -29,51 +29,49 @@ def mean_and_error(series: Any) -> tuple[float, float]:
 
 
 def standard_error(parts: Array) -> Array:
-    """The standard error of the mean of K numbers (K, ...), each from the same length of a run, and correlated with those before it; (...).
+    """The standard error of the mean of K numbers (K, ...), each from the same length of a run, that may be correlated; (...).
 
-        covariance   C_ab ∝ w Λ_ab(τ) + (1 − w) δ_ab:   averages over parts of e^(−t/τ), with a share w of the integral, and of what is fast
-        likelihood   L = |C|^(−1/2) (1ᵀC⁻¹1)^(−1/2) q^((1 − K)/2),   q = xᵀ(C⁻¹ − C⁻¹1 1ᵀC⁻¹/1ᵀC⁻¹1) x / (K − 1)
-        error        Σ L √(q 1ᵀC1)/K / Σ L
+        C_ab ∝ w Λ_ab(τ) + (1 − w) δ_ab                                         Λ: of averages of a process with correlations e^(−t/τ), Σ_b Λ_ab → 1
+        q = xᵀ(C⁻¹ − C⁻¹1 1ᵀC⁻¹/1ᵀC⁻¹1) x / (K − 1)                             xᵀx/(K − 1) of deviations x from the mean, if they are uncorrelated
+        L = (|C| 1ᵀC⁻¹1 q^(K−1))^(−1/2)                                         likelihood of C, whatever mean and scale
+        error = Σ p L √(q 1ᵀC1)/K / Σ p L                                       p: weight of C
 
-    The sums are over processes that a run can just tell from each other, see _processes: τ from a hundredth to a quarter of the run, and none,
-    w = 0, with half of the weight. Means and scale of C are integrated out. If correlations last longer than a sixth of the run, the error
-    is too small. 0 for equal numbers, NaN for fewer than 4.
+    The sums are over covariances C that few numbers can just tell from each other: w = 0, and those of TIMES and SHARES. Correlations that last
+    longer than a sixth of a run are seen in part only: the error is too small then. 0 for equal numbers, NaN for fewer than 4.
 
-    H. D. Patterson, R. Thompson, Biometrika 58, 545 (1971), on the likelihood; J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky,
-    Statist. Sci. 14, 382 (1999), on sums over models.
+    H. D. Patterson, R. Thompson, Biometrika 58, 545 (1971), on L; J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, Statist. Sci. 14, 382
+    (1999), on averages over models.
     """
     n = len(parts)
     if n < FEW:
         return np.full(parts.shape[1:], np.nan)
-    numbers = (parts - parts.mean(axis=0)).reshape(n, -1)
-    found = [(log_weight, variance, ((form @ numbers) * numbers).sum(axis=0) / (n - 1.0)) for log_weight, variance, form in _processes(n)]
-    log_weights, variances, squares = (np.array(one) for one in zip(*found, strict=True))
-    scale = squares[0]
+    logs, variances, forms = (np.array(one) for one in zip(*_covariances(n), strict=True))
     with np.errstate(all="ignore"):
-        squares = np.where(scale == 0.0, 1.0, squares / scale)
-        log_likelihoods = log_weights[:, None] - 0.5 * (n - 1.0) * np.log(squares)
-    weights = np.exp(log_likelihoods - log_likelihoods.max(axis=0))
-    mean: Array = (weights * np.sqrt(variances[:, None] * squares)).sum(axis=0) / weights.sum(axis=0) * np.sqrt(scale)
-    return mean.reshape(parts.shape[1:])
+        rest = (parts - parts.mean(axis=0)).reshape(n, -1)
+        size = np.abs(rest).max(axis=0)
+        x = rest / size
+        q = np.array([((form @ x) * x).sum(axis=0) for form in forms]) / (n - 1.0)
+        log_weights = logs[:, None] - 0.5 * (n - 1.0) * np.log(q)
+        weights = np.exp(log_weights - log_weights.max(axis=0))
+        found = size * (weights * np.sqrt(variances[:, None] * q)).sum(axis=0) / weights.sum(axis=0)
+    return np.where(size == 0.0, 0.0, found).reshape(parts.shape[1:])
 
 
 @cache
-def _processes(n: int) -> list[tuple[float, float, Array]]:
-    """Of each process: the logarithm of its weight times |C|^(−1/2) (1ᵀC⁻¹1)^(−1/2), the variance of the mean, and the form of q, (n, n)."""
-    lags, found = np.abs(np.subtract.outer(np.arange(n), np.arange(n))), []
+def _covariances(n: int) -> list[tuple[float, float, Array]]:
+    """For each C of standard_error: log p (|C| 1ᵀC⁻¹1)^(−1/2), 1ᵀC1/K², and the matrix of (K − 1) q, (K, K)."""
+    lags, each = np.abs(np.subtract.outer(np.arange(n), np.arange(n))), (1.0 - NONE) / (len(TIMES) * len(SHARES))
+    chosen, found = [(NONE, np.eye(n))], []
     for time in n * np.array(TIMES):
         ratio = np.exp(-1.0 / time)
-        slow = 0.5 * time * (1.0 - ratio) ** 2 * ratio ** (lags - 1.0)
-        np.fill_diagonal(slow, 1.0 - time * (1.0 - ratio))
-        found += [(0.0, share * slow + (1.0 - share) * np.eye(n)) for share in SHARES]
-    return [_process(*one) for one in [(np.log(len(found)), np.eye(n)), *found]]
-
-
-def _process(log_weight: float, covariance: Array) -> tuple[float, float, Array]:
-    inverse = np.linalg.inv(covariance)
-    sums = inverse.sum(axis=0)
-    log_size = np.linalg.slogdet(covariance)[1] + np.log(sums.sum())
-    return log_weight - 0.5 * log_size, covariance.sum() / len(sums) ** 2, inverse - np.outer(sums, sums) / sums.sum()
+        slow = np.where(lags == 0, 1.0 - time * (1.0 - ratio), 0.5 * time * (1.0 - ratio) ** 2 * ratio ** (lags - 1.0))
+        chosen += [(each, share * slow + (1.0 - share) * np.eye(n)) for share in SHARES]
+    for weight, covariance in chosen:
+        inverse = np.linalg.inv(covariance)
+        sums = inverse.sum(axis=0)
+        log = np.log(weight) - 0.5 * (np.linalg.slogdet(covariance)[1] + np.log(sums.sum()))
+        found.append((float(log), float(covariance.sum()) / n**2, inverse - np.outer(sums, sums) / sums.sum()))
+    return found
 
 
 def independent(rest: Array, bias: tuple[float, float]) -> float:

@@ -47,7 +47,8 @@ def standard_error(parts: Array) -> Array:
         return np.full(parts.shape[1:], np.nan)
     logs, variances, forms = (np.array(one) for one in zip(*_covariances(n), strict=True))
     with np.errstate(all="ignore"):
-        rest = (parts - parts.mean(axis=0)).reshape(n, -1)
+        rest = (parts - parts[0]).reshape(n, -1)  # equal numbers give 0, whatever the rounding of their mean
+        rest -= rest.mean(axis=0)
         size = np.abs(rest).max(axis=0)
         x = rest / size
         q = np.array([((form @ x) * x).sum(axis=0) for form in forms]) / (n - 1.0)

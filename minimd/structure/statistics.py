@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Weighted = Callable[[int], list[tuple[float, Array]]]
 FEW = 4  # entries or blocks: from fewer, no error can be estimated
 MOST_BLOCKS = 32  # at this number, blocks are joined in pairs: a long run always has 16 to 31
 TIMES, SHARES = (0.02, 0.05, 0.12, 0.3), (0.7, 0.9, 0.97, 1.0)  # of slow correlations, in parts of the run and of the variance of the mean
 NONE = 0.8  # weight of no correlation; the weights of the 16 correlations add up to the rest
-LEVEL, LINE = (1.0, 3.0), (2.0, 4.0)  # bias of a correlation where a mean, or a straight line, was fitted
+WALKS = {0.0: 1.0, 0.3: 1.0, 0.6: 1.0, 0.9: 1.0, 1.0: 3.0}  # parts of a random walk in the variance of the mean of its steps, and their weights
 
 
 def mean_and_error(series: Any) -> tuple[float, float]:
@@ -28,7 +29,7 @@ def mean_and_error(series: Any) -> tuple[float, float]:
     return mean, float(standard_error(blocks))
 
 
-def standard_error(parts: Array) -> Array:
+def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
     """The standard error of the mean of K numbers (K, ...), each from the same length of a run, that may be correlated; (...).
 
         C_ab ∝ w Λ_ab(τ) + (1 − w) δ_ab                                         Λ: of averages of a process with correlations e^(−t/τ), Σ_b Λ_ab → 1
@@ -39,13 +40,15 @@ def standard_error(parts: Array) -> Array:
     The sums are over covariances C that few numbers can just tell from each other: w = 0, and those of TIMES and SHARES. Correlations that last
     longer than a sixth of a run are seen in part only: the error is too small then. 0 for equal numbers, NaN for fewer than 4.
 
+    weighted : other covariances and their weights, see correlated and wandering.
+
     H. D. Patterson, R. Thompson, Biometrika 58, 545 (1971), on L; J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, Statist. Sci. 14, 382
     (1999), on averages over models.
     """
     n = len(parts)
     if n < FEW:
         return np.full(parts.shape[1:], np.nan)
-    logs, variances, forms = (np.array(one) for one in zip(*_covariances(n), strict=True))
+    logs, variances, forms = (np.array(one) for one in zip(*_forms(weighted or correlated, n), strict=True))
     with np.errstate(all="ignore"):
         rest = (parts - parts[0]).reshape(n, -1)  # equal numbers give 0, whatever the rounding of their mean
         rest -= rest.mean(axis=0)
@@ -58,16 +61,30 @@ def standard_error(parts: Array) -> Array:
     return np.where(size == 0.0, 0.0, found).reshape(parts.shape[1:])
 
 
-@cache
-def _covariances(n: int) -> list[tuple[float, float, Array]]:
-    """For each C of standard_error: log p (|C| 1ᵀC⁻¹1)^(−1/2), 1ᵀC1/K², and the matrix of (K − 1) q, (K, K)."""
+def correlated(n: int) -> list[tuple[float, Array]]:
+    """Weights p and covariances C, (n, n), of averages that nothing, or a correlation e^(−t/τ), ties to each other; see standard_error."""
     lags, each = np.abs(np.subtract.outer(np.arange(n), np.arange(n))), (1.0 - NONE) / (len(TIMES) * len(SHARES))
-    chosen, found = [(NONE, np.eye(n))], []
+    found = [(NONE, np.eye(n))]
     for time in n * np.array(TIMES):
         ratio = np.exp(-1.0 / time)
         slow = np.where(lags == 0, 1.0 - time * (1.0 - ratio), 0.5 * time * (1.0 - ratio) ** 2 * ratio ** (lags - 1.0))
-        chosen += [(each, share * slow + (1.0 - share) * np.eye(n)) for share in SHARES]
-    for weight, covariance in chosen:
+        found += [(each, share * slow + (1.0 - share) * np.eye(n)) for share in SHARES]
+    return found
+
+
+def wandering(n: int) -> list[tuple[float, Array]]:
+    """The same of n steps between averages of a random walk with noise: the walk's part of the variance of the mean step is 1, with half of the
+    weight, or less."""
+    beside = np.eye(n, k=1) + np.eye(n, k=-1)
+    walk, noise = np.eye(n) + 0.25 * beside, 2.0 * np.eye(n) - beside
+    return [(weight, part * walk / walk.sum() + (1.0 - part) * noise / noise.sum()) for part, weight in WALKS.items()]
+
+
+@cache
+def _forms(weighted: Weighted, n: int) -> list[tuple[float, float, Array]]:
+    """For each C: log p (|C| 1ᵀC⁻¹1)^(−1/2), 1ᵀC1/n², and the matrix of (n − 1) q, (n, n); see standard_error."""
+    found = []
+    for weight, covariance in weighted(n):
         inverse = np.linalg.inv(covariance)
         sums = inverse.sum(axis=0)
         log = np.log(weight) - 0.5 * (np.linalg.slogdet(covariance)[1] + np.log(sums.sum()))
@@ -75,15 +92,15 @@ def _covariances(n: int) -> list[tuple[float, float, Array]]:
     return found
 
 
-def independent(rest: Array, bias: tuple[float, float]) -> float:
+def independent(rest: Array) -> float:
     """How many of n correlated numbers are independent: n (1 − ρ)/(1 + ρ), with the correlation ρ of neighbors.
 
-    rest : (n,), minus what was fitted to them.  bias : (a, b), LEVEL or LINE: fitting makes ρ too small by (a + b ρ)/n; this is corrected.
+    rest : (n,), their distances from a straight line, whose fit makes ρ too small by (2 + 4ρ)/n; this is corrected.
     M. G. Kendall, Biometrika 41, 403 (1954), on the bias.
     """
     square, n = float(rest @ rest), len(rest)
     alike = float(rest[1:] @ rest[:-1]) / square if square > 0.0 else 0.0
-    alike = min(max(0.0, alike + (bias[0] + bias[1] * alike) / n), 1.0 - 1.0 / n)
+    alike = min(max(0.0, alike + (2.0 + 4.0 * alike) / n), 1.0 - 1.0 / n)
     return n * (1.0 - alike) / (1.0 + alike)
 
 

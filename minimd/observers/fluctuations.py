@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 N_SERIES = 3  # K, U, V
 KINETIC, ENERGY, VOLUME = range(N_SERIES)
 OF_INTEREST = ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # K, E and V, as weights of K, U, V
-FEWEST = 16.0  # correlation times; how many fewer there are, a run cannot tell
+FEWEST = 30.0  # correlation times; how many fewer there are, a run cannot tell
+JACKKNIFE = 0.7  # of its error, which scatters more than the other estimate, is what the error is at least
 ENOUGH = 100.0  # correlation times; the error bar of a shorter run is itself too uncertain
 
 
@@ -37,9 +38,9 @@ class Fluctuations(Accumulator):
     The compressibility needs a volume that fluctuates.
 
     The variance of a run of n_c correlation times is too small by that of its mean, the part 2/n_c, which is added. The standard error is the
-    root mean square of two: that of the jackknife, which in short runs is too small where the variance is too small by chance; and the change of
-    the coefficient if all variances grow by a factor e^√(2/n_c), where √(2/n_c) is the relative standard error of the variance of a series with
-    correlations e^(−t/τ). That a run is shorter than 16 correlation times it cannot tell; n_c is taken as 16 then.
+    change of the coefficient if all variances grow by a factor e^√(2/n_c), where √(2/n_c) is the relative standard error of the variance of a
+    series with correlations e^(−t/τ); or 0.7 of the jackknife's, if that is more, as where correlations oscillate. The jackknife alone gives too
+    small an error to runs whose variance is too small by chance. A run cannot tell that it is shorter than 30 correlation times; n_c is 30 then.
 
     J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967), on constant energy; M. P. Allen, D. J. Tildesley, Computer Simulation
     of Liquids, 2nd ed. (2017), section 2.5.
@@ -79,7 +80,7 @@ class Fluctuations(Accumulator):
         missing = 2.0 / np.fmax(FEWEST, np.nan_to_num(times, nan=np.inf))
         values, errors = self.sums.estimate(lambda sums: _coefficients(sums, reference, scene, 1.0 + missing))
         wider = _coefficients(self.sums.total, reference, scene, (1.0 + missing) * np.exp(missing**0.5))
-        errors = np.where(wider == values, errors, np.hypot(errors, wider - values) * 0.5**0.5)
+        errors = np.where(wider == values, errors, np.maximum(JACKKNIFE * errors, np.abs(wider - values)))
         volume_is_constant = self.sums.total[1 + VOLUME] == 0.0 and self.sums.total[-1] == 0.0
         ensemble = "constant energy" if scene.bath_temperature is None else "constant temperature"
         if not volume_is_constant:

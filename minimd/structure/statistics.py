@@ -73,8 +73,7 @@ def correlated(n: int) -> list[tuple[float, Array]]:
 
 
 def wandering(n: int) -> list[tuple[float, Array]]:
-    """The same of n steps between averages of a random walk with noise: the walk's part of the variance of the mean step is 1, with half of the
-    weight, or less."""
+    """Weights and covariances, (n, n), of steps between averages of a random walk with noise; see WALKS."""
     beside = np.eye(n, k=1) + np.eye(n, k=-1)
     walk, noise = np.eye(n) + 0.25 * beside, 2.0 * np.eye(n) - beside
     return [(weight, part * walk / walk.sum() + (1.0 - part) * noise / noise.sum()) for part, weight in WALKS.items()]

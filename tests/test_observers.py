@@ -171,6 +171,15 @@ def test_viscosity_and_fluctuations_are_those_of_the_frames(run):
     assert looking["fluctuations"].result().heat_capacity_v == pytest.approx(0.5 * n_dof / (1.0 - 2.0 * kinetic.var() / (n_dof * temperature**2)))
 
 
+def test_lags_beyond_half_of_the_run_have_no_error_bar(run):
+    """Few blocks contain them; what these tell of each other is far less than the error."""
+    for name, error in (("viscosity", "autocorrelation_error"), ("viscosity", "integral_error"), ("mean-square-displacement", "msd_error")):
+        looking = run[2][name]
+        columns, half = looking.result().columns(), 0.5 * (looking.n_looks - 1) * looking.scene.spacing
+        assert np.isnan(columns[error][columns["time"] > half]).all()
+        assert np.isfinite(columns[error][columns["time"] <= 0.5 * half]).all()
+
+
 def grown(looking):
     """Factors for deviations of K, E and V, so that their variances contain the part that is missing in a short run."""
     return np.sqrt(1.0 + 2.0 / np.fmax(FEWEST, np.nan_to_num(correlation_times(looking.sums), nan=np.inf)))

@@ -139,7 +139,7 @@ def diffusing(seed):
 
 @pytest.mark.slow
 def test_the_error_of_diffusion_is_what_runs_scatter_by():
-    """Of 40 runs; 0.6 if blocks that follow the slow temperature of the bath were taken for uncorrelated."""
+    """Of 40 runs; 0.71 if blocks that follow the slow temperature of the bath were taken for uncorrelated."""
     found = [one.result() for one in map(diffusing, range(1, 41))]
     values, errors = np.array([(one.diffusion, one.diffusion_error) for one in found]).T
     ratio, within = np.sqrt((errors**2).mean()) / values.std(ddof=1), (np.abs(values - values.mean()) < 2.0 * errors).mean()

@@ -152,7 +152,7 @@ class MeanSquareDisplacement(_OfAtoms):
         """
         scene = self.answered()
         seen, times, longest = self._seen()
-        means, errors = self.sums.estimate(self._means(seen))
+        means, errors = self._estimate(times, longest, self._means(seen))
         head = self.sums.total[:HEAD] / self.sums.total[COUNT]
         found = DisplacementResult(scene, times, means, errors, self.is_cubic, float(head[TEMPERATURE]), float(head[VOLUME]), sum(self.numbers))
         return found.fitted(self.sums.replicas(self._means(seen)), window, longest, viscosity)
@@ -182,4 +182,4 @@ class VelocityAutocorrelation(_OfAtoms):
         seen, times, longest = self._seen()
         law = self._means(seen)
         values, errors, found = self._integral(times, longest, lambda sums: law(sums)[0] / 3.0)
-        return VelocityResult(scene, times, *self.sums.estimate(law), values, errors, found, sum(self.numbers))
+        return VelocityResult(scene, times, *self._estimate(times, longest, law), values, errors, found, sum(self.numbers))

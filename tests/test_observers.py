@@ -1,5 +1,7 @@
 """Observers of a run: their answers are those of the frames, of formulas, and of MDAnalysis; a run that was cut goes on to the same answer."""
 
+import json
+
 import h5py
 import MDAnalysis
 import numpy as np
@@ -184,6 +186,17 @@ def test_lags_beyond_half_of_the_run_have_no_error_bar(run):
         columns, half = looking.result().columns(), 0.5 * (looking.n_looks - 1) * looking.scene.spacing
         assert np.isnan(columns[error][columns["time"] > half]).all()
         assert np.isfinite(columns[error][columns["time"] <= 0.5 * half]).all()
+
+
+@pytest.mark.parametrize("kind", md.observers.KINDS)
+def test_a_state_sets_what_its_kind_has_and_nothing_else(kind, run):
+    made = run[2][kind]
+    state, other = made.state(), type(made)(**made.made_with())
+    words = json.loads(bytes(state["words"]))
+    words["settled"] |= {"every": 7, "result": "not callable"}
+    other.restore(state | {"words": np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)})
+    assert (other.every, other.made_with()) == (made.every, made.made_with())
+    assert callable(other.result)
 
 
 def grown(looking):

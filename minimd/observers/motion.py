@@ -34,7 +34,7 @@ class _OfAtoms(TimeCorrelation):
     def __init__(self, every: int = 10, n_levels: int = 10, most_atoms: int = 4096, name: str = "") -> None:
         super().__init__(every, name)
         self.n_levels, self.most_atoms = checked_count("n_levels", n_levels, 1, 40), checked_count("most_atoms", most_atoms)
-        self.is_cubic, self.chosen = False, [0]
+        self.is_cubic, self.chosen, self.numbers = False, [0], [1]
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system

@@ -93,14 +93,15 @@ def test_a_journal_that_cannot_be_carried_out_is_told(monkeypatch):
         assert read_file(path).step == 15
 
 
-@pytest.mark.parametrize("lie", ["length", "place", "place beyond", "size", "size beyond", "before"])
+@pytest.mark.parametrize("lie", ["length", "place", "place beyond", "size", "size beyond", "before", "head", "end"])
 def test_a_journal_that_nobody_wrote_changes_nothing(lie, tmp_path):
     """Its checksum is right, its numbers are not."""
     path = tmp_path / "a.h5md"
     simulation().run(10, every=5, trajectory=path)
     n = path.stat().st_size
     place = {"place": -8, "place beyond": n}.get(lie, 0)
-    body = journaled_file.PIECE.pack(place, -16 if lie == "length" else 4) + b"evil"
+    body = journaled_file.PIECE.pack(place, {"length": -16, "end": 5}.get(lie, 4)) + b"evil"
+    body = body[:1] if lie == "head" else body
     size, before = {"size": -1, "size beyond": 2**40}.get(lie, n), 2**40 if lie == "before" else n
     head = journaled_file.END.pack(before, size, len(body), 0, journaled_file.MAGIC)
     checksum = zlib.crc32(head, zlib.crc32(body))

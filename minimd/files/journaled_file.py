@@ -192,9 +192,9 @@ def _read_journal(file: int) -> tuple[int, Pieces] | None:
         return None
     text, pieces, start = _read_at(file, n_bytes, first), [], 0
     while start < n_bytes:
-        place, n = PIECE.unpack_from(text, start)
+        place, n = PIECE.unpack_from(text, start) if n_bytes - start >= PIECE.size else (-1, 0)
         start += PIECE.size + n
-        if n < 0 or not 0 <= place <= before - n:  # nothing that a commit has written
+        if n < 0 or start > n_bytes or not 0 <= place <= before - n:  # nothing that a commit has written
             return None
         pieces.append((place, text[start - n : start]))
     return size, pieces

@@ -55,8 +55,14 @@ static void tell(int what, int fd, int64_t offset, int64_t value, const char *pa
 }
 
 static int opened(const char *path, int flags, int existed, int fd) {
-  char whole[PATH_MAX];
+  char whole[PATH_MAX], there[PATH_MAX], own[64];
   if (fd >= 0 && fd < MOST) {
+    if (path && !strncmp(path, "/dev/fd/", 8)) { /* a second descriptor of a file that is open */
+      snprintf(own, sizeof own, "/proc/self/fd/%d", fd);
+      ssize_t n = readlink(own, there, sizeof there - 1);
+      there[n < 0 ? 0 : n] = 0;
+      path = there;
+    }
     kept[fd] = is_below(path, whole);
     if (kept[fd]) tell(OPEN, fd, existed, flags, whole, NULL, 0);
   }

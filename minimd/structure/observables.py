@@ -81,8 +81,7 @@ def stress(velocities: Array, masses: Array, virial: Array, volume: float) -> Ar
 
     M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 2.112, where the sign is that of a pressure.
     """
-    momenta = masses[:, None] * velocities
-    return -(np.einsum("ia,ib->ab", momenta, velocities) + virial) / volume
+    return np.asarray(-(momentum_flux(velocities, masses) + virial) / volume)
 
 
 @kernel

@@ -38,7 +38,12 @@ static int is_kept(int fd) { return record >= 0 && fd >= 0 && fd < MOST && kept[
 
 static int is_below(const char *path, char *whole) {
   if (record < 0 || !path) return 0;
-  if (path[0] == '/') snprintf(whole, PATH_MAX, "%s", path);
+  if (!strncmp(path, "/dev/fd/", 8)) { /* another descriptor of a file that is open */
+    char own[64];
+    snprintf(own, sizeof own, "/proc/self/fd/%s", path + 8);
+    ssize_t n = readlink(own, whole, PATH_MAX - 1);
+    whole[n < 0 ? 0 : n] = 0;
+  } else if (path[0] == '/') snprintf(whole, PATH_MAX, "%s", path);
   else {
     char here[PATH_MAX];
     if (!getcwd(here, sizeof here)) return 0;
@@ -55,14 +60,8 @@ static void tell(int what, int fd, int64_t offset, int64_t value, const char *pa
 }
 
 static int opened(const char *path, int flags, int existed, int fd) {
-  char whole[PATH_MAX], there[PATH_MAX], own[64];
+  char whole[PATH_MAX];
   if (fd >= 0 && fd < MOST) {
-    if (path && !strncmp(path, "/dev/fd/", 8)) { /* a second descriptor of a file that is open */
-      snprintf(own, sizeof own, "/proc/self/fd/%d", fd);
-      ssize_t n = readlink(own, there, sizeof there - 1);
-      there[n < 0 ? 0 : n] = 0;
-      path = there;
-    }
     kept[fd] = is_below(path, whole);
     if (kept[fd]) tell(OPEN, fd, existed, flags, whole, NULL, 0);
   }

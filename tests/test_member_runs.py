@@ -16,7 +16,7 @@ from test_kills import assert_same_file
 
 import minimd as md
 from minimd.ensemble import notes
-from minimd.ensemble.status import status
+from minimd.ensemble.table import status
 from minimd.files.h5md_reader import read_file
 
 FILES = [f"0000-0999/{k:04d}.h5md" for k in range(4)]

@@ -160,7 +160,7 @@ def tell_next(files: Iterable[Path]) -> None:
 def scan(arguments: argparse.Namespace) -> bool:
     """Scan a scene, or print the status of a scan; False if members have failed.  Raises as scan_scene."""
     from minimd.ensemble.scan import parsed_setting, scan_scene
-    from minimd.ensemble.status import status
+    from minimd.ensemble.table import status
 
     if arguments.status is not None:
         table, lines = status(arguments.status)
@@ -178,7 +178,7 @@ def scan(arguments: argparse.Namespace) -> bool:
 
 def tell_results(table: Any, arguments: argparse.Namespace) -> bool:
     """Print the averages, draw the picture, name the files; True if no member has failed."""
-    from minimd.ensemble.summary import save_picture, told_averages
+    from minimd.ensemble.table import save_picture, told_averages
 
     if table.done.any():
         print("\n".join(told_averages(table)))

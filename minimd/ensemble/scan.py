@@ -156,7 +156,13 @@ def scan_scene(
     for row in grid[:MOST_TRIED]:
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
     build(Member(0, grid[0], seed, n_steps, place))  # checks the structure and the potentials, too
-    _check_scene(place, scene.text, resume)
+    kept = place / SCENE
+    if resume and kept.exists() and kept.read_text(encoding="utf-8") != scene.text:
+        raise ValueError(
+            f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, or replace it with --overwrite"
+        )
+    place.mkdir(parents=True, exist_ok=True)
+    write_whole(kept, scene.text)
     replicas = checked_count("replicas", replicas)
     tell(f"scene          {path}" + (f": {scene.sections.title}" if scene.sections.title else ""))
     if scene.sections.observer:
@@ -167,17 +173,6 @@ def scan_scene(
     options: dict[str, Any] = {"every": scene.sections.output.every, "workers": workers, "seed": seed, "resume": resume, "progress": progress}
     parameters: Any = grid * replicas if settings else replicas
     return ensemble(build, parameters, n_steps, prepare=build.prepare, folder=place, **options)
-
-
-def _check_scene(folder: Path, text: str, resume: bool) -> None:
-    """Write the scene into the folder.  Raises ValueError if another scene is there."""
-    kept = folder / SCENE
-    if resume and kept.exists() and kept.read_text(encoding="utf-8") != text:
-        raise ValueError(
-            f"folder {str(folder)!r} holds a scan of another scene, {kept}; choose another folder with --out, or replace it with --overwrite"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-    write_whole(kept, text)
 
 
 def _silent(_line: str) -> None:

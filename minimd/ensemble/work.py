@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
 from minimd.compiled.machine import threads_by_default
 from minimd.engine.record import Record
-from minimd.ensemble.averages import averages_of
 from minimd.ensemble.member import Member
 from minimd.ensemble.notes import Note, noting
 from minimd.ensemble.own_file import set_aside, stopped_file
@@ -19,6 +20,7 @@ from minimd.files.crash_file import crash_file_place
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import shown
 from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
+from minimd.structure.statistics import mean_and_error
 
 DONE, FAILED, BEGUN, MISSING = "done", "failed", "begun", "missing"  # the status of a member
 Row = dict[str, Any]
@@ -119,3 +121,30 @@ def _described(simulation: Simulation, result: Any, n_steps: int) -> Row:
         "means": {name: mean for name, (mean, _) in averages.items()},
         "errors": {name: error for name, (_, error) in averages.items()},
     }
+
+
+def averages_of(result: Any) -> dict[str, tuple[float, float]]:
+    """Means and errors, by name, of what the function run returned; none for None.
+
+    result : a Record, or a dict of numbers, of tuples (mean, error) or of series.  Raises TypeError, ValueError for anything else.
+    """
+    if result is None:
+        return {}
+    if isinstance(result, Record):
+        return {name: mean_and_error(column) for name, column in result.columns().items() if name not in ("step", "time")}
+    if not isinstance(result, Mapping):
+        raise TypeError(f"run must return a Record, a dict of numbers, of tuples (mean, error) or of series, or None; it returned {shown(result)}")
+    averages = {}
+    for name, value in result.items():
+        if not isinstance(name, str) or not name:
+            raise TypeError(f"the names in the dict that run returns must be texts that are not empty; one is {shown(name)}")
+        array = np.asarray(value)
+        if array.dtype.kind not in "biuf" or array.ndim > 1:
+            raise TypeError(f"the values in the dict that run returns must be numbers, tuples (mean, error), or series; {name} = {shown(value)}")
+        if array.ndim == 0:
+            averages[name] = float(array), np.nan
+        elif isinstance(value, tuple) and len(value) == 2:
+            averages[name] = float(array[0]), float(array[1])
+        else:
+            averages[name] = mean_and_error(array)
+    return averages

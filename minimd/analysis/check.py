@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.diagnosis.pressure import pressure_lines
 from minimd.diagnosis.report import Report, conservation_report
+from minimd.diagnosis.run_report import pressure_lines
 from minimd.engine.record import SERIES, Record
 from minimd.files.h5md_opening import damage_told
 from minimd.files.h5md_reader import damage, velocities_of

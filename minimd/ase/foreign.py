@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from minimd.ase.calculator import Calculator
 from minimd.potentials.term import FORCES, PER_ATOM, OwnPotential, Potential, as_potentials
-from minimd.structure.ase_atoms import atoms_from_system, volume_of
-from minimd.structure.ase_constraints import fixes_center
+from minimd.structure.ase_atoms import atoms_from_system, fixes_center, volume_of
 from minimd.structure.checks import shown
 from minimd.structure.console import outside_minimd
 from minimd.structure.system import System

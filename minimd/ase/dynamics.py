@@ -57,11 +57,14 @@ class MinimdSteps(MolecularDynamics):
 
     def run(self, steps: int = 50) -> bool:
         """Make this many steps. Returns False if an observer lowered max_steps below nsteps, else True."""
-        if not self._may_make_blocks():
+        step, log = (getattr(method, "__func__", None) for method in (self.step, self.log))
+        if step is not MinimdSteps.step or log is not MolecularDynamics.log:  # one was replaced, as by a log of every step
             return bool(super().run(steps))
         next(self.irun(steps))  # what ASE does before the first step
         while self.nsteps < self.max_steps:
-            self._advance(self._next_look() - self.nsteps)
+            # An interval n > 0 of an observer means every n-th step, −n the n-th step only.
+            looks = [n * (self.nsteps // n + 1) if n > 0 else -n for _, n, _, _ in self.observers]
+            self._advance(int(min([self.max_steps, *(look for look in looks if look > self.nsteps)])) - self.nsteps)
             self._refresh_properties()
             self.log()
             self.call_observers()
@@ -80,15 +83,6 @@ class MinimdSteps(MolecularDynamics):
         self._advance(1)
         self.nsteps -= 1
         return np.asarray(self.atoms.get_forces(md=True))
-
-    def _may_make_blocks(self) -> bool:
-        """Whether step and log have not been replaced, for example by a log of every step."""
-        return getattr(self.step, "__func__", None) is MinimdSteps.step and getattr(self.log, "__func__", None) is MolecularDynamics.log
-
-    def _next_look(self) -> int:
-        """The step after which the next observer is due, or the last step: an interval n > 0 means every n-th step, −n the n-th step only."""
-        looks = [n * (self.nsteps // n + 1) if n > 0 else -n for _, n, _, _ in self.observers]
-        return int(min([self.max_steps, *(look for look in looks if look > self.nsteps)]))
 
     def _advance(self, n_steps: int) -> None:
         """Make n_steps steps; atoms and nsteps are right also after an exception."""

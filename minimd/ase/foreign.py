@@ -21,8 +21,6 @@ from minimd.structure.system import System
 class ForcesFromCalculator(OwnPotential):
     """A potential for systems of minimd: forces, energy and virial from any calculator of ASE.
 
-
-
     The energy is the one that is consistent with the forces (free_energy) if the calculator has it. The virial is
     W = −stress · volume; in a system without periodic directions it is W = Σ r ⊗ F, which needs no stress. If the calculator gives no
     stress that is needed, virial and pressure are NaN, and a warning says so. The units of the system should be those of the calculator
@@ -75,24 +73,23 @@ class CalculatorTerm:
         self._implemented = getattr(atoms.calc, "implemented_properties", ())
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
-        """Add forces, (N, 3); for TOTALS and PER_ATOM also energies, (N,), and virials, (N, 6), the latter in equal shares."""
+        """Add forces, (N, 3); for TOTALS and PER_ATOM also energies, (N,), and virials, (N, 6).
+
+        Shares are equal; but PER_ATOM takes energies of atoms from a calculator that has them, shifted to the right sum.
+        """
         self._atoms.positions[:], self._atoms.cell[:] = system.positions, system.cell.vectors
         own = self._atoms.get_forces(apply_constraint=False)
         forces += own
         if detail != FORCES:
-            energies += self._shares_of_energy(detail)
+            total = self._atoms.get_potential_energy(force_consistent="free_energy" in self._implemented)
+            own_shares = detail == PER_ATOM and "energies" in self._implemented
+            shares = self._atoms.get_potential_energies() if own_shares else np.zeros(len(self._atoms))
+            energies += shares + (total - shares.sum()) / len(shares)
             virials += self._virial(system, own) / len(system)
 
     def skipped(self) -> Iterable[str]:
         """Nothing: what the calculator leaves out is not known."""
         return ()
-
-    def _shares_of_energy(self, detail: int) -> NDArray[np.float64]:
-        """Energies of atoms, (N,), with the right sum: the calculator's own if it has them and PER_ATOM needs them, else equal shares."""
-        total = self._atoms.get_potential_energy(force_consistent="free_energy" in self._implemented)
-        own = detail == PER_ATOM and "energies" in self._implemented
-        shares = self._atoms.get_potential_energies() if own else np.zeros(len(self._atoms))
-        return shares + (total - shares.sum()) / len(shares)
 
     def _virial(self, system: System, forces: NDArray[np.float64]) -> NDArray[np.float64]:
         """W, (6,) as xx yy zz yz xz xy."""

@@ -142,7 +142,11 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
             lengths.append((pairs, _distances(atoms, pairs) if given is None else np.asarray(given, dtype=float)))
             tolerances.append(float(constraint.tolerance))
         elif isinstance(constraint, FixLinearTriatomic):
-            lengths.append(_rods(atoms, constraint))
+            triples = _counted_from_front(constraint.triples, len(atoms))
+            arms = np.concatenate([triples[:, [0, 1]], triples[:, [1, 2]]])
+            apart = _distances(atoms, arms)  # the distance of the ends is the sum of both bonds
+            rods = np.concatenate([arms, triples[:, [0, 2]]])
+            lengths.append((rods, np.concatenate([apart, apart.reshape(2, -1).sum(axis=0)])))
         elif isinstance(constraint, FixAtoms):
             fixed.extend(np.arange(len(atoms))[constraint.index])
         elif type(constraint) is not FixCom:
@@ -172,14 +176,6 @@ def ases_constraints_of(system: Any) -> list[FixConstraint]:
 def fixes_center(atoms: Atoms) -> bool:
     """Whether the center of mass is held. If momentum is conserved, it is enough that it is zero at the start; Engine refuses all other cases."""
     return any(isinstance(constraint, FixCom) for constraint in atoms.constraints)
-
-
-def _rods(atoms: Atoms, constraint: FixLinearTriatomic) -> Pairs:
-    """Both bonds of each molecule and the distance of its ends, the sum of the two."""
-    triples = _counted_from_front(constraint.triples, len(atoms))
-    arms = np.concatenate([triples[:, [0, 1]], triples[:, [1, 2]]])
-    lengths = _distances(atoms, arms)
-    return np.concatenate([arms, triples[:, [0, 2]]]), np.concatenate([lengths, lengths.reshape(2, -1).sum(axis=0)])
 
 
 def _distances(atoms: Atoms, pairs: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -177,8 +177,13 @@ def _joined(means: Floats, errors: Floats, groups: NDArray[np.int64], n: NDArray
 
 
 def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
-    """The table of the first n_members members of a folder."""
-    rows = [_present(folder.rows.get(index), asked) for index in range(n_members)]
+    """The table of the first n_members members of a folder.
+
+    Results are those of members that have failed, or are done with all steps that are asked for now.
+    """
+    rows = [folder.rows.get(index) for index in range(n_members)]
+    is_present = [row and (row["status"] == FAILED or is_done(row, asked.steps, bool(asked.run))) for row in rows]
+    rows = [row if present else None for row, present in zip(rows, is_present, strict=True)]
     names = list(asked.parameters[0])
     observables = list(dict.fromkeys(name for row in rows if row is not None for name in row.get("means", ())))
     columns: dict[str, Any] = {"index": np.arange(n_members)}
@@ -210,12 +215,6 @@ def _numbers(rows: Sequence[Row | None], key: str, names: list[str]) -> Floats:
         if found:
             numbers[k] = list(found.values()) if list(found) == names else [found.get(name, np.nan) for name in names]
     return numbers
-
-
-def _present(row: Row | None, asked: Asked) -> Row | None:
-    """The row of a member that has failed, or is done with all steps that are asked for now; else None."""
-    is_present = row is not None and (row["status"] == FAILED or is_done(row, asked.steps, bool(asked.run)))
-    return row if is_present else None
 
 
 def status(folder: Path) -> tuple[EnsembleTable, list[str]]:

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from minimd.diagnosis.collisions import strange_depth
-from minimd.diagnosis.timestep import StepAdvice, advice_at
+from minimd.diagnosis.timestep import StepAdvice, advice_at, strange_depth
 from minimd.engine.cell_rescaling import EVAPORATED
 from minimd.engine.engine import Engine
 from minimd.engine.snapshots import Snapshot

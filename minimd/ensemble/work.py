@@ -63,7 +63,13 @@ def _made(plan: Plan, member: Member, begins_anew: bool, note: Note) -> Row:
     if resumed is not None:
         note.simulation, note.first = resumed
         return _described(resumed[0], _rest_of_run(plan, member, *resumed), member.steps)
-    _clear_place(member, begins_anew or plan.run is None)
+    if plan.run is not None and not begins_anew:
+        set_aside(member.file)
+    else:
+        stopped_file(member.file).unlink(missing_ok=True)
+    for file in (member.file, _crash_file(member)):
+        file.unlink(missing_ok=True)
+    member.file.parent.mkdir(parents=True, exist_ok=True)
     if plan.prepare is not None:
         plan.prepare(simulation, member)
     note.simulation, note.first = simulation, (first := simulation.step)
@@ -73,15 +79,6 @@ def _made(plan: Plan, member: Member, begins_anew: bool, note: Note) -> Row:
         return _described(simulation, returned, simulation.step - first)
     record = simulation.run(member.steps, every=plan.every, trajectory=member.file, progress=False)
     return _described(simulation, record, member.steps)
-
-
-def _clear_place(member: Member, begins_anew: bool) -> None:
-    """Make room for the file of a member; the file of a stopped run is renamed, or removed if the member begins anew."""
-    if not begins_anew:
-        set_aside(member.file)
-    for file in (member.file, _crash_file(member), *([stopped_file(member.file)] if begins_anew else [])):
-        file.unlink(missing_ok=True)
-    member.file.parent.mkdir(parents=True, exist_ok=True)
 
 
 def _crash_file(member: Member) -> Path:

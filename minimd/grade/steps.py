@@ -13,8 +13,7 @@ from minimd.grade.expansion import expansion, explained
 from minimd.grade.findings import Finding, Grade
 from minimd.grade.motion import cost, energy, momenta, order_of, oscillator, reversal, symplecticity
 from minimd.grade.problems import Problem
-from minimd.grade.sequence import FEW, nearest_method, substeps_of, told
-from minimd.grade.variants import NOT_SYMPLECTIC, recognized
+from minimd.grade.variants import FEW, NOT_SYMPLECTIC, nearest_method, recognized, substeps_of, told
 
 HIGH = 2.5  # a step of a higher measured order has the right terms up to dt², and need not be symmetric
 ROUNDING = 1e-9  # smaller relative differences are rounding
@@ -122,7 +121,14 @@ def _faults(step: StudentStep, problems: list[Problem], noise: float, is_high: b
         scaled = step.has_masses or any("acceleration" in role for role in step.manner.roles)
         faults += explained(expansion(step, problems, scaled))
     if step.third is not None and any(role.startswith("known") for role in step.manner.roles):
-        faults += _handed_on(step, problems[0])
+        where, role = problems[0], next(role.split()[1] for role in step.manner.roles if role.startswith("known"))
+        force = where.force(step(where, where.x, where.v, 0.1)[0])
+        right = {"force": force, "acceleration": force / where.mass, "gradient": -force}[role]
+        off = float(np.abs(step.third - right).max() / np.abs(right).max()) if step.third is not None else 0.0
+        if off > ROUNDING:
+            faults.append(
+                f"the force that is returned is not the one at the new positions (off by {off:.1%}): the next step would begin with an old force"
+            )
     return faults
 
 
@@ -193,20 +199,6 @@ def _thermostat(step: StudentStep, problems: list[Problem]) -> list[str]:
         f"velocities change by {told}, … dt v in addition to the kick, at a rate that depends on the state: "
         "the step contains a thermostat such as Berendsen's"
     ]
-
-
-def _handed_on(step: StudentStep, where: Problem) -> list[str]:
-    """A fault if the force that a step returns is not the one at the new positions."""
-    x, _ = step(where, where.x, where.v, 0.1)
-    role = next(role.split()[1] for role in step.manner.roles if role.startswith("known"))
-    right = {"force": where.force(x), "acceleration": where.force(x) / where.mass, "gradient": -where.force(x)}[role]
-    third = step.third
-    off = float(np.abs(third - right).max() / np.abs(right).max()) if third is not None else 0.0
-    return (
-        [f"the force that is returned is not the one at the new positions (off by {off:.1%}): the next step would begin with an old force"]
-        if off > ROUNDING
-        else []
-    )
 
 
 def _is_plain(parts: list[tuple[str, float]]) -> bool:

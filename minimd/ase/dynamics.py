@@ -113,9 +113,12 @@ class MinimdSteps(MolecularDynamics):
         Also returns whether this continues the run of its last steps, with atoms that were not moved since.
         """
         made_for, is_new_run, self._is_new_run = self._made_for, self._is_new_run, False
-        if made_for is None or not self._is_made_for(made_for, atoms):
+        if made_for is None or not same_scene(made_for, atoms) or not np.array_equal(made_for.cell.array, atoms.cell.array):
             return self._new_guard(atoms), False
-        engine = self._guard.engine
+        engine, (potentials, constraints) = self._guard.engine, _essence(atoms)
+        has_moved = not np.array_equal(atoms.positions, engine.positions)  # rigid bonds are measured again then
+        if potentials is not self._made_with[0] or constraints != self._made_with[1] or (atoms.constraints and has_moved):
+            return self._new_guard(atoms), False
         engine.positions[:] = atoms.positions
         if not np.array_equal(atoms.get_momenta(), _momenta(engine)):
             engine.velocities[:] = atoms.get_velocities()
@@ -123,11 +126,6 @@ class MinimdSteps(MolecularDynamics):
         if not isinstance(atoms.calc, Calculator):
             engine.moved()  # its parameters may have changed: it is called again, and answers at once if they have not
         return self._guard, is_same_run
-
-    def _is_made_for(self, made_for: Atoms, atoms: Atoms) -> bool:
-        """Whether the engine can go on with these atoms. If atoms with constraints were moved, it cannot: rigid bonds are measured again."""
-        is_same = same_scene(made_for, atoms) and np.array_equal(made_for.cell.array, atoms.cell.array) and _same(self._made_with, _essence(atoms))
-        return is_same and (not atoms.constraints or np.array_equal(atoms.positions, self._guard.engine.positions))
 
     def _new_guard(self, atoms: Atoms) -> RunGuard:
         calculator = atoms.calc
@@ -168,7 +166,3 @@ def _essence(atoms: Atoms) -> tuple[Any, list[str]]:
     """The potentials of the calculator, if it is minimd's, and the constraints as texts."""
     potentials = atoms.calc.potentials if isinstance(atoms.calc, Calculator) else None
     return potentials, [encode(constraint.todict()) for constraint in atoms.constraints]
-
-
-def _same(one: tuple[Any, list[str]], other: tuple[Any, list[str]]) -> bool:
-    return one[0] is other[0] and one[1] == other[1]

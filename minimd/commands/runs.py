@@ -37,8 +37,8 @@ at_least_one = partial(whole_number, least=1)
 
 def add(commands: Any) -> None:
     """Add the commands to the subparsers of `minimd`."""
-    for add_one in (_add_run, _add_scan, _add_further_runs, _add_readers, _add_fixed_point):
-        add_one(commands)
+    for add_some in (_add_new_runs, _add_further_runs, _add_readers):
+        add_some(commands)
 
 
 def add_command(commands: Any, run: Callable[..., Any], text: str, file: tuple[str, str], *shared: str, **more: Any) -> argparse.ArgumentParser:
@@ -55,16 +55,13 @@ def add_command(commands: Any, run: Callable[..., Any], text: str, file: tuple[s
     return parser
 
 
-def _add_run(commands: Any) -> None:
+def _add_new_runs(commands: Any) -> None:
     text = "Build a scene, run it, and write its files."
     parser = add_command(commands, run, "run a scene file", SCENE_FILE, "--overwrite", "--quiet", description=text)
     parser.add_argument("--steps", type=whole_number, metavar="N", help="number of steps, in place of that in the scene")
     told = "one trajectory file, in place of those in the scene; the picture is written beside it"
     parser.add_argument("--out", type=Path, metavar="FILE", help=told)
-
-
-def _add_scan(commands: Any) -> None:
-    parser: argparse.ArgumentParser = commands.add_parser("scan", help="run a scene with many values of its keys", description=SCAN)
+    parser = commands.add_parser("scan", help="run a scene with many values of its keys", description=SCAN)
     parser.add_argument("scene", type=Path, nargs="?", help="scene file (TOML)")
     values = "values for a key of the scene: 80:120:5 is 80, 85, ..., 120; several --set give all combinations"
     parser.add_argument("--set", action="append", default=[], metavar="KEY=FROM:TO:STEP", dest="settings", help=f"{values}; or KEY=VALUE,VALUE,...")
@@ -108,9 +105,6 @@ def _add_readers(commands: Any) -> None:
     told = f"largest number of frames, evenly chosen (default: {FRAMES})"
     parser.add_argument("--frames", type=partial(whole_number, least=2), metavar="N", default=FRAMES, help=told)
     parser.add_argument("--open", action="store_true", help="show the page in the browser")
-
-
-def _add_fixed_point(commands: Any) -> None:
     text, shared = "Make steps of a run with precision='fixed-point' again, from the frame before them.", ("--scene", "--overwrite")
     parser = add_command(commands, frames, "make any step of a run again", RUN_FILE, *shared, "--quiet", description=text)
     parser.add_argument("--at", type=whole_number, nargs="+", required=True, metavar="STEP", help="steps to make again")

@@ -193,7 +193,12 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
     n_workers = available_cores() if workers is None else checked_count("workers", workers, 0)
     if isinstance(executor, ProcessPoolExecutor) or (executor is None and n_workers):
         _check_can_be_sent(plan)
-        _check_is_no_worker()
+        frame = sys._getframe()
+        while frame.f_back is not None:
+            if frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == "__mp_main__":
+                where = "put the call below: if __name__ == '__main__':"
+                raise RuntimeError(f"a worker process imports the script, which calls md.ensemble again; {where}")
+            frame = frame.f_back
     return n_workers
 
 
@@ -219,15 +224,6 @@ def _check_can_be_sent(plan: Plan) -> None:
                 f"{name} cannot be sent to worker processes: {reason}. Define it with def at the top level of a file, and import it if this is a "
                 f"notebook; or pass workers=0 to stay in this process; or use an executor that can send such functions, such as that of dask"
             )
-
-
-def _check_is_no_worker() -> None:
-    """Raise RuntimeError in a spawned process that imports the script which spawned it."""
-    frame = sys._getframe(1)
-    while frame.f_back is not None:
-        if frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == "__mp_main__":
-            raise RuntimeError("a worker process imports the script, which calls md.ensemble again; put the call below: if __name__ == '__main__':")
-        frame = frame.f_back
 
 
 def _written(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:

@@ -53,12 +53,9 @@ def parsed_setting(text: str) -> Setting:
     key, equals, values = text.partition("=")
     if not equals or not key.strip() or not values.strip():
         raise ValueError(f"--set needs KEY=FROM:TO:STEP or KEY=VALUE,VALUE,...; it is {text!r}")
-    if values.count(":") == 2:
-        return Setting(key.strip(), _steps(text, values.split(":")))
-    return Setting(key.strip(), [_value(one) for one in values.split(",")])
-
-
-def _steps(text: str, numbers: Sequence[str]) -> list[Value]:
+    numbers = values.split(":")
+    if len(numbers) != 3:
+        return Setting(key.strip(), [_value(one) for one in values.split(",")])
     try:
         start, end, step = (Decimal(one.strip()) for one in numbers)
         n = int((end - start) / step) + 1 if step else 0
@@ -67,7 +64,7 @@ def _steps(text: str, numbers: Sequence[str]) -> list[Value]:
     if not 1 <= n <= MOST_VALUES:
         raise ValueError(f"--set needs a STEP that leads from FROM to TO with at most {MOST_VALUES} values; it is {text!r}")
     is_whole = all(one.strip().lstrip("+-").isdecimal() for one in numbers)
-    return [int(start + k * step) if is_whole else float(start + k * step) for k in range(n)]
+    return Setting(key.strip(), [int(start + k * step) if is_whole else float(start + k * step) for k in range(n)])
 
 
 def _value(text: str) -> Value:

@@ -55,14 +55,19 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
 
 
 def _made(plan: Plan, member: Member, begins_anew: bool, note: Note) -> Row:
+    from minimd.files.h5md_reader import read_file
+
     simulation = plan.build(member)
     if not isinstance(simulation, Simulation):
         raise TypeError(f"build must return a Simulation; for {member} it returned {shown(simulation)}")
     begins_anew |= _crash_file(member).exists()
     resumed = None if begins_anew or plan.run is not None else _resumed(member.file, simulation)
     if resumed is not None:
-        note.simulation, note.first = resumed
-        return _described(resumed[0], _rest_of_run(plan, member, *resumed), member.steps)
+        simulation, first = resumed
+        note.simulation, note.first, end = simulation, first, first + member.steps
+        if simulation.step < end:
+            simulation.run(until_step=end, every=plan.every, trajectory=member.file, append=True, progress=False)
+        return _described(simulation, read_file(member.file).record, member.steps)
     if plan.run is not None and not begins_anew:
         set_aside(member.file)
     else:
@@ -97,15 +102,6 @@ def _resumed(file: Path, built: Simulation) -> tuple[Simulation, int] | None:
         return resumed, int(read_file(file).record.step[0])
     except (OSError, ValueError):  # the member begins anew, and has the same bits
         return None
-
-
-def _rest_of_run(plan: Plan, member: Member, simulation: Simulation, first: int) -> Record:
-    """Make the remaining steps, and return the record of all steps."""
-    from minimd.files.h5md_reader import read_file
-
-    if simulation.step < first + member.steps:
-        simulation.run(until_step=first + member.steps, every=plan.every, trajectory=member.file, append=True, progress=False)
-    return read_file(member.file).record
 
 
 def _described(simulation: Simulation, result: Any, n_steps: int) -> Row:

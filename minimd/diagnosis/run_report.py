@@ -56,7 +56,14 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
 
 def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[Line]:
     """All lines that apply to an engine as it stands."""
-    lines = [*cutoff_lines(engine.system, engine.interactions.potentials), *list_lines(engine)]
+    lines = [*cutoff_lines(engine.system, engine.interactions.potentials)]
+    stride, length = longest(engine.velocities)[1] * abs(engine.method.timestep), engine.system.units.length
+    for skin, widest in zip(engine.interactions.skins, engine.interactions.widest_skins, strict=True):
+        steps = 0.5 * skin / stride if stride > 0.0 else np.inf
+        words = f"skin/2 {0.5 * skin:.3g} {length}, fastest atom {stride:.2g} {length} a step: lasts {steps:.3g} steps"
+        cure = "a wider skin" if skin < ROOM * widest else "the cell has no room for a wider skin: a shorter cutoff"
+        often = f", but at nearly every step; {cure} or a shorter time step is cheaper" if steps < FEW_STEPS else ""
+        lines.append(Line("list margin", words, f"rebuilt in time{often}", not often))
     if engine.constraint_set.bonds is not None:
         turning = float(engine.constraint_set.bonds.velocity_violation(engine.positions, engine.velocities).max())
         good, words = turning < TURNING, f"velocities along them {turning:.1e} of the speed"
@@ -94,18 +101,6 @@ def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float
     inside, (u_inside, f_inside) = next((one for one in known if np.isfinite(one[1]).all()), (0.0, (u, f)))
     size = u_inside + f_inside * inside * cutoff * cutoff
     return float(u), float(f) * cutoff, float(size), float(size) / cutoff
-
-
-def list_lines(engine: Engine) -> Iterator[Line]:
-    """How many steps of the fastest atom each list with a skin lasts."""
-    stride, length = longest(engine.velocities)[1] * abs(engine.method.timestep), engine.system.units.length
-    for skin, widest in zip(engine.interactions.skins, engine.interactions.widest_skins, strict=True):
-        steps = 0.5 * skin / stride if stride > 0.0 else np.inf
-        words = f"skin/2 {0.5 * skin:.3g} {length}, fastest atom {stride:.2g} {length} a step: lasts {steps:.3g} steps"
-        often = steps < FEW_STEPS
-        cure = "a wider skin" if skin < ROOM * widest else "the cell has no room for a wider skin: a shorter cutoff"
-        verdict = "rebuilt in time" + (f", but at nearly every step; {cure} or a shorter time step is cheaper" if often else "")
-        yield Line("list margin", words, verdict, not often)
 
 
 def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, conserves_momentum: bool) -> Iterator[Line]:

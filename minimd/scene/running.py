@@ -217,11 +217,14 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
     units, system = scene.units, simulation.system
     joined = "".join(f"; {len(group)} {name}" for name, group in system.groups().items() if len(group))
     species = ", ".join(f"{n} {name}" for n, name in zip(np.bincount(system.species_index), system.species_names, strict=True))
+    fixed = [f"atoms fixed: {len(one.atoms)}" for one in simulation.constraints if isinstance(one, FixedAtoms)]
+    lengths = [f"lengths kept: {len(one.pairs)}" for one in simulation.constraints if not isinstance(one, FixedAtoms)]
+    held = ", ".join(lengths + fixed)
     return [
         f"scene          {scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""),
         f"system         {len(system)} atoms ({species}){joined}",
         f"cell           {_cell(system)}",
-        *([f"constraints    {_constraints(simulation)}"] if simulation.constraints else []),
+        *([f"constraints    {held}; {simulation.n_dof} degrees of freedom"] if held else []),
         *(f"potential      {_potential(potential, units)}" for potential in scene.potentials()),
         f"method         {_method(scene, simulation)}",
         *([f"barostat       {_barostat(simulation.barostat, units)}"] if simulation.barostat is not None else []),
@@ -236,12 +239,6 @@ def _method(scene: Scene, simulation: Simulation) -> str:
     relaxation = dynamics.relaxation_time
     bath = f", bath at {dynamics.temperature:g} {units.temperature}, relaxation time {units.shown(relaxation)}" if relaxation else ""
     return f"{dynamics.method}, timestep {units.shown(dynamics.timestep)}{bath}"
-
-
-def _constraints(simulation: Simulation) -> str:
-    fixed = [f"atoms fixed: {len(one.atoms)}" for one in simulation.constraints if isinstance(one, FixedAtoms)]
-    lengths = [f"lengths kept: {len(one.pairs)}" for one in simulation.constraints if not isinstance(one, FixedAtoms)]
-    return f"{', '.join(lengths + fixed)}; {simulation.n_dof} degrees of freedom"
 
 
 def _barostat(barostat: StochasticCellRescaling, units: UnitSystem) -> str:

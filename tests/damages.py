@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 from references import melt_scene
-from ways_of_damage import IN_BYTES, IN_JOURNALS, WAYS
+from ways_of_damage import IN_BYTES, WAYS
 
 from minimd.commands import main as cli
 
@@ -108,12 +108,8 @@ def damaged(sound, target, seed):
     rng = np.random.default_rng(seed)
     way = WAYS[seed % len(WAYS)]
     shutil.copy(sound, target)
-    journal = Path(f"{target}.journal")
-    journal.unlink(missing_ok=True)
     if way in IN_BYTES:
         target.write_bytes(way(bytearray(target.read_bytes()), rng))
-    elif way in IN_JOURNALS:
-        way(target, journal, rng)
     else:
         with h5py.File(target, "r+") as h5:
             way(h5, rng)

@@ -7,7 +7,7 @@ from h5md_runs import bring_to_disk_every
 
 
 def fill_the_disk(monkeypatch, after):
-    """After so many calls of fsync, two for the first frame and three for each other flush, the disk is full."""
+    """After so many calls of fsync, three for the first frame and two for each other flush, the disk is full."""
     calls = []
 
     def full(*_):

@@ -48,7 +48,7 @@ WRONG_CALLS = {
     "two atoms on one spot, evaluated": (
         lambda: md.evaluate(md.System([[0, 0, 0], [3, 3, 3], [3, 3, 3]]), LJ),
         md.NonFiniteError,
-        ["not finite", "atoms 1 and 2, 0 apart"],
+        ["not finite", "atoms 1 and 2, 0 σ apart"],
     ),
     "two atoms on one spot of the next cell": (
         lambda: simulate([[0, 0, 0], [3, 3, 3], [10, 0, 0]], cell=10),

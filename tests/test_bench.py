@@ -302,7 +302,7 @@ def test_missing_peers_are_told_with_what_installs_them(fakes, monkeypatch, caps
     outcome = run_peers(PeersOptions(cells=(4,), threads=(1,), repeats=1))
     assert [row.engine for row in outcome.sizes[0]] == ["minimd", "slow (serial)"]
     assert "no comparison with fast: not installed; pip install '.[peers]' installs this" in capsys.readouterr().err
-    with pytest.raises(ValueError, match=r"fast is not installed; pip install 'minimd\[peers\]'"):
+    with pytest.raises(ValueError, match=r"fast is not installed; pip install '\.\[peers\]'"):
         run_peers(PeersOptions(cells=(4,), threads=(1,), peers=("fast",)))
 
 

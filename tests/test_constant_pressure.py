@@ -14,6 +14,7 @@ from minimd.diagnosis.run_report import pressure_lines
 from minimd.engine.cell_rescaling import rescaling_of
 from minimd.engine.record import Record
 from minimd.integrators.splitting.barostats import ThermodynamicState
+from minimd.observers.fluctuations import FEWEST
 from minimd.structure.cell import Cell
 from minimd.structure.statistics import mean_and_error, with_error
 
@@ -148,8 +149,9 @@ def test_heat_capacity_and_expansion_at_the_pressure_of_the_barostat():
     simulation.velocities[:] = 0.5, -1.0, 0.7
     record = simulation.run(40, every=5, observers=[looking], progress=False)
     enthalpy, volume, found = record.total_energy + record.volume, record.volume, looking.result()
-    assert found.heat_capacity_p == pytest.approx(enthalpy.var() / 0.8**2)
-    assert found.expansion == pytest.approx(np.cov(enthalpy, volume, ddof=0)[0, 1] / (0.8**2 * volume.mean()))
+    grown = 1.0 + 2.0 / FEWEST  # the part that variances miss in so short a run
+    assert found.heat_capacity_p == pytest.approx(grown * enthalpy.var() / 0.8**2)
+    assert found.expansion == pytest.approx(grown * np.cov(enthalpy, volume, ddof=0)[0, 1] / (0.8**2 * volume.mean()))
 
 
 @pytest.mark.parametrize(

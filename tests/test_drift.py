@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 import minimd as md
-from minimd.diagnosis.report import Drift, conservation_report, drift
+from minimd.diagnosis.report import Drift, conservation_report, drift, drift_of_walk
 from minimd.engine.record import Record
 
 N_SERIES = 400
@@ -42,6 +42,16 @@ def test_a_drift_that_is_there_is_found():
     assert drift(t, 2.0 * t).is_significant
     assert not drift(t, np.ones(51)).is_significant
     assert not Drift(0.0, 0.0).is_significant
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0, 5.0])
+def test_the_error_of_a_walk_that_fluctuates_is_its_scatter(noise):
+    """The energy without that of a bath wanders, and the error of the energy fluctuates. Few runs seem to drift."""
+    rng, t = np.random.default_rng(3), np.arange(50.0)
+    found = [drift_of_walk(t, rng.normal(size=50).cumsum() + noise * rng.normal(size=50)) for _ in range(400)]
+    slopes, errors = np.array([(one.slope, one.error) for one in found]).T
+    assert 0.85 < np.sqrt((errors**2).mean()) / slopes.std() < 1.3
+    assert np.mean([one.is_significant for one in found]) < 0.03  # 0.003 if the error were known exactly
 
 
 def record_of(total, n_atoms=10):

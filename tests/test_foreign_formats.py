@@ -1,8 +1,12 @@
 """Formats that MDAnalysis writes hold the run."""
 
+import shutil
+
+import ase.io
 import MDAnalysis
 import numpy as np
 import pytest
+from h5md_runs import bring_to_disk_every
 from loose_lattice import PER_PICOSECOND, TURNED_CELL, simulation, system
 
 import minimd as md
@@ -51,6 +55,49 @@ def test_dcd_of_one_frame_is_whole(tmp_path):
 def test_cell_that_lengths_and_angles_cannot_hold_is_told(tmp_path):
     with pytest.warns(UserWarning, match="is turned, because MDAnalysis holds a cell as lengths and angles"):
         simulation(system(3.0 * TURNED_CELL)).run(0, trajectory=tmp_path / "a.trr")
+
+
+def frames_in(path):
+    """Positions in all frames of a file, by its usual reader."""
+    if path.suffix in (".extxyz", ".traj"):
+        return np.array([atoms.positions for atoms in ase.io.read(path, ":")])
+    universe = MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(path))
+    return np.array([ts.positions.copy() for ts in universe.trajectory])
+
+
+@pytest.mark.parametrize("suffix", [*FORMATS, "extxyz", "traj"])
+def test_a_resumed_run_cuts_other_trajectories_to_its_restart(tmp_path, suffix, monkeypatch):
+    """What a killed run leaves can be opened at every frame; a part of a frame behind it is cut off."""
+    bring_to_disk_every(0.0, monkeypatch)
+    path, found = tmp_path / f"a.{suffix}", []
+
+    def look(sim):
+        if path.exists():  # a DCD file is begun with the second frame
+            shutil.copy(path, tmp_path / f"b.{suffix}")
+            found.append((len(frames_in(tmp_path / f"b.{suffix}")), 1 + sim.step // 2))
+        if sim.step == 6:
+            shutil.copy(tmp_path / "a.h5md", tmp_path / "b.h5md")
+
+    sim = simulation()
+    sim.run(12, every=2, trajectory=[tmp_path / "a.h5md", path], observers=[look])
+    assert len(found) >= 6
+    assert {n for n, _ in found} == {n for _, n in found}
+    whole = frames_in(path)
+    with path.open("ab") as file:
+        file.write(path.read_bytes()[300:1000])
+    (tmp_path / "b.h5md").replace(tmp_path / "a.h5md")
+    md.Simulation.resume(tmp_path / "a.h5md", sim.potentials).run(4, every=2, trajectory=tmp_path / "a.h5md", append=True)
+    np.testing.assert_array_equal(frames_in(path), whole[:4])
+
+
+def test_another_trajectory_of_the_same_name_is_left_alone(tmp_path):
+    sim, path, other = simulation(), tmp_path / "a.xtc", tmp_path / "b.xtc"
+    sim.run(4, every=2, trajectory=[tmp_path / "a.h5md", path])
+    content = 2 * path.read_bytes()
+    other.write_bytes(content)
+    other.replace(path)
+    sim.run(4, every=2, trajectory=tmp_path / "a.h5md", append=True)
+    assert path.read_bytes() == content
 
 
 @pytest.mark.parametrize("suffix", ["xtc", "ncdf"])

@@ -3,15 +3,21 @@
 import os
 import random
 
-import MDAnalysis
 import numpy as np
 import pytest
 from cluster_scenes import atoms_per_domain
+from damages import numbers
 from h5md_runs import bring_to_disk_every
-from kills import killed_after, killed_at, seconds_of
+from kills import killed_after, seconds_of
+from recorder import runs
+from recorder.disk import NAMES as NAMES_KEPT
+from recorder.disk import recorded
+from recorder.runs import KINDS, RESUMES, Survey, begin, begin_resumes, reference, text_of
 from references import liquid
 
 import minimd as md
+from minimd.commands import main as cli
+from minimd.files import journaled_file
 from minimd.files.h5md_reader import read_file, verify_frames
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
@@ -80,6 +86,7 @@ def assert_same_file(path, other):
     assert (ours.step, ours.time, ours.reservoir_energy) == (theirs.step, theirs.time, theirs.reservoir_energy)
 
 
+EARLIER = ("minimd/earlier_restart", "minimd/blocks")
 SLOW = pytest.mark.slow  # the other half of the combinations
 
 
@@ -117,61 +124,71 @@ def test_a_look_between_two_drifts_builds_no_list(n, tmp_path):
     np.testing.assert_array_equal(parts.positions, whole.positions)
 
 
-def large(method=None, **options):
-    """32 000 atoms."""
-    return simulation(crystal_of(20), LAW, method, **options)
+MODELS = ("kill", "torn", *NAMES_KEPT)
 
 
-def assert_survives_kills(scene, every_kth, folder, monkeypatch):
-    """Start, flushes with new chunks, checkpoints between two frames, and the close; then the resumed run is killed likewise."""
-    bring_to_disk_every(0.0, monkeypatch)
-    monkeypatch.setattr("minimd.files.h5md_schema.CHUNK_BYTES", 6000)  # two frames
-    monkeypatch.setattr("minimd.simulation.simulation.SECONDS_BETWEEN_CHECKPOINTS", 0.0)
-    monkeypatch.setattr("minimd.diagnosis.run_guard.RunGuard.block", 4)
-    method = md.LangevinBAOAB(0.003, 1.2, 0.7, seed=4) if scene is rigid else md.VelocityVerlet(0.003)
-    whole, path, n_steps = folder / "whole.h5md", folder / "a.h5md", 13
-    reference = scene(method)
-    reference.run(n_steps, every=5, trajectory=whole)
-
-    def begin():
-        scene(method).run(n_steps, every=5, trajectory=path)
-
-    def go_on():
-        md.Simulation.resume(path, reference.potentials, threads=1).run(until_step=n_steps, every=5, trajectory=path, append=True)
-
-    n_changes = killed_at(0, begin)
-    assert n_changes > 40
-    path.unlink()
-    n_lost = n_killed = 0
-    for k in range(1, n_changes + 1, every_kth):
-        assert killed_at(k, begin) is None
-        if path.exists():
-            if not (folder / "a.h5md.journal").exists():  # nothing to repair
-                universe = MDAnalysis.Universe.empty(len(reference.system)).load_new(str(path))
-                assert len(universe.trajectory) >= 1
-                universe.trajectory.close()
-            if read_file(path).step < n_steps:
-                n_killed += killed_at(1 + k % 17, go_on) is None
-                go_on()
-        else:
-            n_lost += 1
-            begin()
-        assert_same_file(path, whole)
-        path.unlink()
-    assert n_lost * every_kth < 60  # kills before the first frame was there
-    assert n_killed * every_kth > 50
-    assert sorted(os.listdir(folder)) == ["whole.h5md"]
-    return n_changes
+def survey(kinds, seeds, folder):
+    """What becomes of states of the disk of some runs, drawn by each model: those that do not end as the uninterrupted run did."""
+    root, resumes = folder / "root", sorted(set(kinds) & set(RESUMES))
+    begin(root, [kind for kind in kinds if kind not in RESUMES] + ["nve"][: len(resumes)])
+    disk = recorded(runs.__file__, root, folder)
+    if resumes:
+        root = folder / "resumes"
+        begin_resumes(root, disk.part("nve"))
+        disk = recorded(runs.__file__, root, folder)
+    surveys = [Survey(kind, disk.part(kind), reference(root / kind), folder / "state") for kind in kinds]
+    found = [(one.kind, model, seed, *one.of(model, seed)) for one in surveys for model in MODELS for seed in seeds]
+    print(f"{len(found)} states of {kinds}, {sum(one.n_judged for one in surveys)} of them differ after their repair")
+    return [one for one in found if one[-1] != "identical"]
 
 
-def test_a_run_killed_at_some_writes_goes_on_to_the_same_bits(tmp_path, monkeypatch):
-    assert_survives_kills(rigid, 58, tmp_path, monkeypatch)
+def test_a_run_goes_on_to_the_same_bits_after_kills_and_power_failures(tmp_path):
+    assert not survey(["formats"], range(7), tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", [plain, rigid, large])
-def test_a_run_killed_at_any_write_goes_on_to_the_same_bits(scene, tmp_path, monkeypatch):
-    print(f"killed at {assert_survives_kills(scene, 1, tmp_path, monkeypatch)} places")
+@pytest.mark.parametrize("kind", [*KINDS, *RESUMES])
+def test_a_run_goes_on_to_the_same_bits_whatever_is_on_the_disk(kind, tmp_path):
+    assert not survey([kind], range(69), tmp_path)
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+
+def test_a_file_that_is_moved_in_the_middle_of_a_commit_is_whole(tmp_path, monkeypatch):
+    sim, whole = plain(), plain()
+    sim.run(10, every=5, trajectory=tmp_path / "a.h5md")
+    whole.run(20, every=5, trajectory=tmp_path / "whole.h5md")
+
+    def half(descriptor, size, pieces):
+        for place, data in pieces[: len(pieces) // 2]:
+            os.pwrite(descriptor, data, place)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(journaled_file, "_apply", half)
+        with pytest.raises(KeyboardInterrupt):
+            sim.run(10, every=5, trajectory=tmp_path / "a.h5md", append=True)
+    moved = (tmp_path / "a.h5md").rename(tmp_path / "moved.h5md")
+    assert read_file(moved).step >= 10
+    md.Simulation.resume(moved, LAW, threads=1).run(until_step=20, every=5, trajectory=moved, append=True)
+    assert_same_file(moved, tmp_path / "whole.h5md")
+
+
+def test_a_run_that_ends_before_its_results_are_written_gets_them(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "whole"):
+        (tmp_path / f"{name}.toml").write_text(text_of("observers"))
+    assert cli.main(["run", "whole.toml", "--quiet"]) == 0
+    with monkeypatch.context() as patch:
+        patch.setattr("minimd.files.h5md_writer.write_answers", interrupt)
+        assert cli.main(["run", "a.toml", "--quiet"]) != 0
+    assert numbers("a.h5md", EARLIER) != numbers("whole.h5md", EARLIER)
+    assert cli.main(["resume", "a.h5md", "--quiet"]) == 0
+    assert numbers("a.h5md", EARLIER) == numbers("whole.h5md", EARLIER)
+    assert cli.main(["resume", "a.h5md", "--quiet"]) == 2
+    assert "dynamics.steps = 13" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ from test_kills import assert_same_file
 import minimd as md
 from minimd.ensemble import notes
 from minimd.ensemble.table import status
+from minimd.files.claim import locked
 from minimd.files.h5md_reader import read_file
 
 FILES = [f"0000-0999/{k:04d}.h5md" for k in range(4)]
@@ -109,7 +110,7 @@ def test_a_full_disk_costs_the_members_that_meet_it(done, tmp_path, monkeypatch)
     """It is full in the middle of the first member. Those behind it cannot begin, and there is no room for a table either."""
     with monkeypatch.context() as full:
         fill_the_disk(full, 12)
-        with pytest.raises(OSError, match=r"table.csv cannot be written: No space left on device$"):
+        with pytest.raises(OSError, match=r"table\.csv' cannot be written: No space left on device$"):
             run(tmp_path)
         assert [path.name for path in (tmp_path / "0000-0999").iterdir()] == ["0000.h5md"]
     assert 0 < read_file(tmp_path / FILES[0]).step < STEPS
@@ -173,7 +174,7 @@ def test_a_note_that_was_left_behind_is_not_believed(tmp_path):
     note = tmp_path / "0000-0999" / "0003.running"
     note.write_text("at step 40 of 60\n")
     assert not any("running" in line for line in status(tmp_path)[1])
-    descriptor = notes.locked(note)
+    descriptor = locked(note)
     assert "running        member 3: at step 40 of 60" in status(tmp_path)[1]
     os.close(descriptor)
     with notes.noting(md.Member(3, {}, 0, STEPS, note.with_suffix(".h5md"))):

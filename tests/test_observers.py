@@ -1,5 +1,7 @@
 """Observers of a run: their answers are those of the frames, of formulas, and of MDAnalysis; a run that was cut goes on to the same answer."""
 
+import json
+
 import h5py
 import MDAnalysis
 import numpy as np
@@ -13,6 +15,7 @@ from minimd import observers
 from minimd.analysis.plot import plot_file
 from minimd.mdanalysis import universe
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference, add_correlations
+from minimd.observers.fluctuations import FEWEST, correlation_times
 from minimd.scene import parse_scene, resume_run, run_scene
 
 EVERY = {"radial-distribution": 10, "mean-square-displacement": 2, "velocity-autocorrelation": 2, "viscosity": 5, "fluctuations": 5, "profile": 10}
@@ -171,10 +174,34 @@ def test_viscosity_and_fluctuations_are_those_of_the_frames(run):
     np.testing.assert_allclose(result.autocorrelation[:32], expected, rtol=1e-9, atol=1e-12)
     weight = sim.system.volume / record.temperature.mean()
     assert result.integral[31] == pytest.approx(np.trapezoid(expected, dx=0.008) * weight, rel=1e-9)
-    n_dof = 3 * len(sim.system) - 3
-    kinetic = 0.5 * n_dof * record.temperature
-    temperature = 2.0 * kinetic.mean() / n_dof
+    n_dof, temperature = 3 * len(sim.system) - 3, record.temperature.mean()
+    kinetic = 0.5 * n_dof * record.temperature * grown(looking["fluctuations"])[0]
     assert looking["fluctuations"].result().heat_capacity_v == pytest.approx(0.5 * n_dof / (1.0 - 2.0 * kinetic.var() / (n_dof * temperature**2)))
+
+
+def test_lags_beyond_half_of_the_run_have_no_error_bar(run):
+    """Few blocks contain them; what these tell of each other is far less than the error."""
+    for name, error in (("viscosity", "autocorrelation_error"), ("viscosity", "integral_error"), ("mean-square-displacement", "msd_error")):
+        looking = run[2][name]
+        columns, half = looking.result().columns(), 0.5 * (looking.n_looks - 1) * looking.scene.spacing
+        assert np.isnan(columns[error][columns["time"] > half]).all()
+        assert np.isfinite(columns[error][columns["time"] <= 0.5 * half]).all()
+
+
+@pytest.mark.parametrize("kind", md.observers.KINDS)
+def test_a_state_sets_what_its_kind_has_and_nothing_else(kind, run):
+    made = run[2][kind]
+    state, other = made.state(), type(made)(**made.made_with())
+    words = json.loads(bytes(state["words"]))
+    words["settled"] |= {"every": 7, "result": "not callable"}
+    other.restore(state | {"words": np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)})
+    assert (other.every, other.made_with()) == (made.every, made.made_with())
+    assert callable(other.result)
+
+
+def grown(looking):
+    """Factors for deviations of K, E and V, so that their variances contain the part that is missing in a short run."""
+    return np.sqrt(1.0 + 2.0 / np.fmax(FEWEST, np.nan_to_num(correlation_times(looking.sums), nan=np.inf)))
 
 
 def test_a_profile_is_that_of_the_frames(run):
@@ -354,11 +381,13 @@ def test_fluctuations_at_constant_pressure_are_those_of_the_record():
         looking, sim = observers.Fluctuations(every=5), simulation(barostat=bath)
         sim.method = method
         record = sim.run(100, every=5, observers=[looking], progress=False)
-        result, volume, enthalpy = looking.result(), record.volume, record.total_energy + pressure * record.volume
+        _, of_energy, of_volume = grown(looking)
+        result, volume, mean = looking.result(), record.volume * of_volume, record.volume.mean()
+        enthalpy = record.total_energy * of_energy + pressure * volume
         assert result.ensemble == "constant pressure"
         assert result.heat_capacity_p == pytest.approx(enthalpy.var() / thermal**2, rel=1e-9)
-        assert result.compressibility == pytest.approx(volume.var() / (thermal * volume.mean()), rel=1e-9)
-        expected = np.mean((volume - volume.mean()) * enthalpy) / (thermal**2 * volume.mean())
+        assert result.compressibility == pytest.approx(volume.var() / (thermal * mean), rel=1e-9)
+        expected = np.mean((volume - volume.mean()) * enthalpy) / (thermal**2 * mean)
         assert result.expansion == pytest.approx(expected, rel=1e-9)
     sim.method = md.StochasticVelocityRescaling(0.004, thermal, 0.2, 3)
     sim.run(5, observers=[looking], progress=False)

@@ -99,22 +99,6 @@ def test_a_link_at_a_temporary_name_is_not_followed(name, moment, tmp_path, monk
     assert precious.read_text() == "precious"
 
 
-def test_a_link_at_the_name_of_the_journal_is_not_followed(tmp_path, monkeypatch):
-    bring_to_disk_every(0.0, monkeypatch)
-    path, precious, link = tmp_path / "a.h5md", tmp_path / "precious", tmp_path / "a.h5md.journal"
-    precious.write_text("precious")
-
-    def put_link(_sim=None):
-        link.unlink(missing_ok=True)
-        link.symlink_to(precious)
-
-    simulation().run(20, every=5, trajectory=path, observers=[put_link])
-    put_link()
-    assert read_file(path).n_frames == 5  # the link is removed
-    assert files_of(tmp_path) == ["a.h5md", "precious"]
-    assert precious.read_text() == "precious"
-
-
 def note(path):
     made = Note(Member(0, {}, 1, 10, path))
     note_of(path).symlink_to(path.parent / "precious")

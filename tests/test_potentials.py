@@ -170,7 +170,7 @@ def test_a_spring_of_length_zero_pulls_with_k_times_the_distance_down_to_none():
     at_rest = md.System([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]], bonds=[[0, 1]])
     assert md.advise_timestep(at_rest, springs[0]).frequency == pytest.approx(6.0**0.5, rel=1e-6)  # k/μ, truncation of the difference
     assert md.Simulation(at_rest, springs[0], md.VelocityVerlet(0.01)).run(10, progress=False).total_energy.tolist() == [0.0]
-    with pytest.raises(md.NonFiniteError, match="atoms 0 and 1, 0 apart"):
+    with pytest.raises(md.NonFiniteError, match="atoms 0 and 1, 0 σ apart"):
         md.evaluate(at_rest, md.HarmonicBond(3.0, 1.0))
 
 
@@ -322,13 +322,13 @@ def test_scaled_pairs_in_small_cells_equal_the_textbook_sum(cell):
 
 
 def test_two_atoms_alone_on_one_spot_are_named():
-    with pytest.raises(md.NonFiniteError, match="atoms 0 and 1, 0 apart"):
+    with pytest.raises(md.NonFiniteError, match="atoms 0 and 1, 0 σ apart"):
         md.evaluate(md.System([[1, 1, 1], [1, 1, 1]]), md.LennardJones(1.0, 1.0, 2.0))
 
 
 def test_two_atoms_on_one_spot_are_an_error_that_names_them():
     system = md.System([[0, 0, 0], [1, 1, 1], [2, 0, 0], [1, 1, 1]], cell=5.0)
-    with pytest.raises(md.NonFiniteError, match="atoms 1 and 3, 0 apart"):
+    with pytest.raises(md.NonFiniteError, match="atoms 1 and 3, 0 σ apart"):
         md.evaluate(system, md.LennardJones(1.0, 1.0, 2.0))
 
 

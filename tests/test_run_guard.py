@@ -87,7 +87,7 @@ def test_no_steps_are_none():
 
 
 def test_warnings_point_to_the_line_of_the_user():
-    system = md.System([[0.0, 0, 0], [1.1, 0, 0], [5, 0, 0]], velocities=[[0, 0, 0], [1, 0, 0], [0, 0, 0]])
+    system = md.System([[0.0, 0, 0], [1.1, 0, 0], [5, 0, 0]], velocities=[[0, 0, 0], [1, 0, 0], [-1, 0, 0]])
     rigid = md.DistanceConstraints([[0, 1]], lengths=1.0)
     sim = md.Simulation(system, LJ, md.VelocityVerlet(0.001), rigid)
     with warnings.catch_warnings(record=True) as caught:

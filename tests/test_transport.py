@@ -234,3 +234,27 @@ def test_argon_that_moves_has_the_diffusion_viscosity_temperature_and_pressure_o
         for one, other in combinations(SEEDS, 2):
             (a, da), (b, db) = found[one][name], found[other][name]
             assert abs(a - b) < 4.0 * np.hypot(da, db), (name, one, other)  # statistics
+
+
+def diffusing(seed):
+    """The displacements of 108 atoms in 200 τ, beside a bath that lets the energy wander with a correlation time of 8 τ."""
+    positions, edges = md.lattice.crystal("fcc", [3] * 3, md.lattice.constant_from_density("fcc", 0.8))
+    bath = md.StochasticVelocityRescaling.with_relaxation_time(0.005, 0.85, 5.0, seed=seed)
+    liquid = md.Simulation(md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5), bath, threads=1)
+    liquid.set_temperature(1.7, seed=seed)
+    liquid.equilibrate(3000, 0.85)
+    liquid.run(8000, every=8000)
+    looking = md.observers.MeanSquareDisplacement(every=20)
+    liquid.run(40_000, every=40_000, observers=[looking])
+    return looking
+
+
+@pytest.mark.slow
+def test_the_error_of_diffusion_is_what_runs_scatter_by():
+    """Of 40 runs; 0.71 if blocks that follow the slow temperature of the bath were taken for uncorrelated."""
+    found = [one.result() for one in map(diffusing, range(1, 41))]
+    values, errors = np.array([(one.diffusion, one.diffusion_error) for one in found]).T
+    ratio, within = np.sqrt((errors**2).mean()) / values.std(ddof=1), (np.abs(values - values.mean()) < 2.0 * errors).mean()
+    print(f"claimed over seen {ratio:.2f}, within two errors {100.0 * within:.0f} %")
+    assert 0.75 < ratio < 1.45  # 0.85 to 1.3, and what 40 runs can tell: 11 %
+    assert within >= 0.85

@@ -190,7 +190,7 @@ def test_a_view_is_shown_in_a_notebook_and_saved(run_file, made, tmp_path):
     assert html.unescape(frame[1]) == seen.html
     assert re.fullmatch(r"View\('.*chains.h5md': 31 frames of 12 atoms; 1.\d MB; write it with .save\(\)\)", repr(seen))
     assert seen.save(tmp_path / "a.html").read_text(encoding="utf-8") == seen.html
-    with pytest.raises(OSError, match=r"page .*nowhere.* cannot be written: No such file"):
+    with pytest.raises(OSError, match=r"nowhere.* cannot be written: No such file"):
         seen.save(tmp_path / "nowhere" / "a.html")
     assert seen.save() == run_file.with_suffix(".html")
 

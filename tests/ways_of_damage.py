@@ -7,6 +7,8 @@ import zlib
 import h5py
 import numpy as np
 
+from minimd.files.journaled_file import MAGIC
+
 RESTARTS = ("minimd/restart", "minimd/earlier_restart")
 
 
@@ -224,38 +226,32 @@ def damage_a_restart(h5, rng):
     group.attrs.modify(key, np.asarray(np.nan if rng.random() < 0.5 and key in ("time", "reservoir_energy") else value + 1, dtype=value.dtype))
 
 
-def _journal(size, place, data):
-    body = struct.pack("<qq", place, len(data)) + data
-    return bytearray(b"minimd journal 1\n" + struct.pack("<qqI", size, 1, zlib.crc32(body, zlib.crc32(struct.pack("<qq", size, 1)))) + body)
-
-
-def interrupted_commit(file, journal, rng):
-    """A piece of the file is half replaced; the journal has it."""
-    content, n = bytearray(file.read_bytes()), _length(rng)
-    place = _place(content, rng, n)
-    journal.write_bytes(_journal(len(content), place, bytes(content[place : place + n])))
+def interrupted_commit(content, rng):
+    """A piece of the file is half replaced; the journal at its end has it."""
+    n = _length(rng)
+    place, before = _place(content, rng, n), len(content)
+    body = struct.pack("<qq", place, n) + content[place : place + n]
+    end = struct.pack("<qqqI17s", before, before, len(body), 0, MAGIC)
+    end = struct.pack("<qqqI17s", before, before, len(body), zlib.crc32(end, zlib.crc32(body)), MAGIC)
     content[place : place + n // 2] = rng.bytes(n // 2)
-    file.write_bytes(content)
+    return content + body + end
 
 
-def interrupted_commit_with_a_damaged_journal(file, journal, rng):
-    interrupted_commit(file, journal, rng)
-    content = bytearray(journal.read_bytes())
-    how = int(rng.integers(4))
+def interrupted_commit_with_a_damaged_journal(content, rng):
+    before = len(content)
+    content = interrupted_commit(content, rng)
+    how = int(rng.integers(3))
     if how == 0:
-        content = content[: _place(content, rng)]
-    elif how == 1:
-        content[_place(content, rng)] ^= 1 << int(rng.integers(8))
-    elif how == 2:
-        content = bytearray(rng.bytes(len(content)))
-    journal.write_bytes(content)
-
-
-def strange_journal(file, journal, rng):
-    if rng.random() < 0.2:
-        journal.mkdir(exist_ok=True)
+        return content[: before + int(rng.integers(len(content) - before))]
+    if how == 1:
+        content[before + int(rng.integers(len(content) - before))] ^= 1 << int(rng.integers(8))
     else:
-        journal.write_bytes(rng.bytes(_length(rng)))
+        content[before:] = rng.bytes(len(content) - before)
+    return content
+
+
+def strange_journal(content, rng):
+    return content + rng.bytes(44) + MAGIC
 
 
 def _made_anew(name, make):
@@ -351,6 +347,9 @@ IN_BYTES = (
     truncate,
     append,
     insert,
+    interrupted_commit,
+    interrupted_commit_with_a_damaged_journal,
+    strange_journal,
 )
 IN_NUMBERS = (
     change_number,
@@ -368,5 +367,4 @@ IN_NUMBERS = (
     damage_both_restarts,
     damage_a_restart,
 )
-IN_JOURNALS = (interrupted_commit, interrupted_commit_with_a_damaged_journal, strange_journal)
-WAYS = IN_BYTES + IN_NUMBERS + IN_JOURNALS + (flip_bit_in_a_table, replace_byte_in_a_table, change_number)
+WAYS = IN_BYTES + IN_NUMBERS + (flip_bit_in_a_table, replace_byte_in_a_table, change_number)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.engine.record import SERIES, Record
 from minimd.structure.display import Displayed
-from minimd.structure.statistics import FEW, LINE, block_means, independent, mean_and_error, with_error
+from minimd.structure.statistics import FEW, block_means, independent, mean_and_error, standard_error, wandering, with_error
 
 BLOCKS = 40  # averages of the total energy between which the drift is fitted
 BLOCKS_OF_WALK = 20  # the same for a series that wanders like a random walk
@@ -104,9 +104,9 @@ def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = 
         return Drift(float(slope), np.inf)
     t = block_means(time, blocks)
     slope, rest = _line(t, block_means(series, blocks))
-    own = least = independent(rest, LINE)
+    own = least = independent(rest)
     if beside is not None:
-        least = min(own, independent(_line(t, block_means(beside, blocks))[1], LINE))
+        least = min(own, independent(_line(t, block_means(beside, blocks))[1]))
     one, safe = (Drift(slope, float(np.sqrt(rest @ rest / blocks / max(1.0, n - 2.0) / t.var())), n) for n in (own, least))
     return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
 
@@ -118,17 +118,18 @@ def _line(t: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, NDArra
 
 
 def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS_OF_WALK) -> Drift:
-    """Slope of a series that wanders about its drift like a random walk, with the standard error that follows from this.
+    """Slope of a series that wanders about its drift like a random walk, and fluctuates, with the standard error that follows from this.
 
     Total energy minus reservoir energy is such a series: each contact with the bath also changes the difference between the energy and
     the shadow Hamiltonian that the method conserves. The slope then follows from the two ends only, and its uncertainty from the steps of
-    the walk. The mean square of a step between two block averages is 2/3 of that of the walk over the same time.
+    the walk, whose error is known as well as that of half as many independent ones.
     """
     blocks = min(blocks, len(series))
-    if blocks < FEW or np.ptp(time) == 0.0 or not np.isfinite([time, series]).all():
+    if blocks <= FEW or np.ptp(time) == 0.0 or not np.isfinite([time, series]).all():
         return drift(time, series, blocks)
     t, y = block_means(time, blocks), block_means(series, blocks)
-    return Drift(float((y[-1] - y[0]) / (t[-1] - t[0])), float(np.sqrt(1.5 * (blocks - 1)) * np.diff(y).std(ddof=1) / (t[-1] - t[0])))
+    steps, rate = np.diff(y), (blocks - 1.0) / np.ptp(t)
+    return Drift(float(steps.mean() * rate), float(standard_error(steps, wandering)) * rate, blocks / 2.0)
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-from contextlib import suppress
 from pathlib import Path
 
 from minimd.engine.record import Record
-from minimd.files.journaled_file import repair
 from minimd.simulation.simulation import Simulation
 
 STOPPED = ".stopped.h5md"
@@ -21,8 +19,6 @@ def stopped_file(file: Path) -> Path:
 def set_aside(file: Path) -> None:
     """Rename the file of a stopped member, so that `run` may write a new file, or go on with the old one."""
     if file.exists():
-        with suppress(OSError, ValueError):  # a file that cannot be repaired is not continued
-            repair(file)
         os.replace(file, stopped_file(file))
 
 

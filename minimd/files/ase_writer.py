@@ -1,5 +1,7 @@
 """Trajectories written by ASE."""
 
+import os
+
 import ase.io
 from ase.calculators.singlepoint import SinglePointCalculator
 from ase.io.trajectory import TrajectoryWriter
@@ -22,7 +24,7 @@ class ASEWriter:
     """
 
     def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
-        self._claim, self._template, self._store_forces = claim, atoms_from_system(engine.system), store_forces
+        self.claim, self._template, self._store_forces = claim, atoms_from_system(engine.system), store_forces
         self._conserves_momentum = engine.conserves_momentum
         is_binary = claim.path.suffix.lower() == ".traj"
         if is_binary:
@@ -45,17 +47,17 @@ class ASEWriter:
             self._output.write(atoms)
         else:
             ase.io.write(self._output, atoms, format="extxyz")
-        self._claim.check()
-        self._claim.appear()
+            self._output.flush()  # a killed run leaves whole frames
+        self.claim.check()
+        self.claim.appear()
 
     def checkpoint(self) -> None:
-        """Write all frames taken so far to the file."""
-        if not isinstance(self._output, TrajectoryWriter):
-            self._output.flush()
+        """Bring all frames taken so far to the disk."""
+        os.fsync(self.claim.descriptor)
 
     def close(self) -> None:
         """Finish the file."""
         try:
             self._output.close()
         finally:
-            self._claim.release()
+            self.claim.release()

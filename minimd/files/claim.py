@@ -1,7 +1,7 @@
 """A claim on an output file: one file, one run.
 
 A claim holds a lock, so that no other run writes the file, neither in another process nor in this one, under any name or link. A new file is
-written under a temporary name, and gets the name that was asked for when its first frame is in it: a file that it replaces is kept until
+written under a temporary name, and gets the name that was asked for when its first frame is on the disk: a file that it replaces is kept until
 then, and a run that does not get the claim changes nothing. Temporary names are those of new files, and never followed as links: whoever
 can write to the folder could have put links there.
 """
@@ -52,6 +52,7 @@ class Claim:
         """Give a new file its name, unless it has it already.  Raises FileExistsError if another file took the name meanwhile."""
         if not self._is_new:
             return
+        os.fsync(self.descriptor)
         if self.replaced >= 0:
             os.replace(self.place, self.path)
         else:

@@ -10,7 +10,7 @@ entry for each frame, and refuses a file in which that is not so. Therefore mini
 
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +82,11 @@ def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
         group.attrs.update({"n_looks": one.n_looks, "last_step": one.last_step, "units": result.scene.units, **result.numbers()})
         for name, series in result.columns().items():
             group[name.replace("/", "_")] = series  # the name of a species may contain a slash, which HDF5 does not allow in names
+
+
+def lack_results(h5: h5py.File, observers: Mapping[str, Accumulator]) -> bool:
+    """Whether observers have looked since their results were written, as in a killed run.  observers : as observers_of."""
+    return any(one.n_looks > h5[f"{GROUP}/{name}"].attrs.get("n_looks", 0) for name, one in observers.items())
 
 
 def observers_of(h5: h5py.File) -> dict[str, Accumulator]:

@@ -16,7 +16,7 @@ from minimd.engine.snapshots import Checkpoint
 from minimd.files.first_look import looked_at
 from minimd.files.h5md_constraints import read_constraints
 from minimd.files.h5md_digest import damaged_frames, is_signed, n_whole_frames
-from minimd.files.h5md_observers import observers_of
+from minimd.files.h5md_observers import lack_results, observers_of
 from minimd.files.h5md_opening import damage_told, opened
 from minimd.files.h5md_restart import damaged_restart, read_restart
 from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY
@@ -42,7 +42,8 @@ class H5MDContents(Displayed):
     parameters : arguments with which the method can be made again.  precision, skin : of the options.  potentials : in words.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
-    observers : of minimd.observers, by name, in their state at the restart.
+    observers : of minimd.observers, by name, in their state at the restart.  lacks_results : whether they have looked
+        since their results were written.
     repaired : a sentence if the newest restart is damaged and the one before it is used; else empty.
     """
 
@@ -65,6 +66,7 @@ class H5MDContents(Displayed):
     potentials: list[str]
     repaired: str
     observers: dict[str, Accumulator]
+    lacks_results: bool
     barostat: StochasticCellRescaling | None = None
     too_long_a_step: str = ""
 
@@ -104,6 +106,7 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
     with damage_told(path):
         n_frames, group = n_whole_frames(h5), h5["minimd"]
         restart, _, is_earlier = read_restart(h5)
+        observers = observers_of(h5)
         system, at = _system(group, restart), group.attrs
         repaired = f"the newest restart in {path} is damaged; the one before it is used, of step {restart.state.step}" if is_earlier else ""
         return H5MDContents(
@@ -125,7 +128,8 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
             skin=None if np.isnan(at["skin"]) else float(at["skin"]),
             potentials=[printable(one) for one in at["potentials"]],
             repaired=repaired,
-            observers=observers_of(h5),
+            observers=observers,
+            lacks_results=lack_results(h5, observers),
             barostat=StochasticCellRescaling(**json.loads(words)) if (words := at.get("barostat", "")) else None,
             too_long_a_step=printable(str(at.get("too_long_a_step", ""))),
         )

@@ -8,7 +8,7 @@ to a commit, and the restart of that commit.
 import signal
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
@@ -28,7 +28,7 @@ from minimd.files.h5md_digest import add_block, drop_frames, sign
 from minimd.files.h5md_observers import describe_observers, restore_observers, states_of, write_answers
 from minimd.files.h5md_opening import admitted, opened
 from minimd.files.h5md_reader import H5MDContents, check_description, contents_of
-from minimd.files.h5md_restart import set_aside_damaged, write_restart
+from minimd.files.h5md_restart import arrays_of_restart, set_aside_damaged, write_restart
 from minimd.files.journaled_file import JournaledFile
 from minimd.files.rehearsal import rehearse
 from minimd.observers.accumulator import Accumulator
@@ -37,6 +37,8 @@ from minimd.structure.console import outside_minimd
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 MOST_OFTEN = 50.0  # shortest time between flushes, in durations of a flush: 2 % of the time; less if the block of frames is full
+
+BESIDE = "beside."  # in the names of arrays that are kept with a restart
 
 
 class H5MDWriter:
@@ -47,6 +49,7 @@ class H5MDWriter:
     claim : on the file.  engine : whose frames are written.  store_forces : also write forces.  every : steps between two frames.
     n_frames : number of frames expected, None if it is not known.
     observers : of the run; their state is kept with each restart, and their results are written at the end of the run.
+    bring_others : brings other trajectories in a folder to the disk before a restart; the marks that it returns are kept.
 
     Raises OSError if the file cannot be created or has no room.
     """
@@ -57,6 +60,7 @@ class H5MDWriter:
     _next_flush: float
     _n_frames: int
     _n_expected: int | None = None
+    marks: list[bytes]  # of other trajectories, in the restart from which a file is continued
     _pending: FrameBlock | None
     _columns: list[layout.Column]
     _every: int | None  # None for a continued file that does not hold it
@@ -69,9 +73,11 @@ class H5MDWriter:
         every: int = 1,
         observers: Sequence[Accumulator] = (),
         n_frames: int | None = None,
+        bring_others: Callable[[Path], list[bytes]] = lambda folder: [],
     ) -> None:
         self._begin(claim, engine, store_forces, "w")
         self._every, self._observers, self._n_expected = every, observers, n_frames
+        self._bring_others = bring_others
         with self._telling("begin"):
             layout.describe(self._h5, engine)
             describe_observers(self._h5, observers)
@@ -118,6 +124,8 @@ class H5MDWriter:
         with self._telling("be continued"):
             self._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
             self._last_step = int(contents.record.step[self._n_frames - 1])
+            self.marks = [array.tobytes() for name, array in arrays_of_restart(self._h5).items() if name.startswith(BESIDE)]
+            self._bring_others = lambda folder: []
             set_aside_damaged(self._h5)
             drop_frames(self._h5, self._n_frames)
             describe_observers(self._h5, observers)
@@ -131,7 +139,7 @@ class H5MDWriter:
         Raises OSError if the file has no room or cannot be written; what it held before stays valid.  ValueError if it is closed.
         """
         if not self._h5:
-            raise ValueError(f"trajectory {self._claim.name!r} is closed; it cannot take the frame of step {frame.step}")
+            raise ValueError(f"trajectory {self.claim.name!r} is closed; it cannot take the frame of step {frame.step}")
         if frame.step == self._last_step:
             return
         if self._pending is None:
@@ -156,7 +164,9 @@ class H5MDWriter:
             if self._method is not self._engine.method:
                 self._describe_method()
             if self._engine.is_whole or self._n_frames == 0:
-                write_restart(self._h5, self._engine.checkpoint(), n_frames, states_of(self._observers))
+                marks = enumerate(self._bring_others(self.claim.path.parent))
+                beside = states_of(self._observers) | {f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in marks}
+                write_restart(self._h5, self._engine.checkpoint(), n_frames, beside)
             self._commit()
             self._n_frames = n_frames
             if self._pending:
@@ -180,7 +190,7 @@ class H5MDWriter:
             self._shut()
 
     def _begin(self, claim: Claim, engine: Engine, store_forces: bool, mode: Any) -> None:
-        self._claim, self._engine, self._method, self._store_forces = claim, engine, engine.method, store_forces
+        self.claim, self._engine, self._method, self._store_forces = claim, engine, engine.method, store_forces
         self._disk = JournaledFile(claim)
         self._h5 = admitted(h5py.File(self._disk, mode), claim.name)
         self._pending, self._n_frames = None, 0  # frames that are not yet in the file, and the number of those that are
@@ -215,7 +225,7 @@ class H5MDWriter:
             self._pending = None
             self._give_up()
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-            raise OSError(f"trajectory {self._claim.name!r} could not {what}: {reason}; the {self._n_frames} frames before it are valid") from error
+            raise OSError(f"trajectory {self.claim.name!r} could not {what}: {reason}; the {self._n_frames} frames before it are valid") from error
 
     def _give_up(self) -> None:
         self._h5.close()

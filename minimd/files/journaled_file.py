@@ -3,13 +3,14 @@
 HDF5 updates its tables in place, one after the other; a process that dies in between leaves a file that cannot be opened. Here HDF5 writes
 into memory, and a commit writes this to the disk:
 
-    1  bytes beyond the present end of the file, which nobody reads yet, are written
-    2  bytes that will replace others in the file are written to a journal beside it, with a checksum
-    3  these bytes are replaced
-    4  the journal is removed
+    1  beyond the present end of the file, where nobody reads yet: the new bytes, and behind them a journal of those
+       that will replace others, with a checksum of both
+    2  the bytes of the journal, at their places
+    3  the end of the file, which cuts the journal off
 
-A file with a complete journal is repaired by doing 3 and 4 again. An incomplete journal is removed: the file is as it was. So is a journal of
-another file, which the witness in it shows: the checksum of the last bytes of the file as they are after 3.
+A file that ends with a complete journal is repaired by doing 2 and 3 again, however often. An incomplete one is no
+journal: the file is as it was, because HDF5 does not read what is behind its end. The journal is in the file itself: it is
+not lost when the file is moved or copied, and has no name, which a power failure could take away.
 J. Gray, A. Reuter, Transaction Processing (1993), chapter 9.
 """
 
@@ -20,12 +21,12 @@ import zlib
 from contextlib import suppress
 from pathlib import Path
 
-from minimd.files.claim import Claim, locked, new_file, no_link
+from minimd.files.claim import Claim, locked
 
-MAGIC = b"minimd journal 1\n"
-HEAD = struct.Struct("<qqII")  # size of the file after the commit, number of pieces, witness, CRC-32 of these and of all that follows
-WITNESS = 64 * 1024  # bytes
-PIECE = struct.Struct("<qq")  # place in the file, number of bytes
+MAGIC = b"minimd journal 2\n"
+PIECE = struct.Struct("<qq")  # place in the file, number of bytes; they follow
+BLOCK = 2**20  # bytes that are read at once for a checksum
+END = struct.Struct("<qqqI17s")  # size of the file before and after the commit, bytes of the pieces, CRC-32, MAGIC
 
 Pieces = list[tuple[int, bytes]]  # place in the file, and the new bytes
 
@@ -34,10 +35,8 @@ class JournaledFile:
     """A file object for h5py on a claimed file.  size : of the file after the next commit [B]."""
 
     def __init__(self, claim: Claim) -> None:
-        self._claim, self._journal = claim, journal_of(claim.path)
-        existing = claim.descriptor if claim.place == claim.path else claim.replaced
-        if existing >= 0:
-            _finish(self._journal, existing)
+        self._claim = claim
+        _finish(claim.descriptor)
         self._committed = self.size = os.fstat(claim.descriptor).st_size
         self._tail, self._n_tail = bytearray(), 0  # bytes beyond the committed end: the first ones in memory that is reused
         self._pieces: Pieces = []  # replacements of committed bytes, in order
@@ -110,23 +109,23 @@ class JournaledFile:
         descriptor = self._claim.descriptor
         self._check()
         is_changed = bool(self._pieces) or self.size < self._committed
+        tail = memoryview(self._tail)[: self._n_tail]
+        rest = bytes(max(0, self.size - self._committed - self._n_tail))  # of the file, which HDF5 has not written
         try:
-            with memoryview(self._tail) as tail:
-                _write_all(descriptor, tail[: self._n_tail], self._committed)
-            os.fsync(descriptor)
             if is_changed:
-                _write_journal(self._journal, descriptor, self.size, self._pieces)
+                rest += _journal(self._committed, self.size, self._pieces, zlib.crc32(rest, zlib.crc32(tail)))
+            _write_all(descriptor, tail, self._committed)
+            _write_all(descriptor, rest, self._committed + self._n_tail)
+            os.fsync(descriptor)
         except OSError:
-            with suppress(OSError):
-                self._journal.unlink(missing_ok=True)
             with suppress(OSError):
                 os.ftruncate(descriptor, self._committed)
             raise
+        finally:
+            tail.release()
         if is_changed:
             _apply(descriptor, self.size, self._pieces)
-            self._journal.unlink()
         if self._claim.place != self._claim.path:
-            self._journal.unlink(missing_ok=True)  # of the file that is replaced
             self._claim.appear()
         self._committed, self._n_tail, self._pieces = self.size, 0, []
 
@@ -141,86 +140,64 @@ class JournaledFile:
             raise OSError(errno.EIO, f"it was cut to {n_bytes} of {self._committed} bytes while the run was writing it")
 
 
-def journal_of(path: Path) -> Path:
-    """The name of the journal of a file."""
-    return path.with_name(f"{path.name}.journal")
-
-
 def repair(path: str | Path) -> bool:
     """Finish the last commit of a file, if it was interrupted; True if the file was changed.
 
     Raises OSError if a run is writing the file, or this process is not allowed to.
     """
-    place = Path(os.path.realpath(path))
-    if not journal_of(place).exists() or not place.exists():
-        return False
+    with open(path, "rb") as file:
+        if _read_journal(file.fileno()) is None:
+            return False
     try:
-        descriptor = locked(place)
-        try:
-            return _finish(journal_of(place), descriptor)
-        finally:
-            os.close(descriptor)
+        descriptor = locked(Path(os.path.realpath(path)))
     except OSError as error:
         if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
             raise
-        left = f"its last commit was interrupted, and must be finished from {journal_of(place).name!r} beside it"
-        raise OSError(error.errno, f"{left}, which is not allowed here ({error.strerror}); copy both files to a folder of your own") from None
-
-
-def _finish(journal: Path, descriptor: int) -> bool:
-    """Carry out a journal if it is complete, and remove it; True if the file was changed. A link in its place is only removed."""
+        why = f"its last commit was interrupted, and cannot be finished here ({error.strerror})"
+        raise OSError(error.errno, f"{why}; copy it to a folder of your own, and make the copy writable") from None
     try:
-        if journal.is_symlink():
-            journal.unlink()
-        found = _read_journal(journal, descriptor)
-    except FileNotFoundError:
-        return False
-    if found is not None:
-        _apply(descriptor, *found)
-    journal.unlink()
-    return found is not None
-
-
-def _write_journal(path: Path, file: int, size: int, pieces: Pieces) -> None:
-    head = size, len(pieces), _witness(file, size, pieces)
-    body = b"".join([PIECE.pack(place, len(data)) + data for place, data in pieces])
-    descriptor = new_file(path)
-    try:
-        _write_all(descriptor, MAGIC + HEAD.pack(*head, _checksum(head, body)) + body, 0)
-        os.fsync(descriptor)
+        return _finish(descriptor)
     finally:
         os.close(descriptor)
 
 
-def _read_journal(path: Path, file: int) -> tuple[int, Pieces] | None:
-    """Size and pieces in a journal; None if it is incomplete, or of another file."""
-    with open(path, "rb", opener=no_link) as journal:
-        text, start = journal.read(), len(MAGIC) + HEAD.size
-    if len(text) < start or not text.startswith(MAGIC):
+def _finish(descriptor: int) -> bool:
+    """Carry out a complete journal at the end of a file; True if there was one."""
+    if (found := _read_journal(descriptor)) is None:
+        return False
+    _apply(descriptor, *found)
+    return True
+
+
+def _journal(before: int, size: int, pieces: Pieces, checksum: int) -> bytes:
+    """The journal of a commit.  before, size : of the file before and after it.  checksum : of the new bytes before it."""
+    body = b"".join([PIECE.pack(place, len(data)) + data for place, data in pieces])
+    end = END.pack(before, size, len(body), 0, MAGIC)
+    return body + END.pack(before, size, len(body), zlib.crc32(end, zlib.crc32(body, checksum)), MAGIC)
+
+
+def _read_journal(file: int) -> tuple[int, Pieces] | None:
+    """Size and pieces in the journal at the end of a file; None if there is none, or it is incomplete."""
+    end = os.fstat(file).st_size - END.size
+    if end < 0:
         return None
-    *head, checksum = HEAD.unpack_from(text, len(MAGIC))
-    if _checksum(tuple(head), text[start:]) != checksum:
+    before, size, n_bytes, checksum, magic = END.unpack(_read_at(file, END.size, end))
+    first = end - n_bytes
+    if magic != MAGIC or not 0 <= before <= first <= end or not 0 <= size <= first:
         return None
-    size, n_pieces, witness = head
-    pieces = []
-    while start + PIECE.size <= len(text):
-        place, n_bytes = PIECE.unpack_from(text, start)
-        start += PIECE.size + max(0, n_bytes)
-        pieces.append((place, text[start - n_bytes : start]))
-    is_whole = start == len(text) and len(pieces) == n_pieces and min([size, *(place for place, _ in pieces)]) >= 0
-    return (size, pieces) if is_whole and _witness(file, size, pieces) == witness else None
-
-
-def _checksum(head: tuple[int, ...], body: bytes) -> int:
-    return zlib.crc32(body, zlib.crc32(HEAD.pack(*head, 0)))
-
-
-def _witness(file: int, size: int, pieces: Pieces) -> int:
-    """CRC-32 of the last bytes of a file with the pieces in it; the same before, while and after the pieces are written."""
-    first = max(0, size - WITNESS)
-    content = bytearray(_read_at(file, size - first, first).ljust(size - first, b"\0"))
-    _lay_over(content, first, pieces)
-    return zlib.crc32(content)
+    found = 0
+    for place in range(before, end, BLOCK):
+        found = zlib.crc32(_read_at(file, min(BLOCK, end - place), place), found)
+    if zlib.crc32(END.pack(before, size, n_bytes, 0, MAGIC), found) != checksum:
+        return None
+    text, pieces, start = _read_at(file, n_bytes, first), [], 0
+    while start < n_bytes:
+        place, n = PIECE.unpack_from(text, start)
+        start += PIECE.size + n
+        if n < 0 or not 0 <= place <= before - n:  # nothing that a commit has written
+            return None
+        pieces.append((place, text[start - n : start]))
+    return size, pieces
 
 
 def _lay_over(content: bytearray, first: int, pieces: Pieces) -> None:
@@ -234,8 +211,8 @@ def _lay_over(content: bytearray, first: int, pieces: Pieces) -> None:
 def _apply(descriptor: int, size: int, pieces: Pieces) -> None:
     for place, data in pieces:
         _write_all(descriptor, data, place)
-    os.ftruncate(descriptor, size)
     os.fsync(descriptor)
+    os.ftruncate(descriptor, size)  # if power fails before the disk has it, the pieces are written again
 
 
 def _write_all(descriptor: int, data: bytes | memoryview, place: int) -> None:

@@ -1,5 +1,7 @@
 """Trajectories written by MDAnalysis: .xtc .dcd .trr .ncdf .nc."""
 
+import ctypes
+import os
 import warnings
 from contextlib import suppress
 from errno import ENOSPC
@@ -37,7 +39,7 @@ class MDAnalysisWriter:
 
     def __init__(self, claim: Claim, engine: Engine) -> None:
         system, file = engine.system, claim.path
-        self._claim, self._format = claim, FORMATS.get(file.suffix.lower(), file.suffix[1:].upper())
+        self.claim, self._format = claim, FORMATS.get(file.suffix.lower(), file.suffix[1:].upper())
         self._angstrom, self._picosecond = system.units.to_angstrom, system.units.to_picosecond
         self._timestep = engine.method.timestep * self._picosecond
         self._cell = system.cell
@@ -57,7 +59,8 @@ class MDAnalysisWriter:
             self._write_waiting()
 
     def checkpoint(self) -> None:
-        """Do nothing: frames are written at once, and these formats hold no restart."""
+        """Bring all frames taken so far to the disk, except a first one in a DCD file."""
+        os.fsync(self.claim.descriptor)
 
     def close(self) -> None:
         """Finish the file; do nothing if it has failed."""
@@ -65,25 +68,27 @@ class MDAnalysisWriter:
             self._write_waiting()
             self._shut()
         finally:
-            self._claim.release()
+            self.claim.release()
 
     def _write_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
         for frame in waiting:
             try:
-                if disk_usage(self._claim.place.parent).free < frame.positions.nbytes + ROOM:
+                if disk_usage(self.claim.place.parent).free < frame.positions.nbytes + ROOM:
                     raise OSError(ENOSPC, "no room on the disk")  # not every format notices that writing failed
                 with quiet():
                     self._writer = self._writer or self._opened(waiting)
                     self._place(frame)
                     self._writer.write(self._universe)
-                self._claim.check()
-                self._claim.appear()
+                if os.name == "posix":
+                    ctypes.CDLL(None).fflush(None)  # MDAnalysis keeps buffers; a killed run leaves whole frames
+                self.claim.check()
+                self.claim.appear()
             except (OSError, RuntimeError) as error:
                 with suppress(OSError, RuntimeError):
                     self._shut()
                 reason = getattr(error, "strerror", None) or error
-                raise OSError(f"trajectory {self._claim.name!r} could not take the frame of step {frame.step}: {reason}") from error
+                raise OSError(f"trajectory {self.claim.name!r} could not take the frame of step {frame.step}: {reason}") from error
 
     def _shut(self) -> None:
         writer, self._writer = self._writer, None
@@ -94,7 +99,7 @@ class MDAnalysisWriter:
         steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1  # between frames
         spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
         options: dict[str, dict[str, Any]] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": spacing}
-        return MDAnalysis.Writer(str(self._claim.stream), n_atoms=len(self._universe.atoms), format=self._format, **options.get(self._format, {}))
+        return MDAnalysis.Writer(str(self.claim.stream), n_atoms=len(self._universe.atoms), format=self._format, **options.get(self._format, {}))
 
     def _place(self, frame: Frame) -> None:
         ts = self._universe.trajectory.ts

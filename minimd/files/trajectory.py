@@ -2,15 +2,17 @@
 
 import errno
 import os
+import struct
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
-from minimd.files.claim import Claim
+from minimd.files.claim import Claim, locked
 from minimd.observers.accumulator import Accumulator
 from minimd.structure.checks import shown
 
@@ -18,21 +20,24 @@ from minimd.structure.checks import shown
 class Writer(Protocol):
     """A file that takes frames."""
 
+    claim: Claim
+
     def write(self, frame: Frame) -> None:
         """Append one frame."""
 
     def checkpoint(self) -> None:
-        """Write all frames taken so far and, in a format that can hold it, the present state of the engine as the restart."""
+        """Bring all frames taken so far to the disk; an H5MD file also keeps the present state as its restart."""
 
     def close(self) -> None:
         """Finish the file, which then is valid with any number of frames."""
 
 
 FORMATS = {  # suffix: module and class of its writer, imported when needed, and the options that it takes besides claim and engine
-    ".h5md": ("minimd.files.h5md_writer", "H5MDWriter", ("store_forces", "every", "observers", "n_frames")),
+    ".h5md": ("minimd.files.h5md_writer", "H5MDWriter", ("store_forces", "every", "observers", "n_frames", "bring_others")),
     **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())),
     **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter", ("store_forces",))),
 }
+MARK = struct.Struct("<QQ128s")  # of a file: inode, size, first bytes, in which some formats count frames; its name follows
 
 
 @contextmanager
@@ -58,10 +63,12 @@ def open_trajectories(
     several = named_files("trajectory", paths)
     _check_are_different(several)
     files = [_appendable(path) if append else checked_output(path, overwrite) for path in several]
-    options = {"store_forces": store_forces, "every": every, "n_frames": None if n_steps is None else n_steps // every + 2, "observers": observers}
+    options: dict[str, Any] = {"store_forces": store_forces, "every": every, "observers": observers}
+    options["n_frames"] = None if n_steps is None else n_steps // every + 2
     with ExitStack() as closing:
         writers: list[Writer] = []
-        for file in files:
+        options["bring_others"] = partial(_brought_to_disk, writers)
+        for file in sorted(files, key=lambda file: file.suffix.lower() == ".h5md"):  # last: it tells how far the others are
             writers.append(_continued(file, engine, options) if append else _new(file, engine, options, overwrite))
             closing.callback(writers[-1].close)
         try:
@@ -88,7 +95,40 @@ def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -
 def _continued(file: Path, engine: Engine, options: dict[str, Any]) -> Writer:
     from minimd.files.h5md_writer import H5MDWriter
 
-    return H5MDWriter.append_to(file, engine, **{name: options[name] for name in ("store_forces", "every", "observers")})
+    writer = H5MDWriter.append_to(file, engine, **{name: options[name] for name in ("store_forces", "every", "observers")})
+    for mark in writer.marks:
+        with suppress(OSError, ValueError, struct.error):  # the trajectory is not there any more, or somebody writes it
+            _cut_back(writer.claim.path.parent / Path(os.fsdecode(mark[MARK.size :])).name, *MARK.unpack_from(mark))
+    return writer
+
+
+def _brought_to_disk(writers: Sequence[Writer], folder: Path) -> list[bytes]:
+    """Bring trajectories to the disk that are not H5MD; returns, for the restart, marks of those in a folder.
+
+    A kill may leave a part of a frame, which the usual readers refuse; a resumed run cuts off what came after the restart.
+    """
+    marks = []
+    for one in writers:
+        path = one.claim.path
+        if path.suffix.lower() != ".h5md":
+            one.checkpoint()
+            if path.parent == folder:
+                now = os.fstat(one.claim.descriptor)
+                with one.claim.place.open("rb") as file:
+                    marks.append(MARK.pack(now.st_ino, now.st_size, file.read(128)) + os.fsencode(path.name))
+    return marks
+
+
+def _cut_back(path: Path, inode: int, size: int, first: bytes) -> None:
+    """Cut a trajectory to what it was at a restart, if it is still the file that the run has written."""
+    if path.suffix.lower() in set(FORMATS) - {".h5md"} and not path.is_symlink():
+        with open(locked(path), "r+b") as file:
+            found = os.fstat(file.fileno())
+            if found.st_ino == inode and found.st_size >= size:
+                file.write(first[:size])
+                file.truncate(size)
+                if not size:  # it had no frame, and therefore no name
+                    path.unlink()
 
 
 def _appendable(file: Path) -> Path:

@@ -230,8 +230,8 @@ class Accumulator(ABC, Displayed):
         if not state:
             return
         words = json.loads(bytes(state["words"]))
-        for name, value in words["settled"].items():
-            setattr(self, name, value)
+        for name in self._settled():  # no other attribute, whatever a file says
+            setattr(self, name, words["settled"][name])
         self._set_up(ObservedRun(**words["scene"]))
         self.last_step = words["last_step"]
         self.sums.restore(state)

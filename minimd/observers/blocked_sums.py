@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.structure.statistics import replicas, spread
+from minimd.structure.statistics import MOST_BLOCKS, replicas, spread
 
 Array = NDArray[np.float64]
-MOST_BLOCKS = 32  # at this number, blocks are joined in pairs: a long run always has 16 to 31
 
 
 class BlockedSums:

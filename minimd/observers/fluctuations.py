@@ -13,17 +13,18 @@ from minimd.engine.observation import Look
 from minimd.observers.accumulator import Accumulator, ObservedRun, Result
 from minimd.observers.blocked_sums import BlockedSums
 from minimd.structure.display import Rows
-from minimd.structure.statistics import FEW, LEVEL, independent, with_error
+from minimd.structure.statistics import standard_error, with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 N_SERIES = 3  # K, U, V
-KINETIC, POTENTIAL, VOLUME = range(N_SERIES)
-KINETIC_ALONE, ENERGY_AND_VOLUME = ((1.0, 0.0, 0.0),), ((1.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # the fluctuating series, as weights of K, U, V
+KINETIC, ENERGY, VOLUME = range(N_SERIES)
+OF_INTEREST = ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # K, E and V, as weights of K, U, V
+FEWEST = 30.0  # correlation times; how many fewer there are, a run cannot tell
+JACKKNIFE = 0.7  # of its error, which scatters more than the other estimate, is what the error is at least
 ENOUGH = 100.0  # correlation times; the error bar of a shorter run is itself too uncertain
-MOST = 0.5  # relative error of a variance; for larger ones an upper limit is meaningless
 
 
 class Fluctuations(Accumulator):
@@ -36,11 +37,10 @@ class Fluctuations(Accumulator):
     f is the number of degrees of freedom in K, which is thermal; T and P are those of the bath, and without a bath T is the mean temperature.
     The compressibility needs a volume that fluctuates.
 
-    A variance s² from a run of n_c correlation times has a skewed distribution: most short runs find too small a value, with too little scatter.
-    The standard error is therefore the larger of two: that of the jackknife, times a factor for the correlation that is left between blocks; and
-    the change of the coefficient if all variances become s²/(1 − √(2/n_c)), where √(2/n_c), at most ½, is the relative standard error of the
-    variance of a series with correlations e^(−t/τ). n_c is that of the slowest series; its τ follows from the variances of the series and of
-    its mean.
+    The variance of a run of n_c correlation times is too small by that of its mean, the part 2/n_c, which is added. The standard error is the
+    change of the coefficient if all variances grow by a factor e^√(2/n_c), where √(2/n_c) is the relative standard error of the variance of a
+    series with correlations e^(−t/τ); or 0.7 of the jackknife's, if that is more, as where correlations oscillate. The jackknife alone gives too
+    small an error to runs whose variance is too small by chance. A run cannot tell that it is shorter than 30 correlation times; n_c is 30 then.
 
     J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967), on constant energy; M. P. Allen, D. J. Tildesley, Computer Simulation
     of Liquids, 2nd ed. (2017), section 2.5.
@@ -75,50 +75,41 @@ class Fluctuations(Accumulator):
         """The coefficients so far, with standard errors.  Raises ValueError before the first look."""
         scene = self.answered()
         reference = np.array(self.reference)
-        values, errors = self.sums.estimate(lambda sums: _coefficients(sums, reference, scene))
-        times, left = correlation_times(self.sums, KINETIC_ALONE if scene.bath_temperature is None else ENERGY_AND_VOLUME)
-        with np.errstate(all="ignore"):
-            wider = _coefficients(self.sums.total, reference, scene, 1.0 / (1.0 - min(MOST, (2.0 / times) ** 0.5)))
-            errors = np.where(wider == values, errors, np.maximum(left * errors, np.abs(wider - values)))
+        times = correlation_times(self.sums)
+        fluctuating = [KINETIC] if scene.bath_temperature is None else [ENERGY, VOLUME]
+        missing = 2.0 / np.fmax(FEWEST, np.nan_to_num(times, nan=np.inf))
+        values, errors = self.sums.estimate(lambda sums: _coefficients(sums, reference, scene, 1.0 + missing))
+        wider = _coefficients(self.sums.total, reference, scene, (1.0 + missing) * np.exp(missing**0.5))
+        errors = np.where(wider == values, errors, np.maximum(JACKKNIFE * errors, np.abs(wider - values)))
         volume_is_constant = self.sums.total[1 + VOLUME] == 0.0 and self.sums.total[-1] == 0.0
         ensemble = "constant energy" if scene.bath_temperature is None else "constant temperature"
         if not volume_is_constant:
             ensemble = "constant pressure"
-        return FluctuationResult(scene, ensemble, values, errors, self.n_looks, times)
+        return FluctuationResult(scene, ensemble, values, errors, self.n_looks, float(np.fmin.reduce(times[fluctuating])))
 
 
-def correlation_times(sums: BlockedSums, series: tuple[tuple[float, ...], ...]) -> tuple[float, float]:
-    """The length n_c of a run in correlation times of its slowest series, and the factor for jackknife errors with correlated blocks.
+def correlation_times(sums: BlockedSums) -> Array:
+    """The length of a run in correlation times of K, E and V, (3,): n_c = 2 s²/error², with the variance s² and the standard error of the mean.
 
-        n_c = 2 s²/error²,   error² = σ²/(n − 1),   factor = √(K/n) (1 + 1.2/n)
-
-    s² : variance of the series.  σ², n : variance of the means of K blocks, and the number of independent ones; the last factor approximates
-    Student's t.  series : each given by its weights of K, U and V.  Returns NaN and 1 if there are too few blocks, or nothing fluctuates.
+    NaN if there are too few blocks, or if the series is constant.
     """
-    parts, found = sums.parts(), []
-    n_looks, covered = sums.total[0], parts[:, 0].sum()
-    for weights in np.array(series):
-        square = float(weights @ sums.total[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) @ weights)
-        variance = square / n_looks - (weights @ sums.total[1 : 1 + N_SERIES] / n_looks) ** 2
-        if len(parts) < FEW or variance <= 0.0:
-            continue
-        means = parts[:, 1 : 1 + N_SERIES] @ weights / parts[:, 0]
-        rest = means - means.mean()
-        n = max(independent(rest, LEVEL), 2.0)
-        of_mean = rest @ rest / len(rest) / (n - 1.0) * covered / n_looks
-        found.append((2.0 * min(variance / of_mean, n_looks) if of_mean > 0.0 else 2.0 * n_looks, (len(rest) / n) ** 0.5 * (1.0 + 1.2 / n)))
-    return (min(found)[0], max(factor for _, factor in found)) if found else (np.nan, 1.0)
+    parts, weights = sums.parts(), np.array(OF_INTEREST)
+    means = sums.total[1 : 1 + N_SERIES] / sums.total[0]
+    covariance = sums.total[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums.total[0] - np.outer(means, means)
+    errors = standard_error(parts[:, 1 : 1 + N_SERIES] @ weights.T / parts[:, :1])
+    with np.errstate(all="ignore"):
+        found: Array = 2.0 * np.diag(weights @ covariance @ weights.T) / errors**2
+    return np.where(errors > 0.0, found, np.nan)
 
 
-def _coefficients(sums: Array, reference: Array, scene: ObservedRun, widened: float = 1.0) -> Array:
-    """T, C_V, C_P, κ_T, α_P; NaN for those that do not follow from the ensemble.  widened : factor for all variances."""
-    means = sums[1 : 1 + N_SERIES] / sums[0]
-    covariance = sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)
-    covariance = widened * covariance
+def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Array) -> Array:
+    """T, C_V, C_P, κ_T, α_P; NaN for those that do not follow from the ensemble.  grown : (3,) factors for the variances of K, E and V."""
+    means, weights = sums[1 : 1 + N_SERIES] / sums[0], np.array(OF_INTEREST) * np.sqrt(grown)[:, None]
+    covariance = weights @ (sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)) @ weights.T
     means, k_B, f = means + reference, scene.unit_system.k_B, scene.n_dof  # noqa: N806 - the symbol of the constant
     mean_temperature = 2.0 * means[KINETIC] / (f * k_B)
     T = mean_temperature if scene.bath_temperature is None else scene.bath_temperature  # noqa: N806
-    energy, volume = np.array([1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    energy, volume = np.eye(N_SERIES)[[ENERGY, VOLUME]]
     if covariance[VOLUME, VOLUME] > 0.0:
         enthalpy = energy + (np.nan if scene.bath_pressure is None else scene.bath_pressure) * volume
         c_p = enthalpy @ covariance @ enthalpy / (k_B * T**2)
@@ -127,7 +118,7 @@ def _coefficients(sums: Array, reference: Array, scene: ObservedRun, widened: fl
     if scene.bath_temperature is None:
         c_v = 0.5 * f * k_B / (1.0 - 2.0 * covariance[KINETIC, KINETIC] / (f * k_B**2 * T**2))
     else:
-        c_v = energy @ covariance @ energy / (k_B * T**2)
+        c_v = covariance[ENERGY, ENERGY] / (k_B * T**2)
     return np.array([mean_temperature, c_v, np.nan, np.nan, np.nan])
 
 

@@ -34,7 +34,7 @@ class _OfAtoms(TimeCorrelation):
     def __init__(self, every: int = 10, n_levels: int = 10, most_atoms: int = 4096, name: str = "") -> None:
         super().__init__(every, name)
         self.n_levels, self.most_atoms = checked_count("n_levels", n_levels, 1, 40), checked_count("most_atoms", most_atoms)
-        self.is_cubic, self.chosen = False, [0]
+        self.is_cubic, self.chosen, self.numbers = False, [0], [1]
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system
@@ -152,7 +152,7 @@ class MeanSquareDisplacement(_OfAtoms):
         """
         scene = self.answered()
         seen, times, longest = self._seen()
-        means, errors = self.sums.estimate(self._means(seen))
+        means, errors = self._estimate(times, longest, self._means(seen))
         head = self.sums.total[:HEAD] / self.sums.total[COUNT]
         found = DisplacementResult(scene, times, means, errors, self.is_cubic, float(head[TEMPERATURE]), float(head[VOLUME]), sum(self.numbers))
         return found.fitted(self.sums.replicas(self._means(seen)), window, longest, viscosity)
@@ -182,4 +182,4 @@ class VelocityAutocorrelation(_OfAtoms):
         seen, times, longest = self._seen()
         law = self._means(seen)
         values, errors, found = self._integral(times, longest, lambda sums: law(sums)[0] / 3.0)
-        return VelocityResult(scene, times, *self.sums.estimate(law), values, errors, found, sum(self.numbers))
+        return VelocityResult(scene, times, *self._estimate(times, longest, law), values, errors, found, sum(self.numbers))

@@ -67,13 +67,19 @@ class TimeCorrelation(Accumulator):
         times: Array = self._correlator.lags[seen] * np.float64(spacing)
         return seen, times, LONGEST * (self.n_looks - 1) * spacing
 
+    def _estimate(self, times: Array, longest: float, law: Callable[[Array], Array]) -> tuple[Array, Array]:
+        """The result of a law for the sums, (..., T), and its standard errors; NaN for lags that only a small part of the blocks contains."""
+        values, errors = self.sums.estimate(law)
+        errors[..., times > 2.0 * longest] = np.nan
+        return values, errors
+
     def _integral(self, times: Array, longest: float, correlation: Callable[[Array], Array]) -> Integral:
         """The running integral of a correlation, (T,).  correlation : function of the sums."""
 
         def integral(sums: Array) -> Array:
             return running_integral(times, correlation(sums))
 
-        values, errors = self.sums.estimate(integral)
+        values, errors = self._estimate(times, longest, integral)
         good, without = times <= max(longest, times[min(1, len(times) - 1)]), self.sums.replicas(integral)
         found = plateau(times[good], values[good], without[:, good] if len(without) else np.zeros((0, good.sum())))
         return Integral(values, errors, found)

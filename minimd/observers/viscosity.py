@@ -81,7 +81,7 @@ class Viscosity(TimeCorrelation):
             return correlation(sums) * (sums[VOLUME] / (k_B * sums[TEMPERATURE]))  # both are sums over the same looks
 
         values, errors, found = self._integral(times, longest, integrand)
-        return ViscosityResult(scene, times, *self.sums.estimate(correlation), values, errors, found)
+        return ViscosityResult(scene, times, *self._estimate(times, longest, correlation), values, errors, found)
 
 
 def traceless(tensor: Array) -> Array:

@@ -93,7 +93,7 @@ def run_scene(
 def resume_run(
     file: str | Path, steps: int | None = None, *, scene: Scene | None = None, progress: bool | None = None, tell: Tell = print
 ) -> Simulation:
-    """Go on with the run in an H5MD file from its restart, and append to this file; other trajectories of the run are not continued.
+    """Go on with the run in an H5MD file from its restart, and append to this file; other trajectories are cut to their frames up to it.
 
     The file of a run from a script has no scene; go on with it by Simulation.resume.
 
@@ -116,7 +116,9 @@ def resume_run(
         go_on = f"sim = minimd.Simulation.resume({str(file)!r}, potentials); sim.run(n_steps, trajectory={str(file)!r}, append=True)"
         raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; go on in the script: {go_on}")
     end = scene.sections.dynamics.steps if steps is None else contents.step + steps
-    if steps is None and end <= contents.step:
+    if steps is None and end <= contents.step and contents.lacks_results:  # killed after its last step
+        end = contents.step
+    elif steps is None and end <= contents.step:
         raise ValueError(
             f"the run in {str(file)!r} has reached the end of its scene: it is at step {contents.step}, dynamics.steps = {end}; "
             f"give the number of further steps with --steps"
@@ -144,7 +146,7 @@ def resume_run(
         tell(line)
     tell(f"resumed        at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames")
     if len(scene.trajectories()) > 1:
-        tell(f"               only {file} is continued; the other trajectories of the scene are left unchanged")
+        tell(f"               only {file} is continued; the other trajectories keep their frames up to this step")
     observers = scene.observers()
     with kept(scene, [path], end):
         simulation.run(until_step=end, every=scene.sections.output.every, trajectory=path, append=True, observers=observers, progress=progress)

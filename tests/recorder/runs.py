@@ -1,0 +1,257 @@
+"""Runs that are recorded, and what a user makes of a disk that one of them has left: `minimd check`, `minimd resume`.
+
+python tests/recorder/runs.py FOLDER    makes the runs in FOLDER: each of its folders has the name of one, and its scene
+"""
+
+import contextlib
+import hashlib
+import io
+import os
+import random
+import shutil
+import sys
+import traceback
+from pathlib import Path
+from typing import NamedTuple
+
+import ase.io
+import h5py
+import MDAnalysis
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from damages import numbers
+from references import melt_scene
+
+from minimd.commands import main as cli
+from minimd.diagnosis.run_guard import RunGuard
+from minimd.files import h5md_schema, h5md_writer, trajectory
+from minimd.files.crash_file import read_crash_report
+from minimd.files.h5md_reader import read_file
+from minimd.files.journaled_file import repair
+from minimd.simulation import simulation
+
+STEPS = 13
+FILE, SCENE, CRASH = "run.h5md", "run.toml", "run.crash.h5md"
+RUN, RESUME = ["run", SCENE, "--quiet"], ["resume", FILE, "--quiet"]
+OBSERVERS = "".join(
+    f'[[observer]]\nkind = "{kind}"\nevery = 2\n' for kind in ("radial-distribution", "mean-square-displacement", "viscosity", "fluctuations")
+)
+BATH, EVERY = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n', "[output]\nevery = 3\n"
+PRESSURE = '[barostat]\npressure = 1.0\ncompressibility = 0.1\nrelaxation_time = 0.1\nevery = 3\ncoupling = "triclinic"\n'
+KINDS = {  # what is added to a melt of 108 atoms
+    "nve": EVERY,
+    "triclinic": BATH + PRESSURE + EVERY,
+    "observers": OBSERVERS + EVERY,
+    "rigid": "[constraints]\npairs = [[0, 1], [2, 3]]\n" + EVERY,
+    "fixed-point": 'precision = "fixed-point"\n' + EVERY,
+    "forces": BATH + EVERY + "forces = true\n",
+    "formats": OBSERVERS + EVERY + 'trajectory = ["run.xtc", "run.h5md", "run.extxyz", "run.traj", "run.dcd"]\n',
+    "appended": EVERY,
+    "crash": EVERY,
+}
+RESUMES = ("resumed when killed", "resumed when finished")
+NOT_SERIES = ("minimd/earlier_restart", "minimd/blocks", "minimd/restart/beside")  # other parts and inodes give others
+
+
+class Reference(NamedTuple):
+    """What an uninterrupted run has left."""
+
+    folder: Path
+    steps: int
+    numbers: dict
+    frames: dict
+
+
+def text_of(kind):
+    if kind == "crash":
+        return melt_scene(3, 400, "threads = 1\n[output]\nevery = 1\n").replace("timestep = 0.004", "timestep = 0.05")
+    return melt_scene(3, STEPS, "threads = 1\n" + KINDS.get(kind, EVERY))
+
+
+def make(kind, folder):
+    """The work of a user in a folder, with a commit for each frame and between them; two frames fill a chunk."""
+    h5md_writer.SECONDS_BETWEEN_FLUSHES = h5md_writer.MOST_OFTEN = simulation.SECONDS_BETWEEN_CHECKPOINTS = 0.0
+    h5md_schema.CHUNK_BYTES, RunGuard.block = 6000, 2
+    commands = {"appended": [[*RUN, "--steps", "6"], RESUME], RESUMES[0]: [RESUME], RESUMES[1]: [[*RESUME, "--steps", "6"]]}.get(kind, [RUN])
+    with contextlib.chdir(folder):
+        assert {cli.main(one) for one in commands} <= {3 if kind == "crash" else 0}
+
+
+def frames_of(file):
+    """The series of a file."""
+    with h5py.File(file, "r") as h5:
+        return {name: h5[name][:] for name in h5["minimd/blocks"].attrs["series"]}
+
+
+def content_of(file):
+    """All that is in a file, apart from what belongs to its parts and its inode."""
+    found = numbers(file, NOT_SERIES)
+    del found["minimd/restart"]["digest"]
+    return found
+
+
+def begin(folder, kinds):
+    """Folders with the scenes of some runs."""
+    for kind in kinds:
+        (folder / kind).mkdir(parents=True)
+        (folder / kind / SCENE).write_text(text_of(kind))
+
+
+def begin_resumes(folder, disk):
+    """Folders with a file that was killed in the middle of a commit, and one that is finished.  disk : of the run without a resume."""
+    third = [k for k, one in enumerate(disk.changes) if one.what == "sync"][8]
+    for kind, k in zip(RESUMES, (third + 3, len(disk.changes)), strict=True):
+        (folder / kind).mkdir(parents=True)
+        for name, content in disk.killed(k).items():
+            (folder / kind / name).write_bytes(content)
+
+
+def cut_back_elsewhere():
+    """The files of a state have other inodes than those of the run; see trajectory._cut_back."""
+    cut_back = trajectory._cut_back
+    trajectory._cut_back = lambda path, inode, *mark: cut_back(path, path.stat().st_ino, *mark)
+
+
+def reference(folder):
+    return Reference(folder, read_file(folder / FILE).step, content_of(folder / FILE), frames_of(folder / FILE))
+
+
+def others_of(file):
+    """Positions of each frame in a file that is not H5MD."""
+    if file.suffix in (".traj", ".extxyz"):
+        return np.array([atoms.positions for atoms in ase.io.read(file, ":")])
+    universe = MDAnalysis.Universe.empty(108).load_new(str(file))
+    with contextlib.closing(universe.trajectory) as trajectory:
+        return np.array([ts.positions.copy() for ts in trajectory])
+
+
+def state_key(files, folder):
+    """Put a state of a disk into a folder, repaired; returns a name for what is there now."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    key = hashlib.sha256()
+    for name, content in sorted(files.items()):
+        (folder / name).write_bytes(content)
+        if name in (FILE, CRASH):
+            repair(folder / name)
+        key.update(f"{name} {(folder / name).stat().st_size} ".encode() + (folder / name).read_bytes())
+    return key.digest()
+
+
+def n_committed(files, folder):
+    """The number of frames in a state of a disk."""
+    state_key(files, folder)
+    return in_child(lambda: str(read_file(folder / FILE).n_frames)) if FILE in files else "0"
+
+
+def in_child(work):
+    """What work returns, in a process of its own, or its error, in words; a test stays alive whatever a damaged file does to HDF5."""
+    listening, telling = os.pipe()
+    child = os.fork()
+    if child == 0:
+        with open(telling, "w") as told, contextlib.suppress(BaseException):
+            with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(out):
+                try:
+                    answer = work()
+                except BaseException:
+                    answer = out.getvalue()[-500:] + traceback.format_exc()[-1500:]
+            told.write(answer)
+        os._exit(0)
+    os.close(telling)
+    with open(listening) as told:
+        answer = told.read()
+    status = os.waitpid(child, 0)[1]
+    return answer if status == 0 else f"died with status {status}"
+
+
+def verdict(kind, folder, known, n_least):
+    """What becomes of a state of a disk: "identical", or what is wrong.  n_least : number of frames that were committed."""
+    os.chdir(folder)
+    cut_back_elsewhere()
+    n_frames = None
+    if Path(FILE).exists():
+        assert cli.main(["check", FILE]) in (0, 1)
+        universe = MDAnalysis.Universe.empty(108).load_new(FILE)
+        n_frames = len(universe.trajectory)
+        universe.trajectory.close()
+        assert n_frames >= n_least, f"{n_frames} frames of {n_least}"
+        for name, series in frames_of(FILE).items():
+            np.testing.assert_array_equal(series, known.frames[name][: len(series)], strict=True)
+        now, reported = read_file(FILE), Path(CRASH).exists()
+        if now.step < known.steps or now.lacks_results or (kind == "crash" and not reported):
+            more = ["--steps", str(known.steps - now.step)] if kind == RESUMES[1] else []
+            assert cli.main([*RESUME, *more]) == 0 or kind == "crash"
+    else:
+        assert n_least == 0, f"no file, {n_least} frames were committed"
+        assert cli.main([*RUN, "--overwrite"]) == (3 if kind == "crash" else 0)
+    if kind == "crash":  # what comes after the last good state depends on lists that are lost with it
+        for name, series in frames_of(FILE).items():
+            np.testing.assert_array_equal(series[: len(known.frames[name])], known.frames[name], strict=True)
+        if n_frames is None or now.step < known.steps or reported:
+            assert read_crash_report(CRASH).findings.step == read_crash_report(known.folder / CRASH).findings.step
+        return "identical"
+    found = content_of(FILE)
+    other = [name for name in {**found, **known.numbers} if found.get(name) != known.numbers.get(name)]
+    assert not other, f"other numbers: {other}"
+    for suffix in (".xtc", ".extxyz", ".traj", ".dcd"):
+        if Path("run").with_suffix(suffix).exists():
+            check_other(Path("run").with_suffix(suffix), known, n_frames)
+    return "identical"
+
+
+def check_other(file, known, n_frames):
+    """It has the frames up to the restart, or all those of a run that was begun again."""
+    frames, whole = others_of(file), others_of(known.folder / file.name)
+    assert len(frames) == (len(whole) if n_frames is None else n_frames), f"{file}: {len(frames)} frames, {n_frames} at the restart"
+    np.testing.assert_array_equal(frames, whole[: len(frames)])
+
+
+class Survey:
+    """States of the disk of a run, and what becomes of each; those that are the same after their repair are judged once.
+
+    kind : of the run.  disk : its part of the disk.  known : Reference.  scratch : folder.
+    """
+
+    def __init__(self, kind, disk, known, scratch):
+        self.kind, self._disk, self._known, self._scratch, self._seen = kind, disk, known, scratch, {}
+        self._frames = {}
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # children find all loaded
+            scratch.mkdir(exist_ok=True)
+            shutil.copy(known.folder / FILE, scratch)
+            assert cli.main(["check", str(scratch / FILE)]) in (0, 1)
+            assert cli.main(["resume", str(scratch / FILE), "--quiet", "--steps", "2"]) == 0 or kind == "crash"
+        names = [k for k, one in enumerate(disk.changes) if one.what == "name" and one.name == FILE]
+        folders = [k for k, one in enumerate(disk.changes) if one.what == "sync folder" and k > names[0]]
+        self._file, self._is_safe_from = disk.changes[names[0]].file, folders[0] + 1
+
+    @property
+    def n_judged(self):
+        return len(self._seen)
+
+    def of(self, model, seed):
+        """A state that a model draws, its place among the changes, and what becomes of it."""
+        draw, disk = random.Random(f"{self.kind} {model} {seed}"), self._disk
+        if model == "torn":
+            k = draw.choice([k for k in range(disk.start, len(disk.changes)) if disk.changes[k].what == "write"])
+            files = disk.torn(k, draw)
+        else:
+            k = draw.randint(disk.start, len(disk.changes))
+            files = disk.killed(k) if model == "kill" else disk.without_power(k, draw, model)
+        n_least = self._n_committed(k) if model in ("kill", "torn") or k >= self._is_safe_from else 0
+        if (key := state_key(files, self._scratch)) not in self._seen:
+            self._seen[key] = in_child(lambda: verdict(self.kind, self._scratch, self._known, n_least))
+        return k, self._seen[key]
+
+    def _n_committed(self, k):
+        """The number of frames that were safe after k changes: those after the last fsync of the file."""
+        last = max((at + 1 for at, one in enumerate(self._disk.changes[:k]) if one.what == "sync" and one.file == self._file), default=0)
+        if last not in self._frames:
+            self._frames[last] = int(n_committed(self._disk.killed(last), self._scratch))
+        return self._frames[last]
+
+
+if __name__ == "__main__":
+    for place in sorted(Path(sys.argv[1]).iterdir()):
+        make(place.name, place)

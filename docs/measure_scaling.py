@@ -108,7 +108,7 @@ def one_table(n: int) -> None:
     """Print what the table of n members takes, as JSON."""
     from minimd.ensemble.folder import Asked, EnsembleFolder
     from minimd.ensemble.member import checked_parameters
-    from minimd.ensemble.status import status
+    from minimd.ensemble.table import status
     from minimd.ensemble.table import table_of as table_in
 
     told: Numbers = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -113,7 +113,17 @@ def replay(
     simulation.engine.noise_shift = past.noise_shift
     simulation.guard.judge_by(*past.judgment)
     rows: list[ReplayedStep] = []
-    failed_at, ending = _run(simulation, past.findings, frames, rows)
+    options: dict[str, Any] = {"trajectory": () if frames is None else frames, "store_forces": True, "overwrite": True}
+    options |= {"observers": [lambda now: rows.append(ReplayedStep.of(now))], "progress": False, "crash_report": False}
+    step, failed_at = past.findings.step, None
+    try:
+        simulation.run(step - simulation.step + PATIENCE, every=1, **options)
+        why = "something that is not in the file, such as an observer, acted on the first run"
+        ending = f"it did not fail again up to step {simulation.step}: {why}"
+    except (NonFiniteError, ConstraintError) as error:
+        failed_at = step if error.crash_report is None else error.crash_report.step
+        again = "again" if failed_at == step else f"at another step than the first time ({step}): rounding differs"
+        ending = f"failed {again}: {error}"
     rows = rows or [ReplayedStep.of(simulation)]
     if drawing is not None:
         _draw(rows, past.findings, simulation.system.units, drawing)
@@ -137,19 +147,6 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Po
     from minimd.scene import parse_scene
 
     return parse_scene(scene, file).potentials()
-
-
-def _run(simulation: Simulation, findings: CrashReport, trajectory: Path | None, rows: list[ReplayedStep]) -> tuple[int | None, str]:
-    """Make the steps; returns the step that failed, or None, and a sentence."""
-    n_steps, observers = findings.step - simulation.step + PATIENCE, [lambda now: rows.append(ReplayedStep.of(now))]
-    files = () if trajectory is None else trajectory
-    try:
-        simulation.run(n_steps, every=1, trajectory=files, store_forces=True, overwrite=True, observers=observers, progress=False, crash_report=False)
-    except (NonFiniteError, ConstraintError) as error:
-        step = findings.step if error.crash_report is None else error.crash_report.step
-        again = "again" if step == findings.step else f"at another step than the first time ({findings.step}): rounding differs"
-        return step, f"failed {again}: {error}"
-    return None, f"it did not fail again up to step {simulation.step}: something that is not in the file, such as an observer, acted on the first run"
 
 
 def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, picture: Path) -> None:

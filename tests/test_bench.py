@@ -190,7 +190,7 @@ def test_picture_of_peers_is_drawn_without_warnings(fakes):
 
 
 def test_names_of_curves_do_not_overlap():
-    from minimd.bench.pictures import End, name_curves, new_figure
+    from minimd.bench.outcome import End, name_curves, new_figure
 
     panel = new_figure(4.0).subplots()
     panel.plot([0.0, 1.0], [0.0, 1.0])

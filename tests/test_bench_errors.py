@@ -5,8 +5,8 @@ import pytest
 
 import minimd as md
 from minimd.bench import work_precision
-from minimd.bench.kepler import about_line
 from minimd.bench.scenes import SCENES
+from minimd.bench.work_precision import about_line
 
 
 def test_the_front_of_work_precision_is_what_nothing_beats():
@@ -59,7 +59,7 @@ def test_work_precision_of_minimd_falls_with_the_order_of_the_method(monkeypatch
 
 @pytest.mark.slow
 def test_kepler_of_work_precision_counts_forces(monkeypatch):
-    runs = {name: rest for name, *rest in work_precision.kepler.runs((400,), 1)}
+    runs = {name: rest for name, *rest in work_precision.kepler_runs((400,), 1)}
     assert len(runs) == 18
     order, timestep, forces, _, oscillation, _, distance = runs["velocity-verlet"]
     assert (order, forces * timestep) == (2, pytest.approx(1.0, rel=1e-2))

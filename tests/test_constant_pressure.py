@@ -9,8 +9,8 @@ from scipy.optimize import minimize_scalar
 
 import minimd as md
 from minimd.analysis.check import check_file
-from minimd.diagnosis.pressure import pressure_lines
 from minimd.diagnosis.report import conservation_report
+from minimd.diagnosis.run_report import pressure_lines
 from minimd.engine.cell_rescaling import rescaling_of
 from minimd.engine.record import Record
 from minimd.integrators.splitting.barostats import ThermodynamicState

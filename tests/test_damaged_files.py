@@ -21,7 +21,7 @@ from minimd.files.h5md_reader import damage, read_file, velocities_of, verify_fr
 from minimd.files.h5md_writer import edit
 from minimd.files.structure_file import system_from_file
 from minimd.mdanalysis import universe
-from minimd.mdanalysis.run_reader import RunReader
+from minimd.mdanalysis.readers import RunReader
 
 RIGHT, WRONG, DESTROYED = "a right result", "passed although changed", "something sound was destroyed"
 GOOD, BAD = {SENTENCE, FAILED, RIGHT}, {WRONG, DESTROYED, TRACEBACK, CRASH}

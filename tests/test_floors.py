@@ -43,14 +43,12 @@ FLOORS = [  # highest first; several on one floor do not know each other
 STRANGERS = {("minimd.integrators", "minimd.potentials"), ("minimd.potentials", "minimd.integrators")}  # never import each other
 BRIDGES = {  # modules that may import ase or MDAnalysis when they are imported
     "structure/ase_atoms.py",
-    "structure/ase_constraints.py",
     "structure/mdanalysis_atoms.py",
     "files/ase_writer.py",
     "files/structure_file.py",
     "files/mdanalysis_writer.py",
     "files/turned_cell.py",
-    "mdanalysis/memory.py",
-    "mdanalysis/run_reader.py",
+    "mdanalysis/readers.py",
     "mdanalysis/topology.py",
     "mdanalysis/universes.py",
 }

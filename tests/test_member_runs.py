@@ -16,7 +16,7 @@ from test_kills import assert_same_file
 
 import minimd as md
 from minimd.ensemble import notes
-from minimd.ensemble.status import status
+from minimd.ensemble.table import status
 from minimd.files.claim import locked
 from minimd.files.h5md_reader import read_file
 

@@ -11,7 +11,7 @@ from test_rigid_runs import simulation as rigid_liquid
 import minimd as md
 from minimd.analysis import check
 from minimd.commands import main as cli
-from minimd.diagnosis.static_checks import cutoff_lines
+from minimd.diagnosis.run_report import cutoff_lines
 from minimd.files.h5md_reader import read_file
 from minimd.files.h5md_writer import H5MDWriter
 from minimd.integrators import SPLITTINGS

@@ -12,7 +12,7 @@ from scene_texts import SMOOTH
 import minimd as md
 from minimd.commands import main as cli
 from minimd.diagnosis.report import conservation_report
-from minimd.diagnosis.static_checks import cutoff_lines
+from minimd.diagnosis.run_report import cutoff_lines
 from minimd.engine.record import Record
 from minimd.forces.contacts import contacts
 

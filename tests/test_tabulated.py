@@ -7,7 +7,7 @@ import pytest
 from references import liquid
 
 import minimd as md
-from minimd.diagnosis.static_checks import cutoff_lines
+from minimd.diagnosis.run_report import cutoff_lines
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.tabulated import Table, TabulatedLaw
 

@@ -10,7 +10,7 @@ from ase.md.velocitydistribution import thermalize_momenta
 from references import liquid
 
 import minimd as md
-from minimd.diagnosis.collisions import velocity_temperature
+from minimd.diagnosis.timestep import velocity_temperature
 from minimd.mdanalysis import diffusion_coefficient, universe
 from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.green_kubo import plateau, running_integral

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.diagnosis.pressure import pressure_lines
 from minimd.diagnosis.report import Report, conservation_report
+from minimd.diagnosis.run_report import pressure_lines
 from minimd.engine.record import SERIES, Record
 from minimd.files.h5md_opening import damage_told
 from minimd.files.h5md_reader import damage, velocities_of
@@ -203,7 +203,11 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
         contents, units = made.contents, made.contents.system.units
         if not contents.system.cell.pbc.all() or len(contents.system) < 2:
             return []
-        peak = _first_peak(*radial_distribution(made))
+        r, g = radial_distribution(made)
+        above = np.append(g >= 0.5 * g.max(), False)  # the first interval of this has the first peak
+        first = int(np.argmax(above))
+        end = first + int(np.argmin(above[first:]))
+        peak = float(r[first + np.argmax(g[first:end])])
         lines = [f"g(r)           first peak at {peak:.3g} {units.length}"]
         if contents.n_frames >= ENOUGH_FRAMES:
             diffusion = diffusion_coefficient(made)
@@ -212,11 +216,3 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
                 slowed = ", of Langevin dynamics, whose friction slows it" if contents.method == LangevinBAOAB.name else ""
                 lines.append(f"diffusion      {diffusion}{slowed}")
     return lines
-
-
-def _first_peak(r: NDArray[np.float64], g: NDArray[np.float64]) -> float:
-    """The place of the largest g within the first interval in which g is above half of its highest peak."""
-    above = np.append(g >= 0.5 * g.max(), False)
-    first = int(np.argmax(above))
-    end = first + int(np.argmin(above[first:]))
-    return float(r[first + np.argmax(g[first:end])])

@@ -57,11 +57,14 @@ class MinimdSteps(MolecularDynamics):
 
     def run(self, steps: int = 50) -> bool:
         """Make this many steps. Returns False if an observer lowered max_steps below nsteps, else True."""
-        if not self._may_make_blocks():
+        step, log = (getattr(method, "__func__", None) for method in (self.step, self.log))
+        if step is not MinimdSteps.step or log is not MolecularDynamics.log:  # one was replaced, as by a log of every step
             return bool(super().run(steps))
         next(self.irun(steps))  # what ASE does before the first step
         while self.nsteps < self.max_steps:
-            self._advance(self._next_look() - self.nsteps)
+            # An interval n > 0 of an observer means every n-th step, −n the n-th step only.
+            looks = [n * (self.nsteps // n + 1) if n > 0 else -n for _, n, _, _ in self.observers]
+            self._advance(int(min([self.max_steps, *(look for look in looks if look > self.nsteps)])) - self.nsteps)
             self._refresh_properties()
             self.log()
             self.call_observers()
@@ -80,15 +83,6 @@ class MinimdSteps(MolecularDynamics):
         self._advance(1)
         self.nsteps -= 1
         return np.asarray(self.atoms.get_forces(md=True))
-
-    def _may_make_blocks(self) -> bool:
-        """Whether step and log have not been replaced, for example by a log of every step."""
-        return getattr(self.step, "__func__", None) is MinimdSteps.step and getattr(self.log, "__func__", None) is MolecularDynamics.log
-
-    def _next_look(self) -> int:
-        """The step after which the next observer is due, or the last step: an interval n > 0 means every n-th step, −n the n-th step only."""
-        looks = [n * (self.nsteps // n + 1) if n > 0 else -n for _, n, _, _ in self.observers]
-        return int(min([self.max_steps, *(look for look in looks if look > self.nsteps)]))
 
     def _advance(self, n_steps: int) -> None:
         """Make n_steps steps; atoms and nsteps are right also after an exception."""
@@ -119,9 +113,12 @@ class MinimdSteps(MolecularDynamics):
         Also returns whether this continues the run of its last steps, with atoms that were not moved since.
         """
         made_for, is_new_run, self._is_new_run = self._made_for, self._is_new_run, False
-        if made_for is None or not self._is_made_for(made_for, atoms):
+        if made_for is None or not same_scene(made_for, atoms) or not np.array_equal(made_for.cell.array, atoms.cell.array):
             return self._new_guard(atoms), False
-        engine = self._guard.engine
+        engine, (potentials, constraints) = self._guard.engine, _essence(atoms)
+        has_moved = not np.array_equal(atoms.positions, engine.positions)  # rigid bonds are measured again then
+        if potentials is not self._made_with[0] or constraints != self._made_with[1] or (atoms.constraints and has_moved):
+            return self._new_guard(atoms), False
         engine.positions[:] = atoms.positions
         if not np.array_equal(atoms.get_momenta(), _momenta(engine)):
             engine.velocities[:] = atoms.get_velocities()
@@ -129,11 +126,6 @@ class MinimdSteps(MolecularDynamics):
         if not isinstance(atoms.calc, Calculator):
             engine.moved()  # its parameters may have changed: it is called again, and answers at once if they have not
         return self._guard, is_same_run
-
-    def _is_made_for(self, made_for: Atoms, atoms: Atoms) -> bool:
-        """Whether the engine can go on with these atoms. If atoms with constraints were moved, it cannot: rigid bonds are measured again."""
-        is_same = same_scene(made_for, atoms) and np.array_equal(made_for.cell.array, atoms.cell.array) and _same(self._made_with, _essence(atoms))
-        return is_same and (not atoms.constraints or np.array_equal(atoms.positions, self._guard.engine.positions))
 
     def _new_guard(self, atoms: Atoms) -> RunGuard:
         calculator = atoms.calc
@@ -174,7 +166,3 @@ def _essence(atoms: Atoms) -> tuple[Any, list[str]]:
     """The potentials of the calculator, if it is minimd's, and the constraints as texts."""
     potentials = atoms.calc.potentials if isinstance(atoms.calc, Calculator) else None
     return potentials, [encode(constraint.todict()) for constraint in atoms.constraints]
-
-
-def _same(one: tuple[Any, list[str]], other: tuple[Any, list[str]]) -> bool:
-    return one[0] is other[0] and one[1] == other[1]

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from minimd.ase.calculator import Calculator
 from minimd.potentials.term import FORCES, PER_ATOM, OwnPotential, Potential, as_potentials
-from minimd.structure.ase_atoms import atoms_from_system, volume_of
-from minimd.structure.ase_constraints import fixes_center
+from minimd.structure.ase_atoms import atoms_from_system, fixes_center, volume_of
 from minimd.structure.checks import shown
 from minimd.structure.console import outside_minimd
 from minimd.structure.system import System
@@ -21,8 +20,6 @@ from minimd.structure.system import System
 
 class ForcesFromCalculator(OwnPotential):
     """A potential for systems of minimd: forces, energy and virial from any calculator of ASE.
-
-
 
     The energy is the one that is consistent with the forces (free_energy) if the calculator has it. The virial is
     W = −stress · volume; in a system without periodic directions it is W = Σ r ⊗ F, which needs no stress. If the calculator gives no
@@ -76,24 +73,23 @@ class CalculatorTerm:
         self._implemented = getattr(atoms.calc, "implemented_properties", ())
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
-        """Add forces, (N, 3); for TOTALS and PER_ATOM also energies, (N,), and virials, (N, 6), the latter in equal shares."""
+        """Add forces, (N, 3); for TOTALS and PER_ATOM also energies, (N,), and virials, (N, 6).
+
+        Shares are equal; but PER_ATOM takes energies of atoms from a calculator that has them, shifted to the right sum.
+        """
         self._atoms.positions[:], self._atoms.cell[:] = system.positions, system.cell.vectors
         own = self._atoms.get_forces(apply_constraint=False)
         forces += own
         if detail != FORCES:
-            energies += self._shares_of_energy(detail)
+            total = self._atoms.get_potential_energy(force_consistent="free_energy" in self._implemented)
+            own_shares = detail == PER_ATOM and "energies" in self._implemented
+            shares = self._atoms.get_potential_energies() if own_shares else np.zeros(len(self._atoms))
+            energies += shares + (total - shares.sum()) / len(shares)
             virials += self._virial(system, own) / len(system)
 
     def skipped(self) -> Iterable[str]:
         """Nothing: what the calculator leaves out is not known."""
         return ()
-
-    def _shares_of_energy(self, detail: int) -> NDArray[np.float64]:
-        """Energies of atoms, (N,), with the right sum: the calculator's own if it has them and PER_ATOM needs them, else equal shares."""
-        total = self._atoms.get_potential_energy(force_consistent="free_energy" in self._implemented)
-        own = detail == PER_ATOM and "energies" in self._implemented
-        shares = self._atoms.get_potential_energies() if own else np.zeros(len(self._atoms))
-        return shares + (total - shares.sum()) / len(shares)
 
     def _virial(self, system: System, forces: NDArray[np.float64]) -> NDArray[np.float64]:
         """W, (6,) as xx yy zz yz xz xy."""

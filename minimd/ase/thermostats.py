@@ -22,7 +22,7 @@ from minimd.ase.baths import AndersenBath, BerendsenBath, BussiBath, Chain, Lang
 from minimd.ase.dynamics import MinimdSteps
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.verlet import VelocityVerlet
-from minimd.structure.ase_constraints import fixes_center
+from minimd.structure.ase_atoms import fixes_center
 from minimd.structure.checks import shown
 
 

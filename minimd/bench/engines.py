@@ -206,8 +206,18 @@ class OpenMM:
             self._integrator.step(n_steps)
             self._context.getState(getEnergy=True)  # waits for the last step
 
-    def _cores(self) -> contextlib.AbstractContextManager[None]:
-        return _on_one_core() if self.threads == 1 else contextlib.nullcontext()
+    @contextlib.contextmanager
+    def _cores(self) -> Iterator[None]:
+        """Keep a single thread, and those that it starts, on one core, if the operating system can do this."""
+        if self.threads > 1 or not hasattr(os, "sched_setaffinity"):
+            yield
+            return
+        cores = os.sched_getaffinity(0)
+        os.sched_setaffinity(0, {max(cores)})
+        try:
+            yield
+        finally:
+            os.sched_setaffinity(0, cores)
 
 
 class Peer(NamedTuple):
@@ -273,20 +283,6 @@ def lammps_data(scene: BenchScene) -> str:
     if len(system.bonds):
         lines += ["", "Bonds", "", *(f"{k} 1 {i + 1} {j + 1}" for k, (i, j) in enumerate(system.bonds, start=1))]
     return "\n".join(lines) + "\n"
-
-
-@contextlib.contextmanager
-def _on_one_core() -> Iterator[None]:
-    """Keep this thread, and those that it starts, on one core, if the operating system can do this."""
-    if not hasattr(os, "sched_setaffinity"):
-        yield
-        return
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(cores)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)
 
 
 def preload_mpi() -> None:

@@ -12,8 +12,7 @@ from scipy.spatial import cKDTree
 
 import minimd as md
 from minimd.bench.engines import Minimd
-from minimd.bench.outcome import spread, summary, table, tell
-from minimd.bench.pictures import new_figure
+from minimd.bench.outcome import new_figure, spread, summary, table, tell
 from minimd.bench.scenes import CUTOFF, MELT_TEMPERATURE, SCENES, TIMESTEP, BenchScene, equilibrated, melt, pairs_in_range
 from minimd.bench.turns import take_turns, warm_up
 from minimd.potentials.pair import Label

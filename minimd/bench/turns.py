@@ -32,11 +32,16 @@ def check_agreement(engines: Sequence[TimedEngine], n_atoms: int) -> None:
 
 
 def warm_up(engines: Sequence[TimedEngine], n_atoms: int) -> list[int]:
-    """Run each engine for a while; returns the number of steps in its turns."""
+    """Run each engine several times, each twice as long as the one before; returns the number of steps in its turns."""
     n_steps = []
     for engine in engines:
         tell(f"{n_atoms} atoms: warming up {label(engine)}")
-        n_steps.append(steps_in_a_turn(_seconds_per_step(engine)))
+        started, done, burst = perf_counter(), 0, 1
+        seconds = _seconds(engine, burst)
+        while (done := done + burst) < WARM_UP and perf_counter() - started <= SECONDS_WARM_UP:
+            burst *= 2
+            seconds = _seconds(engine, burst)
+        n_steps.append(steps_in_a_turn(seconds / burst))
     return n_steps
 
 
@@ -69,17 +74,6 @@ def _compare(quantity: str, energies: Sequence[tuple[TimedEngine, float]], relat
     for engine, energy in energies[1:]:
         if not abs(energy - expected) <= relative * abs(expected) + absolute:
             raise DisagreementError(f"{quantity}: {label(first)} has {expected:.8g}, {label(engine)} has {energy:.8g}")
-
-
-def _seconds_per_step(engine: TimedEngine) -> float:
-    """Seconds of a step, in the last of several runs, each twice as long as the one before."""
-    started, done, burst = perf_counter(), 0, 1
-    while True:
-        seconds = _seconds(engine, burst)
-        done += burst
-        if done >= WARM_UP or perf_counter() - started > SECONDS_WARM_UP:
-            return seconds / burst
-        burst *= 2
 
 
 def _seconds(engine: TimedEngine, n_steps: int) -> float:

@@ -7,7 +7,7 @@ Errors of a run, all relative:
     distance      of the positions from a converged path after a short time, root mean square / σ
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import minimd as md
-from minimd.bench import engines, kepler
-from minimd.bench.outcome import table, tell
-from minimd.bench.pictures import MOST_CURVES, End, name_curves, new_figure
+from minimd.bench import engines
+from minimd.bench.outcome import MOST_CURVES, End, name_curves, new_figure, table, tell
 from minimd.bench.scenes import CUTOFF, SCENES, BenchScene, equilibrated
-from minimd.integrators.methods import SPLITTINGS
+from minimd.integrators.methods import IMPLICIT, SPLITTINGS
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.potentials.truncation import TruncationName
+from minimd.structure.errors import ConvergenceError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,6 +36,11 @@ PEER_NAMES = ("lammps", "lammps-checked", "openmm")
 CELLS, CELLS_QUICK = 10, 6  # 4000 atoms; 864
 TARGETS = 10.0 ** np.arange(-1, -9, -1)
 ERRORS = ("oscillation", "drift", "distance")
+ECCENTRICITY, PERIODS = 0.6, 20
+KEPLER = f"Kepler's ellipse, eccentricity {ECCENTRICITY}, {PERIODS} periods; units a (half axis) and v (velocity in a circle)"
+Q0 = np.array([1.0 - ECCENTRICITY, 0.0])
+V0 = np.array([0.0, np.sqrt((1.0 + ECCENTRICITY) / (1.0 - ECCENTRICITY))])
+END = 2.0 * np.pi * PERIODS
 
 MakeEngine = Callable[[], engines.TimedEngine]
 
@@ -155,8 +160,8 @@ def _with_law(scene: BenchScene, truncation: TruncationName) -> BenchScene:
 
 
 def _kepler(_name: str, quick: bool, repeats: int) -> Case:
-    points = [Point("minimd", *run) for run in kepler.runs(COSTS_QUICK if quick else COSTS, repeats)]
-    return Case("kepler", kepler.TEXT, "a/v", points, f"{kepler.PERIODS} periods")
+    points = [Point("minimd", *run) for run in kepler_runs(COSTS_QUICK if quick else COSTS, repeats)]
+    return Case("kepler", KEPLER, "a/v", points, f"{PERIODS} periods")
 
 
 CASES = dict.fromkeys(("argon", "argon-smooth", "chains", "dumbbells"), _scene_case) | {"kepler": _kepler}
@@ -214,7 +219,7 @@ def _point(who: str, scene: BenchScene, method: type[Splitting], steps: int, mak
             break
         seconds = min(seconds, taken)
     n_dof = 3 * len(scene.system) - 3 - sum(len(rigid.pairs) for rigid in scene.constraints)
-    oscillation, drift = kepler.about_line(np.linspace(0.0, 1.0, OBSERVATIONS + 1), energies / (scene.temperature * np.sqrt(n_dof)))
+    oscillation, drift = about_line(np.linspace(0.0, 1.0, OBSERVATIONS + 1), energies / (scene.temperature * np.sqrt(n_dof)))
     if not np.isfinite(seconds):
         distance = np.inf
     return Point(who, method.name, method.order, DURATION / steps, steps * method.stages / DURATION, seconds, oscillation, drift, distance)
@@ -267,3 +272,42 @@ def _number(value: float) -> str:
 def _finite(mapping: dict[str, Any]) -> dict[str, Any]:
     """The same mapping, with None for numbers that JSON does not have."""
     return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in mapping.items()}
+
+
+def attraction(q):
+    """−q/|q|³."""
+    return -q / (q[0] * q[0] + q[1] * q[1]) ** 1.5
+
+
+def about_line(time: NDArray[np.float64], energies: NDArray[np.float64]) -> tuple[float, float]:
+    """Oscillation, the standard deviation about the line of regression, and drift, its |slope|; infinite if the run failed.  Both (T,)."""
+    if not np.isfinite(energies).all():
+        return np.inf, np.inf
+    slope, start = np.polyfit(time, energies, 1)
+    return float((energies - start - slope * time).std()), float(abs(slope))
+
+
+def kepler_runs(costs: Sequence[int], repeats: int) -> Iterator[tuple[str, int, float, float, float, float, float, float]]:
+    """Kepler\'s ellipse, by every explicit splitting and every symmetric implicit method.
+
+    For each run: method, order, Δt, forces per unit of time, seconds, oscillation, drift, distance.
+    costs : ten times the forces per time.
+    """
+    from numba import njit
+
+    problem = md.integrators.SecondOrder(njit(attraction))
+    for method in (*SPLITTINGS.values(), *(method for method in IMPLICIT.values() if method.is_symmetric)):
+        for cost in costs:
+            n = PERIODS * max(1, round(cost / method.stages * END / PERIODS / 10))  # a tenth of the forces: orbits are slow
+            seconds = np.inf
+            try:
+                for _ in range(repeats):
+                    started = perf_counter()
+                    path = md.integrators.run_steps(problem, method(END / n), (Q0, V0), n, every=max(1, n // (20 * PERIODS)))
+                    seconds = min(seconds, perf_counter() - started)
+            except (ConvergenceError, ArithmeticError):
+                yield method.name, method.order, END / n, cost, np.inf, np.inf, np.inf, np.inf
+                continue
+            energy = 0.5 * (path.v**2).sum(axis=1) - 1.0 / np.linalg.norm(path.q, axis=1)
+            distance = float(np.linalg.norm(path.q[-1] - Q0))
+            yield method.name, method.order, END / n, path.nfev / END, seconds, *about_line(path.t / END, energy), distance

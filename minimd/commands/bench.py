@@ -1,17 +1,15 @@
 """`minimd bench`: its benchmarks and their options. A benchmark is imported only when it runs."""
 
 import argparse
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from minimd.commands.options import whole_number
+from minimd.commands.runs import at_least_one
 
 if TYPE_CHECKING:
     from minimd.bench.outcome import Outcome
 
 REPEATS, REPEATS_QUICK = 7, 3
-at_least_one = partial(whole_number, least=1)
 PEER_NAMES = "lammps, lammps-checked, lammps-shake, lammps-plain, lammps-omp, gromacs, openmm, ase, asap3"
 
 

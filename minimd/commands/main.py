@@ -8,7 +8,7 @@ from contextlib import redirect_stdout, suppress
 from typing import Any
 
 from minimd.bench.outcome import DisagreementError
-from minimd.commands import archive, bench, check, doctor, frames, lammps, plot, replay, resume, run, scan, view
+from minimd.commands import bench, doctor, runs
 from minimd.compiled.machine import version
 from minimd.ensemble.running import EnsembleError
 from minimd.structure.checks import printable
@@ -30,8 +30,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="minimd", description="Molecular dynamics from scene files.", epilog="Begin with: minimd doctor")
     parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
     commands = parser.add_subparsers(metavar="command", title="commands")
-    for command in (run, scan, resume, replay, lammps, check, plot, view, frames, archive, bench, doctor):
-        command.add(commands)
+    for module in (runs, bench, doctor):
+        module.add(commands)
     arguments = parser.parse_args(argv)
     if "command" not in arguments:
         parser.print_help()

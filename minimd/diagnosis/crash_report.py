@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from minimd.diagnosis.collisions import strange_depth
-from minimd.diagnosis.timestep import StepAdvice, advice_at
+from minimd.diagnosis.timestep import StepAdvice, advice_at, strange_depth
 from minimd.engine.cell_rescaling import EVAPORATED
 from minimd.engine.engine import Engine
 from minimd.engine.snapshots import Snapshot
@@ -280,23 +279,17 @@ def long_step(evidence: Evidence) -> Verdict:
     """What is left: the pair with the largest force, if there is one."""
     pair = evidence.strongest
     if pair is None:
-        if verdict := _long_for_a_mode(evidence):
-            return verdict
+        advice, shown = evidence.advice, evidence.system.units.shown
+        if advice is not None and advice.frequency and evidence.timestep > NEAR_LIMIT * advice.limit:
+            where = f"{advice.method} is stable up to {shown(advice.limit)} on the stiffest mode of the last good state"
+            if evidence.timestep <= advice.limit:
+                where += ", and up to less where atoms come closer"
+            cause = f"timestep {evidence.shown_timestep} too large: {where}"
+            return Verdict("step", None, cause, evidence.recommended)
         cause = "atoms fly apart although no pair with a known law pushes them: the forces come from elsewhere"
         return Verdict("law", None, cause, "examine the forces in the last good state")
     what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}, {pair.apart(evidence.system.units.length)}{pair.stiffness(evidence.timestep)}"
     return Verdict("pair", pair, f"timestep {evidence.shown_timestep} too large for the {what}", "halve the timestep until the energy is conserved")
-
-
-def _long_for_a_mode(evidence: Evidence) -> Verdict | None:
-    """Forces that come from elsewhere: the curvature is measured."""
-    advice, shown = evidence.advice, evidence.system.units.shown
-    if advice is None or not advice.frequency or evidence.timestep <= NEAR_LIMIT * advice.limit:
-        return None
-    where = f"{advice.method} is stable up to {shown(advice.limit)} on the stiffest mode of the last good state"
-    if evidence.timestep <= advice.limit:
-        where += ", and up to less where atoms come closer"
-    return Verdict("step", None, f"timestep {evidence.shown_timestep} too large: {where}", evidence.recommended)
 
 
 RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (

@@ -4,9 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from minimd.diagnosis.collisions import collision_frequency, strange_depth
 from minimd.diagnosis.hessian import unstable_bond
-from minimd.diagnosis.timestep import OSCILLATION
+from minimd.diagnosis.timestep import OSCILLATION, collision_frequency, strange_depth
 from minimd.engine.engine import Engine
 from minimd.integrators.splitting.linear_stability import accurate_step
 from minimd.neighbors.queries import closest_pair
@@ -31,8 +30,7 @@ def hints(engine: Engine) -> Iterator[str]:
     elif hint := _short_timestep(engine):
         yield hint
     yield from _no_pair_in_reach(engine)
-    yield from _quick_barostat(engine)
-    yield from _high_pressure(engine)
+    yield from _barostat(engine)
     yield from _moving_center(engine)
 
 
@@ -41,21 +39,18 @@ def too_long_a_step(engine: Engine) -> str | None:
     return strange_depth(engine.system, engine.interactions.potentials) or unstable_bond(engine) or _long_timestep(engine)
 
 
-def _quick_barostat(engine: Engine) -> Iterator[str]:
-    """A hint if a barostat acts too seldom for its relaxation time."""
-    barostat, shown = engine.barostat, engine.system.units.shown
-    if barostat is not None and barostat.every * engine.method.timestep > QUICK * barostat.relaxation_time:
+def _barostat(engine: Engine) -> Iterator[str]:
+    """Hints if a barostat acts too seldom for its relaxation time, or if its pressure, in eV/Å³, is a number in bar or so."""
+    barostat, units, shown = engine.barostat, engine.system.units, engine.system.units.shown
+    if barostat is None:
+        return
+    if barostat.every * engine.method.timestep > QUICK * barostat.relaxation_time:
         yield (
             f"the barostat acts every {barostat.every} steps, {shown(barostat.every * engine.method.timestep)}, which is too long for its "
             f"relaxation_time {shown(barostat.relaxation_time)}: the volume fluctuates too much; take a relaxation_time of at least "
             f"{1.0 / QUICK:g} such intervals, or a smaller every"
         )
-
-
-def _high_pressure(engine: Engine) -> Iterator[str]:
-    """A hint if the pressure of a barostat, in eV/Å³, is a number in bar or so."""
-    barostat, units = engine.barostat, engine.system.units
-    if barostat is not None and units == ASE and abs(barostat.pressure) > CRUSHING:
+    if units == ASE and abs(barostat.pressure) > CRUSHING:
         meant = f"if {barostat.pressure:g} bar is meant, give {barostat.pressure:g} * md.units.BAR"
         yield f"pressure {barostat.pressure:g} {units.pressure} is {barostat.pressure / BAR:.2g} bar; {meant}, and the compressibility per BAR"
 

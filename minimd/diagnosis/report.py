@@ -176,7 +176,7 @@ class Report(Displayed):
     shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
     temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
-    lines : results that need no run: see diagnosis.static_checks.
+    lines : results that need no run: see diagnosis.run_report.
     too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown, as for a file.
     is_at_rest : whether nothing moves except by rounding; changes of momentum then cannot be judged, for lack of a scale.
     """

@@ -8,7 +8,7 @@ def holds_center(system: AnySystem) -> bool:
     """Whether the system is an ase.Atoms with FixCom; a System never has it."""
     if isinstance(system, System):
         return False
-    from minimd.structure.ase_constraints import fixes_center  # here, because it loads ase
+    from minimd.structure.ase_atoms import fixes_center  # here, because it loads ase
 
     return fixes_center(system)
 

@@ -75,7 +75,13 @@ class EnsembleFolder:
             self._check_is(self.asked, asked)
             asked = asked._replace(parameters=asked.parameters + self.asked.parameters[len(asked.parameters) :])
         else:
-            self._forget()
+            for index in range(len(self.asked.parameters) if self.asked is not None else 0):
+                file = self.file(index)  # of a member, which must not go on from a run of another ensemble
+                for one in (file, crash_file_place(True, file), stopped_file(file), file.with_suffix(NOTE)):
+                    if one is not None:
+                        one.unlink(missing_ok=True)
+            self.rows = {}
+            os.ftruncate(self._lock, 0)
         told = asked._asdict() | {"parameters": columns_of(asked.parameters), "members": len(asked.parameters), "minimd": version("minimd")}
         write_whole(self.path / DESCRIPTION, json.dumps(told, indent=1))
         self.asked = asked
@@ -112,21 +118,12 @@ class EnsembleFolder:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _forget(self) -> None:
-        """Remove the files of all members and all rows, so that no member goes on from a run of another ensemble."""
-        for index in range(len(self.asked.parameters) if self.asked is not None else 0):
-            file = self.file(index)
-            for one in (file, crash_file_place(True, file), stopped_file(file), file.with_suffix(NOTE)):
-                if one is not None:
-                    one.unlink(missing_ok=True)
-        self.rows = {}
-        os.ftruncate(self._lock, 0)
-
     def _read_description(self) -> Asked | None:
         file = self.path / DESCRIPTION
         try:
             told = json.loads(file.read_text(encoding="utf-8"))
-            rows = rows_of(told["parameters"], told["members"])
+            columns = told["parameters"].items()
+            rows = [{name: values[index] for name, values in columns} for index in range(told["members"])]
             return Asked(**{name: told[name] for name in Asked._fields} | {"parameters": rows})
         except FileNotFoundError:
             return None
@@ -182,11 +179,6 @@ def _rows_in(lines: list[bytes]) -> list[Row]:
 def columns_of(parameters: list[dict[str, Value]]) -> dict[str, list[Value]]:
     """The parameters of all members by name."""
     return {name: [one[name] for one in parameters] for name in parameters[0]}
-
-
-def rows_of(columns: dict[str, list[Value]], n_members: int) -> list[dict[str, Value]]:
-    """The parameters of each member."""
-    return [{name: values[index] for name, values in columns.items()} for index in range(n_members)]
 
 
 def entropy_of(seed: int | None, before: Asked | None) -> int:

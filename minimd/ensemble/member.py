@@ -94,7 +94,10 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
     for index, row in enumerate(rows):
         if row.keys() != rows[0].keys():
             raise ValueError(f"all members must have the same parameters; member 0 has {listed(rows[0])}, member {index} has {listed(row)}")
-    _check_names(rows[0])
+    for name in rows[0]:
+        if not isinstance(name, str) or not name or name in OWN_COLUMNS or name.endswith(OWN_ENDINGS):
+            taken = f"{listed(OWN_COLUMNS)}, and must not end in {' or '.join(OWN_ENDINGS)}"
+            raise ValueError(f"the name of a parameter must be a text, not one of {taken}: these are columns of the table; it is {shown(name)}")
     return [{name: _checked_value(name, index, row[name]) for name in rows[0]} for index, row in enumerate(rows)]
 
 
@@ -111,13 +114,6 @@ def _from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
             f"all parameters must have as many values as there are members; {told}. For all combinations of values, give a list of dicts"
         )
     return [dict(zip(lists, row, strict=True)) for row in zip(*lists.values(), strict=True)]
-
-
-def _check_names(names: Mapping[str, Any]) -> None:
-    for name in names:
-        if not isinstance(name, str) or not name or name in OWN_COLUMNS or name.endswith(OWN_ENDINGS):
-            taken = f"{listed(OWN_COLUMNS)}, and must not end in {' or '.join(OWN_ENDINGS)}"
-            raise ValueError(f"the name of a parameter must be a text, not one of {taken}: these are columns of the table; it is {shown(name)}")
 
 
 def _checked_value(name: str, index: int, value: Any) -> Value:

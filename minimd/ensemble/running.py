@@ -29,6 +29,7 @@ from minimd.structure.keywords import names_keywords
 
 MOST_WAITING = 4096  # members submitted at a time to an executor that the caller brings
 TOLD = 3  # failures that a warning names
+OUTSIDE = "If the script calls md.ensemble outside of functions, put that call below the line: if __name__ == '__main__':"
 ANOTHER = "Call md.ensemble again to go on, with a new executor or none: some give up when one of their processes dies"
 BETWEEN_REQUESTS = 0.02  # seconds between requests to stop, repeated because a member that is between two runs does not notice one
 
@@ -156,18 +157,13 @@ def _row_of(future: Future, members: dict[Future, Member]) -> Row:
         row: Row = future.result()
         return row
     except (WorkerNeverBegan, BrokenProcessPool, pickle.PicklingError) as error:
-        raise EnsembleError(f"{member} could not be run, and neither can the others: {sentence(error)}. {_advice(error)}") from None
+        advice = ANOTHER if isinstance(error, BrokenProcessPool) else OUTSIDE
+        raise EnsembleError(f"{member} could not be run, and neither can the others: {sentence(error)}. {advice}") from None
     except (CancelledError, SystemExit):
         raise KeyboardInterrupt from None
     except Exception as error:  # of a worker that died, or any error of an executor
         row = {"index": member.index, "parameters": dict(member.parameters), "status": FAILED}
         return row | {"message": f"{type(error).__name__}: {sentence(error)}", "traceback": "", "crash_file": "", "seconds": 0.0}
-
-
-def _advice(error: Exception) -> str:
-    if isinstance(error, BrokenProcessPool):
-        return ANOTHER
-    return "If the script calls md.ensemble outside of functions, put that call below the line: if __name__ == '__main__':"
 
 
 @contextmanager
@@ -197,7 +193,12 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
     n_workers = available_cores() if workers is None else checked_count("workers", workers, 0)
     if isinstance(executor, ProcessPoolExecutor) or (executor is None and n_workers):
         _check_can_be_sent(plan)
-        _check_is_no_worker()
+        frame = sys._getframe()
+        while frame.f_back is not None:
+            if frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == "__mp_main__":
+                where = "put the call below: if __name__ == '__main__':"
+                raise RuntimeError(f"a worker process imports the script, which calls md.ensemble again; {where}")
+            frame = frame.f_back
     return n_workers
 
 
@@ -209,11 +210,13 @@ def _check_functions(**functions: Any) -> None:
 
 def _check_can_be_sent(plan: Plan) -> None:
     """Raise TypeError unless other processes can find the functions."""
+    main = sys.modules.get("__main__")  # a notebook, a prompt or a script
     for name in ("build", "prepare", "run"):
         function = getattr(plan, name)
         try:
             pickle.dumps(function)
-            reason = "it was defined in a session, which other processes cannot import" if _is_of_session(function) else ""
+            is_of_session = getattr(function, "__module__", None) == "__main__" and main is not None and not hasattr(main, "__file__")
+            reason = "it was defined in a session, which other processes cannot import" if is_of_session else ""
         except Exception as error:  # pickle raises errors of many kinds
             reason = sentence(error)
         if reason:
@@ -221,21 +224,6 @@ def _check_can_be_sent(plan: Plan) -> None:
                 f"{name} cannot be sent to worker processes: {reason}. Define it with def at the top level of a file, and import it if this is a "
                 f"notebook; or pass workers=0 to stay in this process; or use an executor that can send such functions, such as that of dask"
             )
-
-
-def _is_of_session(function: Any) -> bool:
-    """Whether a function belongs to a notebook or a prompt."""
-    main = sys.modules.get("__main__")
-    return getattr(function, "__module__", None) == "__main__" and main is not None and not hasattr(main, "__file__")
-
-
-def _check_is_no_worker() -> None:
-    """Raise RuntimeError in a spawned process that imports the script which spawned it."""
-    frame = sys._getframe(1)
-    while frame.f_back is not None:
-        if frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == "__mp_main__":
-            raise RuntimeError("a worker process imports the script, which calls md.ensemble again; put the call below: if __name__ == '__main__':")
-        frame = frame.f_back
 
 
 def _written(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:

@@ -53,12 +53,9 @@ def parsed_setting(text: str) -> Setting:
     key, equals, values = text.partition("=")
     if not equals or not key.strip() or not values.strip():
         raise ValueError(f"--set needs KEY=FROM:TO:STEP or KEY=VALUE,VALUE,...; it is {text!r}")
-    if values.count(":") == 2:
-        return Setting(key.strip(), _steps(text, values.split(":")))
-    return Setting(key.strip(), [_value(one) for one in values.split(",")])
-
-
-def _steps(text: str, numbers: Sequence[str]) -> list[Value]:
+    numbers = values.split(":")
+    if len(numbers) != 3:
+        return Setting(key.strip(), [_value(one) for one in values.split(",")])
     try:
         start, end, step = (Decimal(one.strip()) for one in numbers)
         n = int((end - start) / step) + 1 if step else 0
@@ -67,7 +64,7 @@ def _steps(text: str, numbers: Sequence[str]) -> list[Value]:
     if not 1 <= n <= MOST_VALUES:
         raise ValueError(f"--set needs a STEP that leads from FROM to TO with at most {MOST_VALUES} values; it is {text!r}")
     is_whole = all(one.strip().lstrip("+-").isdecimal() for one in numbers)
-    return [int(start + k * step) if is_whole else float(start + k * step) for k in range(n)]
+    return Setting(key.strip(), [int(start + k * step) if is_whole else float(start + k * step) for k in range(n)])
 
 
 def _value(text: str) -> Value:
@@ -156,7 +153,13 @@ def scan_scene(
     for row in grid[:MOST_TRIED]:
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
     build(Member(0, grid[0], seed, n_steps, place))  # checks the structure and the potentials, too
-    _check_scene(place, scene.text, resume)
+    kept = place / SCENE
+    if resume and kept.exists() and kept.read_text(encoding="utf-8") != scene.text:
+        raise ValueError(
+            f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, or replace it with --overwrite"
+        )
+    place.mkdir(parents=True, exist_ok=True)
+    write_whole(kept, scene.text)
     replicas = checked_count("replicas", replicas)
     tell(f"scene          {path}" + (f": {scene.sections.title}" if scene.sections.title else ""))
     if scene.sections.observer:
@@ -167,17 +170,6 @@ def scan_scene(
     options: dict[str, Any] = {"every": scene.sections.output.every, "workers": workers, "seed": seed, "resume": resume, "progress": progress}
     parameters: Any = grid * replicas if settings else replicas
     return ensemble(build, parameters, n_steps, prepare=build.prepare, folder=place, **options)
-
-
-def _check_scene(folder: Path, text: str, resume: bool) -> None:
-    """Write the scene into the folder.  Raises ValueError if another scene is there."""
-    kept = folder / SCENE
-    if resume and kept.exists() and kept.read_text(encoding="utf-8") != text:
-        raise ValueError(
-            f"folder {str(folder)!r} holds a scan of another scene, {kept}; choose another folder with --out, or replace it with --overwrite"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-    write_whole(kept, text)
 
 
 def _silent(_line: str) -> None:

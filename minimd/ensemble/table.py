@@ -1,4 +1,4 @@
-"""The results of an ensemble as a table: one row for each member, or averages over members with the same parameters."""
+"""The results of an ensemble as a table: a row for each member, or averages over members with the same parameters."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,20 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.record import SERIES
-from minimd.ensemble.folder import Asked, EnsembleFolder, is_done
+from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder, is_done
 from minimd.ensemble.member import file_of
+from minimd.ensemble.notes import SUFFIX, read_note
 from minimd.ensemble.work import BEGUN, DONE, FAILED, MISSING, Row
 from minimd.files.claim import write_whole
-from minimd.structure.checks import near
+from minimd.structure.checks import listed, near
 from minimd.structure.display import Displayed, Rows
+from minimd.structure.errors import sentence
 from minimd.structure.statistics import with_error
 from minimd.structure.units import SYSTEMS, UnitSystem
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 SHOWN_FAILURES = 3
+TOLD = ("temperature", "potential_energy", "pressure")  # observables listed as text; if none of them exists, all are listed
+MOST_LINES = 100
+MOST_TOLD = 10  # members that are listed as running, and as begun
+DRAWN = ("pressure", "potential_energy")
+MOST_CURVES = 8
 
 
 class EnsembleTable(Displayed):
@@ -125,7 +134,7 @@ class EnsembleTable(Displayed):
             limits = _limits(averages[f"{name}_mean"], averages[f"{name}_error"])
             rows.append((f"mean {name}".replace("_", " "), f"{limits} {self.unit(name)}".rstrip()))
         several = list(self.failures())
-        rows += [("FAILED", sentence) for sentence in several[:SHOWN_FAILURES]]
+        rows += [("FAILED", told) for told in several[:SHOWN_FAILURES]]
         return rows + ([("", f"and {len(several) - SHOWN_FAILURES} more")] if len(several) > SHOWN_FAILURES else [])
 
     def __repr__(self) -> str:
@@ -168,8 +177,13 @@ def _joined(means: Floats, errors: Floats, groups: NDArray[np.int64], n: NDArray
 
 
 def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
-    """The table of the first n_members members of a folder."""
-    rows = [_present(folder.rows.get(index), asked) for index in range(n_members)]
+    """The table of the first n_members members of a folder.
+
+    Results are those of members that have failed, or are done with all steps that are asked for now.
+    """
+    rows = [folder.rows.get(index) for index in range(n_members)]
+    is_present = [row and (row["status"] == FAILED or is_done(row, asked.steps, bool(asked.run))) for row in rows]
+    rows = [row if present else None for row, present in zip(rows, is_present, strict=True)]
     names = list(asked.parameters[0])
     observables = list(dict.fromkeys(name for row in rows if row is not None for name in row.get("means", ())))
     columns: dict[str, Any] = {"index": np.arange(n_members)}
@@ -203,7 +217,101 @@ def _numbers(rows: Sequence[Row | None], key: str, names: list[str]) -> Floats:
     return numbers
 
 
-def _present(row: Row | None, asked: Asked) -> Row | None:
-    """The row of a member that has failed, or is done with all steps that are asked for now; else None."""
-    is_present = row is not None and (row["status"] == FAILED or is_done(row, asked.steps, bool(asked.run)))
-    return row if is_present else None
+def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
+    """The table as it is now, and lines about it.  Raises FileNotFoundError, ValueError for a folder without an ensemble."""
+    with EnsembleFolder(folder, writes=False) as opened:
+        if opened.asked is None:
+            raise FileNotFoundError(f"folder {str(folder)!r} holds no ensemble: there is no {DESCRIPTION} in it")
+        table = table_of(opened, opened.asked, len(opened.asked.parameters))
+        steps = opened.asked.steps
+        noted = [int(Path(name).stem) for name in opened.files() if name.endswith(SUFFIX)]
+    lines = str(table).splitlines()
+    begun = {index: table["file"][index] for index in np.flatnonzero(table["status"] == BEGUN).tolist()}
+    now = {index: told for index in sorted(noted) if (told := read_note(opened.file(index)))}
+    lines += _some("running", (f"member {index}: {told}" for index, told in now.items()), len(now))
+    stopped = {index: file for index, file in begun.items() if index not in now}
+    lines += _some("begun", (f"member {index}: {_progress(file, steps)}" for index, file in stopped.items()), len(stopped))
+    return table, lines
+
+
+def _some(word: str, told: Iterator[str], n: int) -> list[str]:
+    """The first of n lines, each after the word, and how many more there are."""
+    lines = [f"{word:<14} {line}" for line in islice(told, MOST_TOLD)]
+    return lines + ([f"{'':<14} and {n - MOST_TOLD} more"] if n > MOST_TOLD else [])
+
+
+def _progress(file: str, steps: int) -> str:
+    """The progress of a member in words. A file that is being written cannot be read."""
+    from minimd.files.h5md_reader import read_file
+
+    try:
+        contents = read_file(file)
+        return f"stopped after {contents.step - int(contents.record.step[0])} of {steps} steps"
+    except (OSError, ValueError) as error:
+        return "running" if "another run is writing it" in str(error) else sentence(error)
+
+
+def told_averages(table: EnsembleTable) -> Iterator[str]:
+    """A line of names, then the averages over members with the same parameters, a line for each of the first hundred sets."""
+    rows = table.averaged()
+    names = [name for name in TOLD if name in table.observables] or list(table.observables)
+    units = {name: f" [{table.unit(name)}]" if table.unit(name) else "" for name in names}
+    lines = [[*table.parameters, "members", *(f"{name.replace('_', ' ')}{units[name]}" for name in names)]]
+    for row in rows[:MOST_LINES]:
+        means = [with_error(row[f"{name}_mean"], row[f"{name}_error"]) for name in names]
+        lines.append([*(str(row[name]) for name in table.parameters), str(row["n_members"]), *means])
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for line in lines:
+        yield "  ".join(f"{word:>{width}}" for word, width in zip(line, widths, strict=True))
+    if len(rows) > MOST_LINES:
+        yield f"and {len(rows) - MOST_LINES} more, see {table.folder / 'table.csv'}"
+
+
+def drawn_quantity(table: EnsembleTable, quantity: str | None) -> str:
+    """The observable of the figure: quantity, or if it is None, pressure, else potential energy, else the first.  Raises ValueError."""
+    if not table.observables:
+        raise ValueError("there is nothing to draw: no member is done yet")
+    if quantity is None:
+        return next((name for name in DRAWN if name in table.observables), table.observables[0])
+    if quantity not in table.observables:
+        raise ValueError(f"the quantity must be one of {listed(table.observables)}; it is {quantity!r}{near(quantity, table.observables)}")
+    return quantity
+
+
+def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure:
+    """One quantity against the first parameter that has several numbers as values, with error bars; a curve for each set of values of the others.
+
+    Raises ValueError if no member is done, or none has such a quantity.
+    """
+    from minimd.engine.record_picture import Picture
+
+    name, rows = drawn_quantity(table, quantity), table.averaged()
+    numbers = [one for one in table.parameters if rows.dtype[one].kind in "if" and len(set(rows[one].tolist())) > 1]
+    others = [one for one in table.parameters if one not in numbers[:1]]
+    figure = Picture(figsize=(7.0, 4.5), dpi=150, layout="constrained")
+    axes = figure.subplots()
+    curves: dict[tuple, list[int]] = {}
+    for k, row in enumerate(rows):
+        curves.setdefault(tuple(row[one] for one in others), []).append(k)
+    several = {one for one in others if len(set(rows[one].tolist())) > 1}
+    for key, members in curves.items():
+        curve = rows[members][np.argsort(rows[members][numbers[0]])] if numbers else rows[members]
+        x = curve[numbers[0]] if numbers else np.arange(len(curve))
+        label = ", ".join(f"{one.rpartition('.')[2]} = {value}" for one, value in zip(others, key, strict=True) if one in several)
+        axes.errorbar(x, curve[f"{name}_mean"], curve[f"{name}_error"], marker="o", ms=3.5, lw=1.0, capsize=2.5, label=label)
+    unit = table.unit(name).replace("k_B", "$k_B$")
+    axes.set(xlabel=numbers[0] if numbers else "set of parameters", ylabel=f"mean {name.replace('_', ' ')}" + (f"  [{unit}]" if unit else ""))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25, lw=0.6)
+    axes.set_title(f"{int(table.done.sum())} members, bars: one standard error", fontsize=10)
+    if 1 < len(curves) <= MOST_CURVES:
+        axes.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def save_picture(table: EnsembleTable, quantity: str | None = None, out: Path | None = None) -> Path:
+    """Save the figure to out, or to a file in the folder named after the quantity.  Raises ValueError as picture_of_scan, OSError."""
+    from minimd.analysis.picture import save
+
+    place = out or table.folder / f"{drawn_quantity(table, quantity)}.png"
+    return save(picture_of_scan(table, quantity), place)

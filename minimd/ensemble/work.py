@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
 from minimd.compiled.machine import threads_by_default
 from minimd.engine.record import Record
-from minimd.ensemble.averages import averages_of
 from minimd.ensemble.member import Member
 from minimd.ensemble.notes import Note, noting
 from minimd.ensemble.own_file import set_aside, stopped_file
@@ -19,6 +20,7 @@ from minimd.files.crash_file import crash_file_place
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import shown
 from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
+from minimd.structure.statistics import mean_and_error
 
 DONE, FAILED, BEGUN, MISSING = "done", "failed", "begun", "missing"  # the status of a member
 Row = dict[str, Any]
@@ -53,15 +55,26 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
 
 
 def _made(plan: Plan, member: Member, begins_anew: bool, note: Note) -> Row:
+    from minimd.files.h5md_reader import read_file
+
     simulation = plan.build(member)
     if not isinstance(simulation, Simulation):
         raise TypeError(f"build must return a Simulation; for {member} it returned {shown(simulation)}")
     begins_anew |= _crash_file(member).exists()
     resumed = None if begins_anew or plan.run is not None else _resumed(member.file, simulation)
     if resumed is not None:
-        note.simulation, note.first = resumed
-        return _described(resumed[0], _rest_of_run(plan, member, *resumed), member.steps)
-    _clear_place(member, begins_anew or plan.run is None)
+        simulation, first = resumed
+        note.simulation, note.first, end = simulation, first, first + member.steps
+        if simulation.step < end:
+            simulation.run(until_step=end, every=plan.every, trajectory=member.file, append=True, progress=False)
+        return _described(simulation, read_file(member.file).record, member.steps)
+    if plan.run is not None and not begins_anew:
+        set_aside(member.file)
+    else:
+        stopped_file(member.file).unlink(missing_ok=True)
+    for file in (member.file, _crash_file(member)):
+        file.unlink(missing_ok=True)
+    member.file.parent.mkdir(parents=True, exist_ok=True)
     if plan.prepare is not None:
         plan.prepare(simulation, member)
     note.simulation, note.first = simulation, (first := simulation.step)
@@ -71,15 +84,6 @@ def _made(plan: Plan, member: Member, begins_anew: bool, note: Note) -> Row:
         return _described(simulation, returned, simulation.step - first)
     record = simulation.run(member.steps, every=plan.every, trajectory=member.file, progress=False)
     return _described(simulation, record, member.steps)
-
-
-def _clear_place(member: Member, begins_anew: bool) -> None:
-    """Make room for the file of a member; the file of a stopped run is renamed, or removed if the member begins anew."""
-    if not begins_anew:
-        set_aside(member.file)
-    for file in (member.file, _crash_file(member), *([stopped_file(member.file)] if begins_anew else [])):
-        file.unlink(missing_ok=True)
-    member.file.parent.mkdir(parents=True, exist_ok=True)
 
 
 def _crash_file(member: Member) -> Path:
@@ -100,15 +104,6 @@ def _resumed(file: Path, built: Simulation) -> tuple[Simulation, int] | None:
         return None
 
 
-def _rest_of_run(plan: Plan, member: Member, simulation: Simulation, first: int) -> Record:
-    """Make the remaining steps, and return the record of all steps."""
-    from minimd.files.h5md_reader import read_file
-
-    if simulation.step < first + member.steps:
-        simulation.run(until_step=first + member.steps, every=plan.every, trajectory=member.file, append=True, progress=False)
-    return read_file(member.file).record
-
-
 def _described(simulation: Simulation, result: Any, n_steps: int) -> Row:
     averages = averages_of(result)
     return {
@@ -119,3 +114,30 @@ def _described(simulation: Simulation, result: Any, n_steps: int) -> Row:
         "means": {name: mean for name, (mean, _) in averages.items()},
         "errors": {name: error for name, (_, error) in averages.items()},
     }
+
+
+def averages_of(result: Any) -> dict[str, tuple[float, float]]:
+    """Means and errors, by name, of what the function run returned; none for None.
+
+    result : a Record, or a dict of numbers, of tuples (mean, error) or of series.  Raises TypeError, ValueError for anything else.
+    """
+    if result is None:
+        return {}
+    if isinstance(result, Record):
+        return {name: mean_and_error(column) for name, column in result.columns().items() if name not in ("step", "time")}
+    if not isinstance(result, Mapping):
+        raise TypeError(f"run must return a Record, a dict of numbers, of tuples (mean, error) or of series, or None; it returned {shown(result)}")
+    averages = {}
+    for name, value in result.items():
+        if not isinstance(name, str) or not name:
+            raise TypeError(f"the names in the dict that run returns must be texts that are not empty; one is {shown(name)}")
+        array = np.asarray(value)
+        if array.dtype.kind not in "biuf" or array.ndim > 1:
+            raise TypeError(f"the values in the dict that run returns must be numbers, tuples (mean, error), or series; {name} = {shown(value)}")
+        if array.ndim == 0:
+            averages[name] = float(array), np.nan
+        elif isinstance(value, tuple) and len(value) == 2:
+            averages[name] = float(array[0]), float(array[1])
+        else:
+            averages[name] = mean_and_error(array)
+    return averages

@@ -192,7 +192,8 @@ class StudentStep:
         before = [one.copy() if isinstance(one, np.ndarray) else one for one in given]
         answer = self.function(**dict(zip(self.manner.names, given, strict=True)))
         if "state" in roles:
-            return self._of_state(answer, given[roles.index("state")], x.shape)
+            state = self._parts(given[roles.index("state")] if answer is None else answer, x.shape)
+            return state[0], state[1]  # of a step that takes and returns both in one array or list
         of_x, of_v = roles.index("x"), next(roles.index(role) for role in ("v", "p", "half", "old") if role in roles)
         changed = [not single and not np.array_equal(given[k], before[k]) for k in (of_x, of_v)]
         self.in_place |= any(changed)
@@ -243,11 +244,6 @@ class StudentStep:
             return {"F": answer, "(F, U)": (answer, energy), "(U, F)": (energy, answer)}[self.manner.answers]
 
         return force
-
-    def _of_state(self, answer: Any, given: list[Any], shape: tuple[int, ...]) -> tuple[Array, Array]:
-        """x and v of a step that takes and returns both in one array or list."""
-        x, v = self._parts(given if answer is None else answer, shape)[:2]
-        return x, v
 
     def _parts(self, answer: Any, shape: tuple[int, ...]) -> list[Array]:
         if isinstance(answer, dict):

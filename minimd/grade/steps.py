@@ -9,18 +9,19 @@ from typing import Any
 import numpy as np
 
 from minimd.grade.calling import FORCES, StudentStep, understood
-from minimd.grade.expansion import Expansion, expansion, explained
+from minimd.grade.expansion import expansion, explained
 from minimd.grade.findings import Finding, Grade
-from minimd.grade.habits import clipped, same_rows
 from minimd.grade.motion import cost, energy, momenta, order_of, oscillator, reversal, symplecticity
 from minimd.grade.problems import Problem
-from minimd.grade.sequence import FEW, nearest_method, substeps_of, told
-from minimd.grade.variants import NOT_SYMPLECTIC, recognized
+from minimd.grade.variants import FEW, NOT_SYMPLECTIC, nearest_method, recognized, substeps_of, told
 
 HIGH = 2.5  # a step of a higher measured order has the right terms up to dt², and need not be symmetric
 ROUNDING = 1e-9  # smaller relative differences are rounding
 SINGLE = 1e-8  # a step with more noise uses float32
 STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}  # by the shape of x: the number of states needed to distinguish all terms
+SHORT = 1e-7  # a time step so short that nothing should change
+CHANGED = 1e-4
+FASTER = (1.0, 30.0)  # factors by which velocities are multiplied to find a limit
 
 
 def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
@@ -117,16 +118,18 @@ def _faults(step: StudentStep, problems: list[Problem], noise: float, is_high: b
     faults += _left_out(step, problems) or (_wrapped(step, problems[0]) if not faults else []) or _thermostat(step, problems)
     faults += clipped(step, problems[0]) if not faults else []
     if not faults and not is_high:
-        faults += explained(expand(step, problems))
+        scaled = step.has_masses or any("acceleration" in role for role in step.manner.roles)
+        faults += explained(expansion(step, problems, scaled))
     if step.third is not None and any(role.startswith("known") for role in step.manner.roles):
-        faults += _handed_on(step, problems[0])
+        where, role = problems[0], next(role.split()[1] for role in step.manner.roles if role.startswith("known"))
+        force = where.force(step(where, where.x, where.v, 0.1)[0])
+        right = {"force": force, "acceleration": force / where.mass, "gradient": -force}[role]
+        off = float(np.abs(step.third - right).max() / np.abs(right).max()) if step.third is not None else 0.0
+        if off > ROUNDING:
+            faults.append(
+                f"the force that is returned is not the one at the new positions (off by {off:.1%}): the next step would begin with an old force"
+            )
     return faults
-
-
-def expand(step: StudentStep, problems: list[Problem]) -> Expansion:
-    """See expansion."""
-    scaled = step.has_masses or any("acceleration" in role for role in step.manner.roles)
-    return expansion(step, problems, scaled)
 
 
 def _left_out(step: StudentStep, problems: list[Problem]) -> list[str]:
@@ -198,20 +201,6 @@ def _thermostat(step: StudentStep, problems: list[Problem]) -> list[str]:
     ]
 
 
-def _handed_on(step: StudentStep, where: Problem) -> list[str]:
-    """A fault if the force that a step returns is not the one at the new positions."""
-    x, _ = step(where, where.x, where.v, 0.1)
-    role = next(role.split()[1] for role in step.manner.roles if role.startswith("known"))
-    right = {"force": where.force(x), "acceleration": where.force(x) / where.mass, "gradient": -where.force(x)}[role]
-    third = step.third
-    off = float(np.abs(third - right).max() / np.abs(right).max()) if third is not None else 0.0
-    return (
-        [f"the force that is returned is not the one at the new positions (off by {off:.1%}): the next step would begin with an old force"]
-        if off > ROUNDING
-        else []
-    )
-
-
 def _is_plain(parts: list[tuple[str, float]]) -> bool:
     """Whether these are the substeps of a method of order 1 or 2, whose faults the first terms show."""
     return sum(kind == "kick" for kind, _ in parts) < FEW
@@ -229,6 +218,42 @@ def _of_substeps(parts: list[tuple[str, float]], findings: list[Finding], order:
     return [
         f"{kicks} kicks in a step, but no more than order {reached:.1f}: the weights of the substeps are not those of a method of higher order{near}"
     ]
+
+
+def clipped(step: StudentStep, where: Problem) -> list[str]:
+    """A limit of the components of velocities, or of speeds: larger values are reduced to it, smaller ones do not change."""
+    if where.x.ndim == 0:
+        return []
+    for faster in FASTER:
+        v = faster * where.v
+        _, new = step(where, where.x, v, SHORT)
+        for what, old, now in (("components of velocities", np.abs(v), np.abs(new)), ("speeds", _speeds(v), _speeds(new))):
+            cut = np.abs(now - old) > CHANGED * faster
+            if cut.sum() < 2 or (cut.all() and faster == 1.0):
+                continue
+            limit = float(now[cut].mean())
+            if np.ptp(now[cut]) < CHANGED and old[cut].min() > limit and (cut.all() or old[~cut].max() < limit + CHANGED * faster):
+                return [f"{what} above {limit:.4g} are cut off: the velocities are limited (clipped) in the step"]
+    return []
+
+
+def _speeds(v: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.norm(v.reshape(len(v), -1), axis=1))
+
+
+def same_rows(step: StudentStep, where: Problem) -> list[str]:
+    """A path whose rows are all alike, because the same array was appended again and again."""
+    if "steps" not in step.manner.roles:
+        return []
+    step.n_steps = 3
+    try:
+        step(where, where.x, where.v, 0.1)
+    finally:
+        step.n_steps = 1
+    for part in step.path[:1]:
+        if len(part) > 2 and np.array_equal(part[0], part[-1]) and np.array_equal(part[1], part[-1]):
+            return ["all rows of the path are alike: the array is changed in place after it was appended. Append a copy, as in xs.append(x.copy())"]
+    return []
 
 
 def _structural(findings: list[Finding], step: StudentStep) -> list[str]:

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.h5md_schema import has_edges
 from minimd.files.turned_cell import Turn, turn_of
-from minimd.mdanalysis.memory import Frames, RecordedReader
-from minimd.mdanalysis.run_reader import RunReader
+from minimd.mdanalysis.readers import Frames, RecordedReader, RunReader
 from minimd.mdanalysis.topology import bare_universe
 from minimd.observers.diffusion import finite_size_correction, is_cubic
 from minimd.simulation.simulation import Simulation

@@ -8,8 +8,7 @@ from pydantic import Field, FiniteFloat, NonNegativeInt, create_model
 
 from minimd import potentials
 from minimd.potentials.walls import WallLaw
-from minimd.scene.section import Dimension, Section
-from minimd.scene.values import Atoms, NotNegative, PairOfAtoms, Positive, QuadrupleOfAtoms, TripleOfAtoms, Vector
+from minimd.scene.section import Atoms, Dimension, NotNegative, PairOfAtoms, Positive, QuadrupleOfAtoms, Section, TripleOfAtoms, Vector
 
 FieldOfSection = tuple[Any, Any]  # its type, and its default; ... if it must be given
 

@@ -60,7 +60,8 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
     if kind == "union_tag_invalid":
         return place, f"{place}.type must be one of {details['ctx']['expected_tags']}; {place}.type = {_shown(value['type'])}"
     if kind == "model_type" and not isinstance(value, dict):
-        return place, f"{place} must be a table with the keys {', '.join(_keys_of(details['ctx']['class_name'], reading))}; {place} = {_shown(value)}"
+        section = next(one for one in sections_below(Section) if one.__name__ == details["ctx"]["class_name"])
+        return place, f"{place} must be a table with the keys {', '.join(section.keys(reading.units))}; {place} = {_shown(value)}"
     if place == "potential" and isinstance(value, dict):
         return place, "potential must be written [[potential]], with two brackets, because a scene can have several; it is [potential]"
     words = details["msg"]
@@ -69,11 +70,6 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
     words = words.partition(" after validation")[0]
     hint = THREE.get(loc[:2], "") if isinstance(value, list) and len(value) != 3 else ""
     return place, f"{place} {words}".strip() + ("" if isinstance(value, dict) else f"; {place} = {_shown(value)}") + hint
-
-
-def _keys_of(name: str, reading: Reading) -> Keys:
-    """The keys of a section.  name : of its class."""
-    return next(one for one in sections_below(Section) if one.__name__ == name).keys(reading.units)
 
 
 def _about_key(loc: tuple, reading: Reading) -> str:

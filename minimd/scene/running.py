@@ -3,7 +3,9 @@
 import json
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from time import time
 from typing import Any
 
 import numpy as np
@@ -16,16 +18,18 @@ from minimd.integrators import StochasticCellRescaling
 from minimd.observers import Accumulator
 from minimd.potentials import PairPotential
 from minimd.scene.document import Scene, h5md_files, parse_scene
-from minimd.scene.ending import kept
 from minimd.scene.sections import PLOT_SUFFIXES
 from minimd.simulation.simulation import Simulation
+from minimd.structure.console import Terminated
 from minimd.structure.constraints import FixedAtoms
+from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
 from minimd.structure.system import System
 from minimd.structure.units import UnitSystem
 
 Tell = Callable[[str], None]
 OF_THE_START = ("structure.", "minimization.", "equilibration.")
 LONGEST_VALUE = 60  # characters of a value in a message
+CLOCK = 1.0  # s, the coarsest time stamps of a file system
 
 
 def run_scene(
@@ -215,11 +219,14 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
     units, system = scene.units, simulation.system
     joined = "".join(f"; {len(group)} {name}" for name, group in system.groups().items() if len(group))
     species = ", ".join(f"{n} {name}" for n, name in zip(np.bincount(system.species_index), system.species_names, strict=True))
+    fixed = [f"atoms fixed: {len(one.atoms)}" for one in simulation.constraints if isinstance(one, FixedAtoms)]
+    lengths = [f"lengths kept: {len(one.pairs)}" for one in simulation.constraints if not isinstance(one, FixedAtoms)]
+    held = ", ".join(lengths + fixed)
     return [
         f"scene          {scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""),
         f"system         {len(system)} atoms ({species}){joined}",
         f"cell           {_cell(system)}",
-        *([f"constraints    {_constraints(simulation)}"] if simulation.constraints else []),
+        *([f"constraints    {held}; {simulation.n_dof} degrees of freedom"] if held else []),
         *(f"potential      {_potential(potential, units)}" for potential in scene.potentials()),
         f"method         {_method(scene, simulation)}",
         *([f"barostat       {_barostat(simulation.barostat, units)}"] if simulation.barostat is not None else []),
@@ -234,12 +241,6 @@ def _method(scene: Scene, simulation: Simulation) -> str:
     relaxation = dynamics.relaxation_time
     bath = f", bath at {dynamics.temperature:g} {units.temperature}, relaxation time {units.shown(relaxation)}" if relaxation else ""
     return f"{dynamics.method}, timestep {units.shown(dynamics.timestep)}{bath}"
-
-
-def _constraints(simulation: Simulation) -> str:
-    fixed = [f"atoms fixed: {len(one.atoms)}" for one in simulation.constraints if isinstance(one, FixedAtoms)]
-    lengths = [f"lengths kept: {len(one.pairs)}" for one in simulation.constraints if not isinstance(one, FixedAtoms)]
-    return f"{', '.join(lengths + fixed)}; {simulation.n_dof} degrees of freedom"
 
 
 def _barostat(barostat: StochasticCellRescaling, units: UnitSystem) -> str:
@@ -259,3 +260,35 @@ def _potential(potential: object, units: UnitSystem) -> str:
     if not isinstance(potential, PairPotential):
         return name
     return f"{name}, " + ("no cutoff" if np.isinf(potential.cutoff) else f"cutoff {potential.cutoff:g} {units.length}, {potential.truncation}")
+
+
+@contextmanager
+def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = "") -> Iterator[None]:
+    """If a run fails, add to the message which files are kept and, if it was interrupted, how to go on.
+
+    files : of the run; none for a preparation.  end : the step at which the run was to end, for the command that goes on.
+    where : words on what was interrupted, such as " of the equilibration".
+    """
+    begun = time() - CLOCK
+    try:
+        yield
+    except (KeyboardInterrupt, Terminated, NonFiniteError, ConstraintError, OSError) as error:
+        written = [file for file in files if file.is_file() and file.stat().st_size and file.stat().st_mtime > begun]
+        interrupted = isinstance(error, (KeyboardInterrupt, Terminated))
+        if not written and not interrupted:
+            raise
+        ending = f"; what was written before is kept in {', '.join(map(str, written))}" if written else f"{where}; nothing was written"
+        if isinstance(error, Terminated):
+            error.words += ending + _how_to_go_on(written, end)
+            raise
+        failure = type(error)(sentence(error) + ending + (_how_to_go_on(written, end) if interrupted else ""))
+        failure.__dict__.update(error.__dict__)  # such as the crash report
+        raise failure from None
+
+
+def _how_to_go_on(written: Sequence[Path], end: int) -> str:
+    for file in h5md_files(written):
+        with suppress(OSError, ValueError):
+            left = end - read_file(file).step
+            return f"; resume with: minimd resume {file} --steps {left}" if left > 0 else ""
+    return ""

@@ -6,9 +6,9 @@ the engine.
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationInfo, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationInfo, model_validator
 
 from minimd.structure.checks import LARGEST
 from minimd.structure.units import BAR, BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3, PICOSECOND
@@ -33,6 +33,15 @@ KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension:
 }
 KEY_UNITS["LJ"] = {dimension: {"": 1.0} for dimension in KEY_UNITS["ASE"]} | {"angle": {"_degree": DEGREE}}
 Keys = dict[str, tuple[str, float | None]]  # key: its field, and the factor by which its numbers are multiplied, None if it is not a quantity
+# types of values that several sections use
+Three = Field(min_length=3, max_length=3)
+Positive = Annotated[FiniteFloat, Field(gt=0.0)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
+Vector = Annotated[list[FiniteFloat], Three]
+Atoms = list[NonNegativeInt]
+PairOfAtoms = Annotated[list[int], Field(min_length=2, max_length=2)]
+TripleOfAtoms = Annotated[list[int], Three]
+QuadrupleOfAtoms = Annotated[list[int], Field(min_length=4, max_length=4)]
 UNKNOWN = "?"  # put before a key that its section does not know
 
 

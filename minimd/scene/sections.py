@@ -2,7 +2,7 @@
 
 from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
@@ -10,19 +10,19 @@ from minimd.forces.options import Precision
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting, StochasticCellRescaling
 from minimd.integrators.splitting.barostats import COUPLINGS
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
+from minimd.observers import KINDS, Accumulator
 from minimd.potentials import LennardJones, Tabulated
 from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.scene.force_sections import ForceSection
-from minimd.scene.observer_section import ObserverSection
-from minimd.scene.section import Dimension, Section, one_of, reading_of
+from minimd.scene.section import Dimension, NotNegative, PairOfAtoms, Positive, Section, Three, one_of, reading_of
 from minimd.scene.tables import Numbers, TableSection
-from minimd.scene.values import NotNegative, PairOfAtoms, Positive, Three
 from minimd.structure.checks import printable
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
+OBSERVER_ARGUMENTS = ("every", "name", "r_max", "n_bins", "n_levels", "most_atoms", "axis", "extent")
 METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 
 
@@ -249,6 +249,37 @@ class EquilibrationSection(Section):
     steps: NonNegativeInt
     temperature: Annotated[Positive | None, Dimension("temperature")] = None
     rescale_every: PositiveInt = 10
+
+
+class ObserverSection(Section):
+    """[[observer]]: a quantity that is measured during the run by an observer of minimd.observers, with its arguments."""
+
+    kind: Annotated[str, one_of(KINDS)]
+    every: PositiveInt | None = None
+    name: str | None = None
+    r_max: Annotated[Positive | None, Dimension("length")] = None
+    n_bins: PositiveInt | None = None
+    n_levels: PositiveInt | None = None
+    most_atoms: PositiveInt | None = None
+    axis: Annotated[str, one_of("abc")] | None = None
+    extent: Annotated[Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None, Dimension("length")] = None
+
+    @model_validator(mode="after")
+    def _has_what_its_kind_takes(self, info: ValidationInfo) -> Self:
+        takes = (*KINDS[self.kind].arguments, "name")
+        for one in self._given():
+            if one not in takes:
+                known = ", ".join(self.key(name, info) for name in OBSERVER_ARGUMENTS if name in takes)
+                raise ValueError(f"cannot have {self.key(one, info)} with kind {self.kind!r}, which takes {known}")
+        self.observer()  # raises ValueError if the observer refuses its arguments
+        return self
+
+    def _given(self) -> dict[str, Any]:
+        return {name: value for name in OBSERVER_ARGUMENTS if (value := getattr(self, name)) is not None}
+
+    def observer(self) -> Accumulator:
+        """A new observer of this kind.  Raises ValueError if it refuses the arguments."""
+        return KINDS[self.kind](**self._given())
 
 
 def _plot_name(value: bool | str) -> bool | str:

@@ -42,19 +42,14 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     if contents.repaired:
         warnings.warn(contents.repaired, stacklevel=outside_minimd())
     if step is not None:
-        _make_again(simulation, file, contents, checked_count("step", step, 0))
+        step, steps = checked_count("step", step, 0), contents.record.step
+        check_is_fixed(file, contents)
+        if not steps[0] <= step <= contents.step:
+            raise ValueError(f"file {str(file)!r} has the steps {steps[0]} to {contents.step}; step must be one of them, but step = {step}")
+        frame = int(np.searchsorted(steps, step, side="right")) - 1
+        go_to(simulation, file, contents, frame)  # the frame before the step
+        simulation.make_steps(step - int(steps[frame]))
     return simulation
-
-
-def _make_again(simulation: Any, file: str | Path, contents: H5MDContents, step: int) -> None:
-    """Bring a simulation to a step of the run in its file, starting from the frame before it."""
-    check_is_fixed(file, contents)
-    steps = contents.record.step
-    if not steps[0] <= step <= contents.step:
-        raise ValueError(f"file {str(file)!r} has the steps {steps[0]} to {contents.step}; step must be one of them, but step = {step}")
-    frame = int(np.searchsorted(steps, step, side="right")) - 1
-    go_to(simulation, file, contents, frame)
-    simulation.make_steps(step - int(steps[frame]))
 
 
 def check_is_fixed(file: str | Path, contents: H5MDContents) -> None:

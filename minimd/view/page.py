@@ -38,7 +38,7 @@ def page(story: Story) -> str:
         "frames": b64(motion.counts, "<u2"),
         "species": b64(system.species_index[motion.atoms], "<u4"),
         "bonds": b64(motion.bonds, "<u4"),
-        "about": _json(about(story)),
+        "about": json.dumps(about(story), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),  # safe inside a script element
         "picture": f"data:{story.picture[0]};base64,{b64encode(story.picture[1]).decode()}",
         "library": _text("ngl.js").partition("//# sourceMappingURL")[0],  # which developer tools would request
         "library_licenses": html.escape(_text("ngl-licenses.txt")),
@@ -111,11 +111,6 @@ def failure(cause: Sequence[str]) -> str:
 def b64(array: NDArray[Any], kind: str) -> str:
     """An array as base64 text, with numbers of the given type."""
     return b64encode(np.ascontiguousarray(array, dtype=kind).tobytes()).decode()
-
-
-def _json(value: Any) -> str:
-    """JSON that is safe inside a script element."""
-    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _text(name: str) -> str:

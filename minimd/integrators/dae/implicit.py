@@ -108,17 +108,15 @@ class Implicit(DifferentialAlgebraic):
         if self.index > 1:
             unit = unit_of_time(np.append(y, size), slope)
             y, slope = self._solved(t, y, [slope, *np.zeros((self.index - 1, y.size))], mobility, unit, size)
-        self._slope, self.levels = slope, self._levels_around(t, y, slope)
+        # the larger levels of those at the start and at a random point near it, where no derivative vanishes by chance
+        aside = 0.01 * (np.abs(y).max() or 1.0) * np.random.default_rng(0).uniform(0.5, 1.0, y.size)
+        self.levels = np.maximum(_levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope)))
+        self._slope = slope
         return y
 
     def _pencil(self, t: float, y: Array, slope: Array) -> tuple[Array, Array]:
         """F_y′ and F_y, to some eleven digits."""
         return central_differences(lambda x: self.residual(t, y, x), slope), central_differences(lambda x: self.residual(t, x, slope), y)
-
-    def _levels_around(self, t: float, y: Array, slope: Array) -> Array:
-        """The larger levels of those at the start and at a random point near it, where no derivative vanishes by chance."""
-        aside = 0.01 * (np.abs(y).max() or 1.0) * np.random.default_rng(0).uniform(0.5, 1.0, y.size)
-        return np.maximum(_levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope)))
 
     def _solved(self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float) -> tuple[Array, Array]:
         """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).

@@ -122,8 +122,13 @@ class SymmetricProjection(ManifoldStep):
         gradients = manifold.jacobian(y).T
 
         def arrive(mu: Array) -> Array:
-            free = self._step(t, y + gradients @ mu, h)
-            return _fixed_point(lambda y1: free + manifold.jacobian(y1).T @ mu, free)
+            """The end y₁ = free + G(y₁)ᵀ μ of the step, by iteration: the image depends weakly on y₁."""
+            y1 = free = self._step(t, y + gradients @ mu, h)
+            for _ in range(MAX_CORRECTIONS):
+                y1, before = free + manifold.jacobian(y1).T @ mu, y1
+                if np.abs(y1 - before).max() <= EPS * np.abs(y1).max():
+                    break
+            return y1
 
         return arrival(manifold, arrive, lambda: 2.0 * _gram(manifold, y))
 
@@ -219,12 +224,3 @@ def _gram(manifold: Manifold, y: Array) -> Array:
     """G Gᵀ = Rᵀ R."""
     r = manifold.frame(y)[1]
     return r.T @ r
-
-
-def _fixed_point(image: Arrival, y: Array) -> Array:
-    """y with y = image(y), by iteration, for an image that depends weakly on y."""
-    for _ in range(MAX_CORRECTIONS):
-        y, before = image(y), y
-        if np.abs(y - before).max() <= EPS * np.abs(y).max():
-            break
-    return y

@@ -16,8 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from minimd.integrators.method import Array, ClassProperty, Method, Problem, Step
-from minimd.integrators.ode.runge_kutta import StageStep, radau_iia
-from minimd.integrators.ode.stages import StageEquations
+from minimd.integrators.ode.runge_kutta import StageEquations, StageStep, radau_iia
 
 __all__ = ["BDF1", "BDF2", "BDF3", "BDF4", "BDF5"]
 

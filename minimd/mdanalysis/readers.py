@@ -1,11 +1,14 @@
-"""Frames of a running simulation, kept in memory for MDAnalysis."""
+"""What MDAnalysis reads: files of minimd, with frames turned to fit the cell, and frames of a running simulation, kept in memory."""
 
 from typing import Any
 
 import numpy as np
+from MDAnalysis.coordinates.H5MD import H5MDReader
 from MDAnalysis.coordinates.memory import MemoryReader
+from MDAnalysis.lib.util import store_init_arguments
 from numpy.typing import NDArray
 
+from minimd.files.h5md_opening import admitted
 from minimd.files.turned_cell import ROTATION, Turn, cell_dimensions, turn_of
 from minimd.simulation.simulation import Simulation
 from minimd.structure.system import System
@@ -84,3 +87,21 @@ class RecordedReader(MemoryReader):
         if self._recorded is not None:
             ts.data.update(self._recorded[ts.frame])
         return ts
+
+
+class RunReader(H5MDReader):
+    """Frames of a minimd file.  turn : of its cell, or None. A transformation could do the same, but it can be set only once."""
+
+    @store_init_arguments
+    def __init__(self, filename: str, turn: Turn | None = None, **kwargs: Any) -> None:
+        self._turn = turn
+        super().__init__(filename, **kwargs)
+
+    def open_trajectory(self) -> None:
+        """Called by MDAnalysis, which opens the file itself; see admitted."""
+        super().open_trajectory()
+        admitted(self._file, self.filename)
+
+    def _read_frame(self, frame: int) -> Any:
+        ts = super()._read_frame(frame)
+        return ts if self._turn is None else self._turn(ts)

@@ -144,9 +144,9 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Po
     if not scene:
         pass_them = "pass those of the script, as in minimd.replay(file, [...]), or give the command a scene that has them with --scene"
         raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {pass_them}")
-    from minimd.scene import parse_scene
+    from minimd.scene.document import stored_scene
 
-    return parse_scene(scene, file).potentials()
+    return stored_scene(scene, file).potentials()
 
 
 def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, picture: Path) -> None:

@@ -13,6 +13,7 @@ from references import brute_force_pairs, liquid, melt_scene
 import minimd as md
 from minimd import observers
 from minimd.analysis.plot import plot_file
+from minimd.files.h5md_observers import observers_of
 from minimd.mdanalysis import universe
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference, add_correlations
 from minimd.observers.fluctuations import FEWEST, correlation_times
@@ -197,6 +198,16 @@ def test_a_state_sets_what_its_kind_has_and_nothing_else(kind, run):
     other.restore(state | {"words": np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)})
     assert (other.every, other.made_with()) == (made.every, made.made_with())
     assert callable(other.result)
+
+
+def test_an_observer_of_a_file_that_asks_for_too_much_memory_is_refused(tmp_path):
+    sim = simulation()
+    sim.run(4, every=2, trajectory=tmp_path / "a.h5md", observers=[md.observers.RadialDistribution(every=2)])
+    with h5py.File(tmp_path / "a.h5md", "r+") as h5:
+        group = h5["minimd/observers/radial_distribution"]
+        group.attrs["arguments"] = json.dumps(json.loads(group.attrs["arguments"]) | {"n_bins": 10**12})
+        with pytest.raises(ValueError, match="radial_distribution asks for more memory"):
+            observers_of(h5)
 
 
 def grown(looking):

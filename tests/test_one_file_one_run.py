@@ -99,6 +99,17 @@ def test_a_link_at_a_temporary_name_is_not_followed(name, moment, tmp_path, monk
     assert precious.read_text() == "precious"
 
 
+@pytest.mark.parametrize("suffix", ["h5md", "xtc", "extxyz"])
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_link_to_nothing_makes_no_file_elsewhere(suffix, overwrite, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (tmp_path / f"a.{suffix}").symlink_to(elsewhere / f"new.{suffix}")
+    with pytest.raises(OSError, match="link"):
+        simulation().run(10, every=5, trajectory=tmp_path / f"a.{suffix}", overwrite=overwrite)
+    assert not list(elsewhere.iterdir())
+
+
 def note(path):
     made = Note(Member(0, {}, 1, 10, path))
     note_of(path).symlink_to(path.parent / "precious")

@@ -146,6 +146,8 @@ def test_equilibration_needs_a_temperature_to_start_from():
         (b"\xff\xfe", "must be UTF-8 text"),
         (f"x = {'[' * 2000}{']' * 2000}", "nested too deeply"),
         (f"x = {'{a=' * 2000}1{'}' * 2000}", "nested too deeply"),
+        (f"{'a.' * 20_000}a = 1", "nested too deeply"),
+        (f"[{'a . ' * 20_000}a]", "nested too deeply"),
     ],
 )
 def test_what_is_no_toml_is_told_in_one_line(tmp_path, content, words):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from references import melt_scene
+from references import liquid, melt_scene
 from scene_texts import scene_of
 
 import minimd as md
@@ -130,3 +130,14 @@ def test_the_scene_of_the_page_is_one(folder):
     text = f'[structure]\nfile = "pair.xyz"\n{section}[dynamics]\ntimestep_fs = 1.0\nsteps = 0\n'
     (potential,) = scene_of(text).potentials()
     assert (potential.cutoff, potential.truncation, len(potential.r)) == (8.5, "shifted", len(R))
+
+
+def test_a_stored_scene_reads_no_other_file(tmp_path):
+    """A data file may be anybody's: its scene has its tables in it, or is refused, whatever its names lead to."""
+    sim, path = md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.8), md.VelocityVerlet(0.004)), tmp_path / "a.h5md"
+    sim.engine.notes["scene"] = melt_scene(3, 10).replace(LAW, TABLE)
+    sim.run(4, every=2, trajectory=path)
+    (tmp_path / "lj.dat").write_text("not for others\n")
+    for go_on in (md.Simulation.resume, resume_run):
+        with pytest.raises(ValueError, match=r"it names 'lj\.dat'"):
+            go_on(path)

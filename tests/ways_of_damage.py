@@ -332,6 +332,8 @@ HOSTILE = {  # ways in which a file leads elsewhere, or asks for what it does no
         "minimd/zeros", lambda h5: [h5.create_dataset(f"minimd/zeros{k}", (h5.id.get_filesize() // 16,), "f8") for k in range(3)]
     ),
     "an attribute of another kind": _put("minimd", lambda h5: _attribute(h5, COMPOUND)),
+    "an attribute of many texts": _put("minimd", lambda h5: h5["minimd"].attrs.create("more", ["a"] * 300, dtype=h5py.string_dtype())),
+    "many attributes": _put("minimd", lambda h5: [h5["minimd"].attrs.create(f"a{k}", k) for k in range(300)]),
 }
 
 IN_BYTES = (

@@ -46,9 +46,11 @@ class CodeFiles(IndexDataCacheFile):
 
     def _load(self, path: str) -> Any:
         """What is in a file; None if there is none, or it was damaged."""
-        if not os.path.exists(path):
+        try:
+            content = sound_content(path)
+        except OSError:  # it is not there, or cannot be read now
             return None
-        if (content := sound_content(path)) is not None:
+        if content is not None:
             return pickle.loads(content)
         if not CodeFiles.is_told:
             CodeFiles.is_told = True
@@ -70,12 +72,10 @@ class CodeFiles(IndexDataCacheFile):
 
 
 def sound_content(path: str | Path) -> bytes | None:
-    """What a file of the cache holds behind its checksum, as bytes; None if it is damaged or cannot be read."""
-    with suppress(OSError), open(path, "rb") as file:
+    """What a file of the cache holds behind its checksum, as bytes; None if it is damaged.  Raises OSError if it cannot be read."""
+    with open(path, "rb") as file:
         checksum, content = file.read(CHECKSUM), file.read()
-        if sha256(content).digest() == checksum:
-            return content
-    return None
+    return content if sha256(content).digest() == checksum else None
 
 
 class KernelCache(FunctionCache):

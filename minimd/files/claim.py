@@ -38,6 +38,8 @@ class Claim:
         self.name, self.path = str(path), Path(os.path.realpath(path))
         self.replaced, self._is_new = -1, is_new
         self.place = self.path.with_name(f"{self.path.name}.begun") if is_new else self.path
+        if is_new and Path(path).is_symlink() and not self.path.exists():
+            raise OSError(errno.ENOENT, "it is a link to a file that does not exist; remove it, or choose another name")
         if is_new and self.path.exists() and not overwrite:
             raise FileExistsError(errno.EEXIST, "it exists; choose another name, or pass overwrite=True")
         self.descriptor = new_file(self.place) if is_new else locked(self.place)

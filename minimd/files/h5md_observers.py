@@ -20,7 +20,7 @@ import numpy as np
 from minimd.files.h5md_restart import arrays_of_restart
 from minimd.observers import KINDS
 from minimd.observers.accumulator import Accumulator
-from minimd.structure.checks import listed
+from minimd.structure.checks import listed, shown
 from minimd.structure.console import outside_minimd
 
 GROUP, MARK = "minimd/observers", "observer."
@@ -94,6 +94,9 @@ def observers_of(h5: h5py.File) -> dict[str, Accumulator]:
     states, found = _states(arrays_of_restart(h5)) if GROUP in h5 else {}, {}
     for name, group in h5.get(GROUP, {}).items():
         arguments: dict[str, Any] = json.loads(group.attrs["arguments"])
-        found[name] = KINDS[group.attrs["kind"]](**arguments)
-        found[name].restore(states.get(name, {}))
+        try:
+            found[name] = KINDS[group.attrs["kind"]](**arguments)
+            found[name].restore(states.get(name, {}))
+        except MemoryError:
+            raise ValueError(f"observer {name} asks for more memory than there is, by {shown(arguments)}") from None
     return found

@@ -14,6 +14,7 @@ import h5py
 from h5py import h5a, h5d, h5g, h5l, h5o, h5t
 
 from minimd.files.journaled_file import repair
+from minimd.structure.checks import printable
 from minimd.structure.errors import sentence
 
 NUMBERS = (h5t.INTEGER, h5t.FLOAT, h5t.ENUM)  # bools and species are enumerations
@@ -21,6 +22,7 @@ TEXTS = (*NUMBERS, h5t.STRING)
 MAY_BE_TEXTS = ("minimd/species_names", *(f"minimd/crash_report/{name}" for name in ("findings", "words", "simulation")))
 REFERENCE = b"particles_group"  # the only attribute that refers to an object
 LAYOUTS = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
+MOST_TEXTS = 256  # attributes of an object, and texts in an attribute; minimd has some 30
 DEEPEST = 8  # groups in groups; minimd has 5
 
 
@@ -91,12 +93,16 @@ def _strange_thing(h5: h5py.File) -> str:
 
 def _strange_in(item: Any, name: str) -> tuple[str, int]:
     """What is strange in a group or dataset, in words, and the number of bytes that it asks for."""
+    if (n := h5a.get_num_attrs(item)) > MOST_TEXTS:
+        return f"has {n} attributes", 0
     keys: list[bytes] = []
     h5a.iterate(item, keys.append)
     attributes = [h5a.open(item, key) for key in keys]
     for key, one in zip(keys, attributes, strict=True):
         if one.get_type().get_class() not in TEXTS and key != REFERENCE:
             return f"has the attribute {key.decode(errors='replace')!r} that is neither numbers nor texts", 0
+        if prod(one.shape) > MOST_TEXTS and one.get_type().get_class() == h5t.STRING:  # each of them could be as long as the file
+            return f"has the attribute {key.decode(errors='replace')!r} of {prod(one.shape)} texts", 0
     n_bytes = sum(prod(one.shape) * one.get_type().get_size() for one in attributes)
     if isinstance(item, h5g.GroupID):
         return "", n_bytes
@@ -122,7 +128,7 @@ def damage_told(path: str | Path) -> Iterator[None]:
     except MemoryError:
         raise
     except Exception as error:  # HDF5 and h5py raise almost anything for bytes they do not expect
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = printable(" ".join(str(error).split())) or type(error).__name__
         raise OSError(f"file {str(path)!r} is damaged: {reason}; copy it again, or run again") from error
 
 

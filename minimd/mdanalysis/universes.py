@@ -18,6 +18,7 @@ from MDAnalysis.analysis.msd import EinsteinMSD
 from MDAnalysis.analysis.rdf import InterRDF
 from numpy.typing import NDArray
 
+from minimd.files.h5md_opening import damage_told
 from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.h5md_schema import has_edges
 from minimd.files.turned_cell import Turn, turn_of
@@ -104,7 +105,8 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     with quiet():
         made = bare_universe(RunUniverse, system)
         made.contents, made.system, made.conserves_momentum = contents, system, contents.conserves_momentum
-        made.trajectory = RunReader(str(run), turn=turn, n_atoms=len(system), **({} if spacing is None else {"dt": spacing}))
+        with damage_told(run):
+            made.trajectory = RunReader(str(run), turn=turn, n_atoms=len(system), **({} if spacing is None else {"dt": spacing}))
     return made
 
 

@@ -21,6 +21,8 @@ from minimd.structure import units
 from minimd.structure.lattice import constant_from_density, crystal
 from minimd.structure.system import System
 
+DEEP_KEY = re.compile(r"(?:[\w\"'-]+\s*\.\s*){64}")  # of tables in tables, for which tomllib would take gigabytes
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -188,9 +190,24 @@ def load_scene(path: str | Path) -> Scene:
         raise OSError(f"scene file {str(file)!r} cannot be read: {error.strerror}") from None
 
 
+def stored_scene(text: str, file: Path) -> Scene:
+    """The scene in the file of a run, which others may have made: no other file is read for it.
+
+    Raises ValueError as load_scene, and if it names a table that is not in it.
+    """
+    scene = parse_scene(text, file)
+    for index, section in enumerate(scene.sections.potential):
+        for name in section.files if isinstance(section, TabulatedSection) else ():
+            if name not in scene.sections.tables:
+                raise ValueError(f"{file}: potential[{index}] of the stored scene must have its table in the scene; it names {name!r}")
+    return scene
+
+
 def parse_scene(text: str, path: Path) -> Scene:
     """Check the text of a scene file.  path : see Scene.  Raises ValueError as load_scene."""
     try:
+        if DEEP_KEY.search(text):
+            raise RecursionError
         reading = Reading(tomllib.loads(text))
         return Scene(path, text, SceneSections.model_validate(reading.document, context=reading))
     except tomllib.TOMLDecodeError as error:
@@ -198,7 +215,7 @@ def parse_scene(text: str, path: Path) -> Scene:
         line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
         raise ValueError(f"{path}: this is not valid TOML: {error}, in {line!r}") from None
     except RecursionError:
-        raise ValueError(f"{path}: its brackets are nested too deeply for a scene file") from None
+        raise ValueError(f"{path}: its tables are nested too deeply for a scene file") from None
     except ValidationError as error:
         raise ValueError("\n".join(f"{path}: {sentence}" for sentence in problems(reading, error))) from None
 

@@ -17,7 +17,7 @@ from minimd.files.trajectory import FORMATS, checked_output
 from minimd.integrators import StochasticCellRescaling
 from minimd.observers import Accumulator
 from minimd.potentials import PairPotential
-from minimd.scene.document import Scene, h5md_files, parse_scene
+from minimd.scene.document import Scene, h5md_files, stored_scene
 from minimd.scene.sections import PLOT_SUFFIXES
 from minimd.simulation.simulation import Simulation
 from minimd.structure.console import Terminated
@@ -110,7 +110,7 @@ def resume_run(
     """
     verify_frames(file)
     path, contents = Path(file), read_file(file)
-    stored = parse_scene(contents.scene, path) if contents.scene else None
+    stored = stored_scene(contents.scene, path) if contents.scene else None
     given, scene = scene, scene or stored
     if scene is None:
         go_on = f"sim = minimd.Simulation.resume({str(file)!r}, potentials); sim.run(n_steps, trajectory={str(file)!r}, append=True)"

@@ -1,5 +1,7 @@
 """Formats that MDAnalysis writes hold the run."""
 
+import errno
+import os
 import shutil
 
 import ase.io
@@ -11,6 +13,7 @@ from loose_lattice import PER_PICOSECOND, TURNED_CELL, simulation, system
 
 import minimd as md
 from minimd.files import mdanalysis_writer
+from minimd.files.h5md_reader import read_file
 
 FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]
 
@@ -74,30 +77,90 @@ def test_a_resumed_run_cuts_other_trajectories_to_its_restart(tmp_path, suffix, 
     def look(sim):
         if path.exists():  # a DCD file is begun with the second frame
             shutil.copy(path, tmp_path / f"b.{suffix}")
-            found.append((len(frames_in(tmp_path / f"b.{suffix}")), 1 + sim.step // 2))
-        if sim.step == 6:
+            found.append((len(frames_in(tmp_path / f"b.{suffix}")), 1 + sim.step))
+        if sim.step == 1:  # the index of a .traj file has room for 42 frames, at its end
             shutil.copy(tmp_path / "a.h5md", tmp_path / "b.h5md")
 
     sim = simulation()
-    sim.run(12, every=2, trajectory=[tmp_path / "a.h5md", path], observers=[look])
-    assert len(found) >= 6
-    assert {n for n, _ in found} == {n for _, n in found}
+    sim.run(14, every=1, trajectory=[tmp_path / "a.h5md", path], observers=[look])
+    assert len(found) >= 14
+    assert all(n == m for n, m in found)
     whole = frames_in(path)
     with path.open("ab") as file:
         file.write(path.read_bytes()[300:1000])
-    (tmp_path / "b.h5md").replace(tmp_path / "a.h5md")
-    md.Simulation.resume(tmp_path / "a.h5md", sim.potentials).run(4, every=2, trajectory=tmp_path / "a.h5md", append=True)
-    np.testing.assert_array_equal(frames_in(path), whole[:4])
+    (tmp_path / "a.h5md").write_bytes((tmp_path / "b.h5md").read_bytes())  # with its inode, as a kill leaves it
+    with pytest.warns(UserWarning, match=rf"a\.{suffix}' was cut"):
+        md.Simulation.resume(tmp_path / "a.h5md", sim.potentials).run(4, every=1, trajectory=tmp_path / "a.h5md", append=True)
+    np.testing.assert_array_equal(frames_in(path), whole[:2])
 
 
-def test_another_trajectory_of_the_same_name_is_left_alone(tmp_path):
-    sim, path, other = simulation(), tmp_path / "a.xtc", tmp_path / "b.xtc"
-    sim.run(4, every=2, trajectory=[tmp_path / "a.h5md", path])
-    content = 2 * path.read_bytes()
-    other.write_bytes(content)
-    other.replace(path)
+@pytest.mark.parametrize("suffix", [*FORMATS, "extxyz", "traj"])
+@pytest.mark.parametrize("n_steps", [0, 4])
+def test_a_trajectory_of_a_finished_run_is_never_cut(tmp_path, suffix, n_steps):
+    sim, path = simulation(), tmp_path / f"a.{suffix}"
+    sim.run(n_steps, every=2, trajectory=[tmp_path / "a.h5md", path])
+    with path.open("ab") as file:
+        file.write(b"added")
+    content = path.read_bytes()
     sim.run(4, every=2, trajectory=tmp_path / "a.h5md", append=True)
     assert path.read_bytes() == content
+
+
+OF_ANOTHER_RUN = {
+    "a copy": lambda path, old: (path.with_suffix(".new").write_bytes(path.read_bytes()), path.with_suffix(".new").replace(path)),
+    "restart in a copy": lambda path, old: (old.with_suffix(".new").write_bytes(old.read_bytes()), old.with_suffix(".new").replace(old)),
+    "rewritten": lambda path, old: path.write_bytes(path.read_bytes()[::-1]),
+    "a link": lambda path, old: path.symlink_to(path.replace(path.with_name("b.xtc"))),
+}
+
+
+@pytest.mark.parametrize("change", OF_ANOTHER_RUN)
+def test_a_trajectory_that_is_not_of_the_run_is_left_alone_and_told(tmp_path, change, monkeypatch):
+    def look(sim):
+        if sim.step == 4:
+            held.append((tmp_path / "a.h5md").read_bytes())
+
+    bring_to_disk_every(0.0, monkeypatch)
+    sim, path, held = simulation(), tmp_path / "a.xtc", []
+    sim.run(8, every=2, trajectory=[tmp_path / "a.h5md", path], observers=[look])
+    (tmp_path / "a.h5md").write_bytes(held[0])
+    OF_ANOTHER_RUN[change](path, tmp_path / "a.h5md")
+    content = path.read_bytes()
+    with pytest.warns(UserWarning, match=r"a\.xtc' may hold frames after the restart"):
+        md.Simulation.resume(tmp_path / "a.h5md", sim.potentials).run(4, every=2, trajectory=tmp_path / "a.h5md", append=True)
+    assert path.read_bytes() == content
+
+
+def test_a_mark_is_read_from_the_file_that_was_claimed(tmp_path, monkeypatch):
+    """Another program has put a link to a secret in the place of the trajectory."""
+
+    def swap(self):
+        if self.claim.path.exists() and not self.claim.path.is_symlink():
+            self.claim.path.unlink()
+            self.claim.path.symlink_to(secret)
+
+    bring_to_disk_every(0.0, monkeypatch)
+    (secret := tmp_path / "secret").write_text("precious")
+    monkeypatch.setattr(mdanalysis_writer.MDAnalysisWriter, "checkpoint", swap)
+    with pytest.raises(OSError, match="it was replaced"):
+        simulation().run(8, every=2, trajectory=[tmp_path / "a.h5md", tmp_path / "a.xtc"])
+    assert b"precious" not in (tmp_path / "a.h5md").read_bytes()
+
+
+def test_a_trajectory_whose_disk_fails_is_named_and_the_h5md_file_is_whole(tmp_path, monkeypatch):
+    def failing(descriptor):
+        if len(seen) > 1 and os.path.samestat(os.fstat(descriptor), os.stat(tmp_path / "a.xtc")):
+            raise OSError(errno.EIO, "Input/output error")
+        fsync(descriptor)
+
+    fsync, seen = os.fsync, []
+    bring_to_disk_every(0.0, monkeypatch)
+    monkeypatch.setattr("os.fsync", failing)
+    with pytest.raises(OSError, match=r"a\.xtc' .*Input/output error"):
+        simulation().run(8, every=2, trajectory=[tmp_path / "a.h5md", tmp_path / "a.xtc"], observers=[lambda sim: seen.append(sim.step)])
+    assert seen == [0, 2]
+    held = read_file(tmp_path / "a.h5md")
+    assert (held.step, held.n_frames) == (4, 3)
 
 
 @pytest.mark.parametrize("suffix", ["xtc", "ncdf"])

@@ -1,7 +1,5 @@
 """Trajectories written by ASE."""
 
-import os
-
 import ase.io
 from ase.calculators.singlepoint import SinglePointCalculator
 from ase.io.trajectory import TrajectoryWriter
@@ -53,7 +51,7 @@ class ASEWriter:
 
     def checkpoint(self) -> None:
         """Bring all frames taken so far to the disk."""
-        os.fsync(self.claim.descriptor)
+        self.claim.sync()
 
     def close(self) -> None:
         """Finish the file."""

@@ -63,6 +63,13 @@ class Claim:
         _sync_folder(self.path.parent)
         self._release_replaced()
 
+    def sync(self) -> None:
+        """Bring the file to the disk.  Raises OSError with its name."""
+        try:
+            os.fsync(self.descriptor)
+        except OSError as error:
+            raise OSError(error.errno, f"trajectory {self.name!r} could not be brought to the disk: {error.strerror}") from None
+
     @property
     def stream(self) -> Path:
         """A name under which a library may open the claimed file for writing: it leads there whatever its other names lead to by now."""

@@ -49,7 +49,7 @@ class H5MDWriter:
     claim : on the file.  engine : whose frames are written.  store_forces : also write forces.  every : steps between two frames.
     n_frames : number of frames expected, None if it is not known.
     observers : of the run; their state is kept with each restart, and their results are written at the end of the run.
-    bring_others : brings other trajectories in a folder to the disk before a restart; the marks that it returns are kept.
+    bring_others : brings other trajectories to the disk before a restart; the marks that it returns are kept until the end of the run.
 
     Raises OSError if the file cannot be created or has no room.
     """
@@ -73,7 +73,7 @@ class H5MDWriter:
         every: int = 1,
         observers: Sequence[Accumulator] = (),
         n_frames: int | None = None,
-        bring_others: Callable[[Path], list[bytes]] = lambda folder: [],
+        bring_others: Callable[[Claim], list[bytes]] = lambda claim: [],
     ) -> None:
         self._begin(claim, engine, store_forces, "w")
         self._every, self._observers, self._n_expected = every, observers, n_frames
@@ -125,7 +125,7 @@ class H5MDWriter:
             self._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
             self._last_step = int(contents.record.step[self._n_frames - 1])
             self.marks = [array.tobytes() for name, array in arrays_of_restart(self._h5).items() if name.startswith(BESIDE)]
-            self._bring_others = lambda folder: []
+            self._bring_others = lambda claim: []
             set_aside_damaged(self._h5)
             drop_frames(self._h5, self._n_frames)
             describe_observers(self._h5, observers)
@@ -158,13 +158,14 @@ class H5MDWriter:
         if not self._h5 or n_frames == 0:
             return
         started, step = monotonic(), pending[layout.STEPS][0] if n_frames > self._n_frames else self._engine.step
+        is_restart = self._engine.is_whole or self._n_frames == 0
+        marks = enumerate(self._bring_others(self.claim) if is_restart else [])
         with self._telling(f"take the frame of step {step}"), uninterrupted():
             if n_frames > self._n_frames:
                 self._add(pending, n_frames)
             if self._method is not self._engine.method:
                 self._describe_method()
-            if self._engine.is_whole or self._n_frames == 0:
-                marks = enumerate(self._bring_others(self.claim.path.parent))
+            if is_restart:
                 beside = states_of(self._observers) | {f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in marks}
                 write_restart(self._h5, self._engine.checkpoint(), n_frames, beside)
             self._commit()
@@ -179,6 +180,14 @@ class H5MDWriter:
 
         Raises OSError if they cannot be written.
         """
+        others, self._bring_others = self._bring_others, lambda claim: []  # whole files have no marks: nothing is to be cut off
+        try:
+            if self._h5:
+                others(self.claim)
+        finally:
+            self._end()
+
+    def _end(self) -> None:
         try:
             self.checkpoint()
             if self._h5 and self._n_frames and self._observers:

@@ -62,7 +62,7 @@ class JournaledFile:
         start, end = self._at, max(self._at, min(self._at + len(view), self.size))
         found = bytearray(end - start)
         if start < self._committed:
-            old = _read_at(self._claim.descriptor, min(end, self._committed) - start, start)
+            old = read_at(self._claim.descriptor, min(end, self._committed) - start, start)
             found[: len(old)] = old
         if end > self._committed:
             first = max(start, self._committed)
@@ -181,16 +181,16 @@ def _read_journal(file: int) -> tuple[int, Pieces] | None:
     end = os.fstat(file).st_size - END.size
     if end < 0:
         return None
-    before, size, n_bytes, checksum, magic = END.unpack(_read_at(file, END.size, end))
+    before, size, n_bytes, checksum, magic = END.unpack(read_at(file, END.size, end))
     first = end - n_bytes
     if magic != MAGIC or not 0 <= before <= first <= end or not 0 <= size <= first:
         return None
     found = 0
     for place in range(before, end, BLOCK):
-        found = zlib.crc32(_read_at(file, min(BLOCK, end - place), place), found)
+        found = zlib.crc32(read_at(file, min(BLOCK, end - place), place), found)
     if zlib.crc32(END.pack(before, size, n_bytes, 0, MAGIC), found) != checksum:
         return None
-    text, pieces, start = _read_at(file, n_bytes, first), [], 0
+    text, pieces, start = read_at(file, n_bytes, first), [], 0
     while start < n_bytes:
         place, n = PIECE.unpack_from(text, start) if n_bytes - start >= PIECE.size else (-1, 0)
         start += PIECE.size + n
@@ -222,7 +222,7 @@ def _write_all(descriptor: int, data: bytes | memoryview, place: int) -> None:
             done += _write_at(descriptor, view[done:], place + done)
 
 
-def _read_at(descriptor: int, n_bytes: int, place: int) -> bytes:
+def read_at(descriptor: int, n_bytes: int, place: int) -> bytes:
     """Up to n_bytes bytes from a place on; a single call to the system reads at most 2 GB."""
     found = []
     while n_bytes > 0 and (part := _read_some(descriptor, n_bytes, place)):

@@ -60,7 +60,7 @@ class MDAnalysisWriter:
 
     def checkpoint(self) -> None:
         """Bring all frames taken so far to the disk, except a first one in a DCD file."""
-        os.fsync(self.claim.descriptor)
+        self.claim.sync()
 
     def close(self) -> None:
         """Finish the file; do nothing if it has failed."""

@@ -3,8 +3,9 @@
 import errno
 import os
 import struct
+import warnings
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -13,8 +14,10 @@ from typing import Any, Protocol
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.claim import Claim, locked
+from minimd.files.journaled_file import read_at
 from minimd.observers.accumulator import Accumulator
 from minimd.structure.checks import shown
+from minimd.structure.console import outside_minimd
 
 
 class Writer(Protocol):
@@ -37,7 +40,10 @@ FORMATS = {  # suffix: module and class of its writer, imported when needed, and
     **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())),
     **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter", ("store_forces",))),
 }
-MARK = struct.Struct("<QQ128s")  # of a file: inode, size, first bytes, in which some formats count frames; its name follows
+N_FIRST, N_LAST = 128, 256
+MARK = struct.Struct(f"<QQQ{N_FIRST}s{N_LAST}s")
+"""Of a file beside an H5MD file: inode of the H5MD file; inode and size of the file, its first bytes, in which some formats count frames, and
+its last bytes, in which zeros may be replaced later by places of frames (.traj). Its name follows."""
 
 
 @contextmanager
@@ -71,6 +77,8 @@ def open_trajectories(
         for file in sorted(files, key=lambda file: file.suffix.lower() == ".h5md"):  # last: it tells how far the others are
             writers.append(_continued(file, engine, options) if append else _new(file, engine, options, overwrite))
             closing.callback(writers[-1].close)
+            if append:
+                _cut_others_back(writers[-1])
         try:
             yield writers
         except KeyboardInterrupt as stopped:  # also by other signals; see console.Terminated
@@ -95,40 +103,76 @@ def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -
 def _continued(file: Path, engine: Engine, options: dict[str, Any]) -> Writer:
     from minimd.files.h5md_writer import H5MDWriter
 
-    writer = H5MDWriter.append_to(file, engine, **{name: options[name] for name in ("store_forces", "every", "observers")})
+    return H5MDWriter.append_to(file, engine, **{name: options[name] for name in ("store_forces", "every", "observers")})
+
+
+def _cut_others_back(writer: Any) -> None:
+    """Cut the other trajectories of a continued H5MD file to what they were at its restart; warns of what was cut, and what could not be."""
+    told = []
     for mark in writer.marks:
-        with suppress(OSError, ValueError, struct.error):  # the trajectory is not there any more, or somebody writes it
-            _cut_back(writer.claim.path.parent / Path(os.fsdecode(mark[MARK.size :])).name, *MARK.unpack_from(mark))
-    return writer
+        path = writer.claim.path.parent / Path(os.fsdecode(mark[MARK.size :])).name
+        try:
+            words = _cut_back(path, writer.claim.descriptor, *MARK.unpack_from(mark))
+        except FileNotFoundError:
+            words = ""
+        except (OSError, ValueError, struct.error) as error:
+            words = f"may hold frames after the restart and is left as it is: {getattr(error, 'strerror', None) or error}"
+        told += [f"trajectory {str(path)!r} {words}"] if words else []
+    for sentence in told:
+        warnings.warn(sentence, stacklevel=outside_minimd())
 
 
-def _brought_to_disk(writers: Sequence[Writer], folder: Path) -> list[bytes]:
-    """Bring trajectories to the disk that are not H5MD; returns, for the restart, marks of those in a folder.
+def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:
+    """Bring trajectories to the disk that are not H5MD; returns marks of those beside the claimed H5MD file, for its restart.
 
     A kill may leave a part of a frame, which the usual readers refuse; a resumed run cuts off what came after the restart.
+
+    Raises OSError for a trajectory that cannot be brought to the disk; it is not tried again.
     """
-    marks = []
+    marks, own = [], os.fstat(claim.descriptor).st_ino
     for one in writers:
-        path = one.claim.path
+        path, file = one.claim.path, one.claim.descriptor
         if path.suffix.lower() != ".h5md":
-            one.checkpoint()
-            if path.parent == folder:
-                now = os.fstat(one.claim.descriptor)
-                with one.claim.place.open("rb") as file:
-                    marks.append(MARK.pack(now.st_ino, now.st_size, file.read(128)) + os.fsencode(path.name))
+            try:
+                one.checkpoint()
+            except OSError:
+                writers.remove(one)
+                raise
+            if path.parent == claim.path.parent:
+                now = os.fstat(file)
+                ends = read_at(file, N_FIRST, 0), read_at(file, *_last_bytes(now.st_size))
+                marks.append(MARK.pack(own, now.st_ino, now.st_size, *ends) + os.fsencode(path.name))
     return marks
 
 
-def _cut_back(path: Path, inode: int, size: int, first: bytes) -> None:
-    """Cut a trajectory to what it was at a restart, if it is still the file that the run has written."""
-    if path.suffix.lower() in set(FORMATS) - {".h5md"} and not path.is_symlink():
-        with open(locked(path), "r+b") as file:
-            found = os.fstat(file.fileno())
-            if found.st_ino == inode and found.st_size >= size:
-                file.write(first[:size])
-                file.truncate(size)
-                if not size:  # it had no frame, and therefore no name
-                    path.unlink()
+def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: bytes, last: bytes) -> str:
+    """Cut a trajectory to what it was at a restart; returns what was done, in words, empty if it has not grown since.
+
+    h5md : descriptor of the file with the restart.  own, inode, size, first, last : as in MARK.
+    Raises OSError, ValueError if one of the two files is not the one that the run has written.
+    """
+    if path.suffix.lower() not in set(FORMATS) - {".h5md"}:
+        raise ValueError("it is no trajectory")
+    with open(locked(path), "r+b") as file:
+        found = os.fstat(file.fileno()).st_size
+        is_ours = _has_inode(h5md, own) and _has_inode(file.fileno(), inode) and found >= size
+        if not is_ours or any(a not in (0, b) for a, b in zip(last, read_at(file.fileno(), *_last_bytes(size)), strict=False)):
+            raise ValueError("it, or the file with the restart, is a copy or was changed")
+        file.write(first[:size])
+        file.truncate(size)
+        if not size:  # it had no frame, and therefore no name
+            path.unlink()
+            return f"of {found} bytes was removed: it had no frame at the restart"
+    return f"was cut from {found} to {size} bytes, as it was at the restart" if found > size else ""
+
+
+def _has_inode(descriptor: int, inode: int) -> bool:
+    return os.fstat(descriptor).st_ino == inode
+
+
+def _last_bytes(size: int) -> tuple[int, int]:
+    """Number and place of the last bytes of a file that a mark holds; none of them is among the first."""
+    return min(N_LAST, max(0, size - N_FIRST)), max(N_FIRST, size - N_LAST)
 
 
 def _appendable(file: Path) -> Path:

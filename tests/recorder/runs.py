@@ -110,8 +110,7 @@ def begin_resumes(folder, disk):
 
 def cut_back_elsewhere():
     """The files of a state have other inodes than those of the run; see trajectory._cut_back."""
-    cut_back = trajectory._cut_back
-    trajectory._cut_back = lambda path, inode, *mark: cut_back(path, path.stat().st_ino, *mark)
+    trajectory._has_inode = lambda descriptor, inode: True
 
 
 def reference(folder):

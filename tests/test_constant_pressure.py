@@ -209,6 +209,13 @@ def test_a_file_tells_that_a_liquid_has_evaporated():
     assert "EVAPORATED" in str(line)
 
 
+@pytest.mark.parametrize(("n_atoms", "center"), [(8, 0.5), (1, 0.0)])
+def test_the_pressure_of_the_center_of_mass_is_added_where_it_is_left_out(n_atoms, center):
+    series = {"volume": np.full(40, 2.0), "pressure": np.full(40, 1.25), "temperature": np.ones(40)}
+    record = Record.of(md.units.LJ, n_atoms, {"step": np.arange(40), "time": np.arange(40.0)} | series)
+    assert f" {with_error(1.25 + center, 0.0)} " in str(list(pressure_lines(record, barostat(), True))[1])
+
+
 def test_fluctuations_belong_to_one_bath():
     looking = md.observers.Fluctuations()
     simulation = md.Simulation(md.System([[0.0, 0.0, 0.0]]), Clock(), md.LangevinBAOAB(0.1, 0.8, 1.0, 2))

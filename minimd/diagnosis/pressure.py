@@ -10,6 +10,7 @@ from minimd.diagnosis.report import Line
 from minimd.engine.cell_rescaling import EVAPORATED
 from minimd.engine.record import Record
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
+from minimd.structure.observables import leaves_out_center
 from minimd.structure.statistics import mean_and_error, with_error
 
 ENOUGH = 20  # frames, for a mean that is judged
@@ -28,7 +29,7 @@ def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, con
     yield Line("volume", f"{record.volume.mean():.6g} {units.volume} on average", f"standard deviation {record.volume.std():.2g}", True)
     if barostat.coupling not in ("isotropic", "triclinic"):
         return
-    missing = units.k_B * record.temperature / record.volume if conserves_momentum else 0.0  # of the center of mass
+    missing = units.k_B * record.temperature / record.volume if leaves_out_center(record.n_atoms, conserves_momentum) else 0.0
     mean, error = mean_and_error(record.pressure + missing)
     is_there = abs(mean - barostat.pressure) <= FAR * error
     words = f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted"

@@ -141,7 +141,7 @@ def atom_with_clock(**changes):
 def test_forces_that_depend_on_time_are_those_of_the_step_of_the_strain():
     simulation, clock = atom_with_clock()
     simulation.run(10, every=10, progress=False)
-    assert clock.times[-5:] == [0.0, 0.5, 0.5, 1.0, 1.0]
+    assert clock.times == [0.0, 0.5, 0.5, 1.0, 1.0]
 
 
 def test_heat_capacity_and_expansion_at_the_pressure_of_the_barostat():

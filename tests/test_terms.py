@@ -137,6 +137,14 @@ def test_a_wrong_force_is_found_in_any_unit_of_length(length):
         steep(length).run(1)
 
 
+@pytest.mark.parametrize("distance", [0.0, 1e-13])
+def test_atoms_at_nearly_one_place_do_not_spoil_the_comparison(distance):
+    system = md.System([[5.0, 5.0, 5.0], [5.0, 5.0, 5.0 + distance]], cell=9.0)
+    md.Simulation(system, Tether(), md.VelocityVerlet(0.001)).run(1)
+    with pytest.raises(ValueError, match="gradient"):
+        md.Simulation(system, Tether(WRONG["twice"], u=1e-3), md.VelocityVerlet(0.001)).run(1)
+
+
 def test_slopes_that_are_not_finite_count_neither_for_nor_against_a_force():
     with pytest.raises(ValueError, match="gradient"):
         steep(1.0, 9).run(1)  # the last of three slopes is finite

@@ -19,6 +19,7 @@ FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes
 BOND_LOOP = "bond loop"
 TRIES, SHAKEN, STEP = 3, 1e-2, 1e-4  # comparisons of force and energy; from where, and how far atoms move, see _length_of
 ROUGH = 10.0  # of a slope: relative to the difference of two of them
+CLOSE = 1e-2  # the closest distance that counts, relative to the mean spacing of atoms
 INTERPRETERS: list[Callable[[Any], Sequence[Any] | None]] = []  # for objects that are no potentials; minimd/__init__ adds those of the bridges
 
 
@@ -242,10 +243,11 @@ def check_force(potential: Any, system: System, time: float) -> None:
 
 
 def _length_of(system: System) -> float:
-    """A length by which atoms can move a little: the closest distance; if there is none, (V/N)^(1/3), or 1 in an open cell [length]."""
-    pair, cell = closest_pair(system), system.cell
-    lengths = (pair.distance if pair else 0.0, cell.heights[cell.pbc].min(initial=np.inf) / len(system) ** (1.0 / 3.0))
-    return next((length for length in lengths if 0.0 < length < inf), 1.0)
+    """A length by which atoms can move a little: the closest distance, within bounds if atoms overlap or are far from each other [length]."""
+    cell, positions, pair = system.cell, system.positions, closest_pair(system)
+    sizes = cell.heights[cell.pbc].min(initial=inf), np.ptp(positions, axis=0).max(), np.abs(positions).max(), 1.0
+    spacing = next(size for size in sizes if 0.0 < size < inf) / len(system) ** (1.0 / 3.0)
+    return float(np.clip(pair.distance if pair else spacing, CLOSE * spacing, spacing))
 
 
 def no_bonds(what: str, groups: str = "bonds") -> str:

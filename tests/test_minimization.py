@@ -12,7 +12,7 @@ from rigid_scenes import SCENES
 import minimd as md
 from minimd.forces.forces import Forces
 from minimd.minimization.fire import steer
-from minimd.potentials.term import TOTALS
+from minimd.potentials.term import FORCES, TOTALS
 from minimd.scene import parse_scene, run_scene
 from minimd.structure.errors import Interrupted
 from minimd.structure.images import nearest_vectors
@@ -229,6 +229,14 @@ def test_atoms_on_one_spot_part_in_the_same_way_each_time(n_atoms):
         assert found.potential_energy == pytest.approx(-n_atoms * (n_atoms - 1) / 2, abs=1e-12)  # all pairs at 2^(1/6)
 
 
+def test_any_number_of_pairs_on_one_spot_part():
+    """101 is more than there are pushes; one pair is at two images of a place."""
+    places = 1.5 * np.argwhere(np.ones((5, 5, 5)))[:101]
+    system = md.System(np.concatenate([places, places]), cell=7.5)
+    system.positions[150] += 7.5, 0.0, -7.5
+    assert md.minimize(system, CUT, force_tolerance=1e-3).converged
+
+
 def melt(n_chains, n_beads, seed):
     """Random walks thrown into a cell, as melts of Kremer and Grest begin."""
     rng, edge = np.random.default_rng(seed), (n_chains * n_beads / 0.85) ** (1.0 / 3.0)
@@ -263,6 +271,17 @@ def test_a_step_to_where_only_the_energy_has_no_number_is_taken_back():
     found = md.minimize(system, [md.LennardJones(1.0, 1.0), md.BondPotential(without_wall)], max_step_length=5.0)
     assert found.converged
     assert 0.9 < np.linalg.norm(np.diff(found.system.positions, axis=0)) < 1.0
+
+
+@pytest.mark.parametrize(("bond", "is_users"), [(md.FENEBond(30.0, 1.5), False), (md.BondPotential(without_wall), True)])
+def test_only_laws_of_the_user_need_the_energy_at_each_step(bond, is_users, monkeypatch):
+    """minimd's own have no finite force where they have no energy."""
+    details, compute = [], Forces.compute
+    monkeypatch.setattr(Forces, "compute", lambda forces, detail=FORCES: details.append(detail) or compute(forces, detail))
+    found = md.minimize(md.System([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0]], bonds=[[0, 1]]), [LJ, bond])
+    n_asked = sum(detail != FORCES for detail in details)
+    assert found.n_steps > 10
+    assert n_asked == (len(details) if is_users else 2)  # at the beginning and at the end
 
 
 @pytest.mark.parametrize("call", [md.evaluate, md.minimize, md.advise_timestep, ran])

@@ -1,6 +1,7 @@
 """One door for forces: whatever has bind takes part, with as little as an add; what was computed can be set aside."""
 
 import warnings
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -102,6 +103,60 @@ def test_a_force_that_is_not_minus_the_gradient_of_its_energy_is_refused(wrong):
 def test_right_forces_rough_energies_and_forces_that_declare_none_run(term):
     """In float32, with 100 ε for each atom, differences are rounding; a force without energy, or said to be no gradient, is the user's."""
     ran(term)
+
+
+class Steep(md.Term):
+    """Σ exp(x/s), with a force twice too large; the first evaluations have no finite energy."""
+
+    seen: ClassVar = []  # times, of copies too
+
+    def __init__(self, length, n_without=0, **declared):
+        self.length, self.n_without, self.n_calls = length, n_without, 0
+        self.__dict__.update(declared)
+
+    def bind(self, system):
+        self.anchors = system.positions.copy()
+        return self
+
+    def add(self, system, detail, forces, energies, virials):
+        self.seen.append(self.time)
+        self.n_calls += 1
+        u = np.exp((system.positions[:, 0] - self.anchors[:, 0]) / self.length)
+        forces[:, 0] -= 2.0 * u / self.length
+        energies += np.where(1 < self.n_calls <= self.n_without, np.nan, u)
+
+
+def steep(length, *given, **declared):
+    system = md.System(length * liquid(3).positions, cell=length * liquid(3).cell.vectors)
+    return md.Simulation(system, Steep(length, *given, **declared), md.VelocityVerlet(0.001))
+
+
+@pytest.mark.parametrize("length", [1e-9, 1.0, 1e9])
+def test_a_wrong_force_is_found_in_any_unit_of_length(length):
+    with pytest.raises(ValueError, match="gradient"):
+        steep(length).run(1)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1e-13])
+def test_atoms_at_nearly_one_place_do_not_spoil_the_comparison(distance):
+    system = md.System([[5.0, 5.0, 5.0], [5.0, 5.0, 5.0 + distance]], cell=9.0)
+    md.Simulation(system, Tether(), md.VelocityVerlet(0.001)).run(1)
+    with pytest.raises(ValueError, match="gradient"):
+        md.Simulation(system, Tether(WRONG["twice"], u=1e-3), md.VelocityVerlet(0.001)).run(1)
+
+
+def test_slopes_that_are_not_finite_count_neither_for_nor_against_a_force():
+    with pytest.raises(ValueError, match="gradient"):
+        steep(1.0, 9).run(1)  # the last of three slopes is finite
+
+
+def test_a_term_that_depends_on_time_is_tried_at_the_time_of_the_run():
+    simulation = steep(1.0, depends_on_time=True)
+    simulation.engine.time = 7.0
+    Steep.seen.clear()
+    with pytest.raises(ValueError, match="gradient"):
+        simulation.run(1)
+    assert set(Steep.seen) == {7.0}
 
 
 def test_the_check_leaves_no_trace_in_the_run():

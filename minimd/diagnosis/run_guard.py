@@ -95,7 +95,7 @@ class RunGuard:
             self.forget()
         engine.interactions.check_resolution()
         if not self._checked_timestep:
-            engine.interactions.check_forces()
+            engine.interactions.check_forces(engine.time)
         goes_on = engine.is_as_left
         if not goes_on:
             engine.begin()

@@ -21,6 +21,7 @@ from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.potentials.law import law_at
 from minimd.potentials.pair import PairPotential
 from minimd.structure.observables import longest
+from minimd.structure.observables import leaves_out_center
 from minimd.structure.statistics import mean_and_error, with_error
 from minimd.structure.system import System
 
@@ -115,7 +116,7 @@ def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, con
     yield Line("volume", f"{record.volume.mean():.6g} {units.volume} on average", f"standard deviation {record.volume.std():.2g}", True)
     if barostat.coupling not in ("isotropic", "triclinic"):
         return
-    missing = units.k_B * record.temperature / record.volume if conserves_momentum else 0.0  # of the center of mass
+    missing = units.k_B * record.temperature / record.volume if leaves_out_center(record.n_atoms, conserves_momentum) else 0.0
     mean, error = mean_and_error(record.pressure + missing)
     is_there = abs(mean - barostat.pressure) <= FAR * error
     words = f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted"

@@ -109,11 +109,11 @@ class Forces:
         for term in self._bound:
             check_resolution(self.system, term.shortest_length, "the shortest length of a potential")
 
-    def check_forces(self) -> None:
-        """Raise ValueError if the force of a user's term is not minus the gradient of its energy."""
+    def check_forces(self, time: float) -> None:
+        """Raise ValueError if the force of a user's term is not minus the gradient of its energy, at a time."""
         for potential, term in zip(self.potentials, self._bound, strict=True):
             if term.is_checked:
-                check_force(potential, term, self.system)
+                check_force(potential, self.system, time)
 
     def fit_skin(self, displacement: float) -> None:
         """Choose the skin anew if the displacement of the fastest atom in a step [length] has changed much, unless the user gave a skin."""

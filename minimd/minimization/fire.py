@@ -18,7 +18,8 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces
 from minimd.neighbors.queries import closest_pair
-from minimd.potentials.term import TOTALS
+from minimd.potentials.term import FORCES, TOTALS, OwnPotential
+from minimd.potentials.user_laws import is_user_law
 from minimd.structure.errors import ConstraintError, NonFiniteError, RangeError
 from minimd.structure.images import nearest_vectors
 from minimd.structure.observables import Array, longest
@@ -88,6 +89,8 @@ class FIRE:
         self._engine, self._constraint_set, self._longest = forces, constraint_set, max_step_length
         self._system, self._positions = forces.system, forces.system.positions
         self._forces, self._velocities = np.zeros_like(self._positions), np.zeros_like(self._positions)
+        users = [one for one in forces.potentials if not isinstance(one, OwnPotential) or is_user_law(getattr(one, "law", ()))]
+        self._detail = TOTALS if users else FORCES  # minimd's own laws have no finite force where they have no energy
         self._curvature, self._probe = 0.0, np.random.default_rng(SEED).standard_normal(self._positions.shape)
         self._tolerance, self._max_steps = 0.0, 0
         self.n_steps, self.largest_force, self.stop_requested = 0, 0.0, False
@@ -206,10 +209,10 @@ class FIRE:
         False, with the forces of before, if energy or forces are not finite.
         """
         try:
-            largest = largest_component(self._engine.compute(TOTALS))
+            largest = largest_component(self._engine.compute(self._detail))
         except RangeError:
             return False
-        if not np.isfinite([largest, self._engine.potential_energy]).all():
+        if not np.isfinite(largest) or (self._engine.has_energy and not np.isfinite(self._engine.potential_energy)):
             return False
         self._forces[:] = self._engine.forces * min(1.0, LARGEST / max(largest, 1.0))
         self._constraint_set.project(self._forces, self._positions)
@@ -219,7 +222,8 @@ class FIRE:
     def _push_apart(self, n_pushes: int) -> None:
         """Move the two atoms of the closest pair, whose forces are infinite, apart along their connection, each by half the longest step.
 
-        Atoms at the same place take directions of their own, which are always the same.
+        If they are at the same place, all atoms that share a place with another take directions of their own, which are always the same; the
+        one that moves farthest moves by half the longest step.
         """
         pair = closest_pair(self._system)
         if pair is None or pair.distance > self._longest or n_pushes > PUSHES or not np.isfinite(self._positions).all():
@@ -229,7 +233,9 @@ class FIRE:
         if arm.any():
             velocities[both] = np.outer((-1.0, 1.0), arm / np.abs(arm).max())  # squares of tiny numbers may be zero
         else:
-            velocities[both] = self._probe[both]
+            _, place, n_there = np.unique(self._system.cell.wrapped(self._positions), axis=0, return_inverse=True, return_counts=True)
+            shared = np.union1d(both, np.flatnonzero(n_there[place.ravel()] > 1))
+            velocities[shared] = self._probe[shared]
         velocities /= longest(velocities)[1]
         self._constraint_set.project(velocities, self._positions)
         if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from minimd.potentials.each import Array, checked_each, columns_of
 from minimd.potentials.fields import FieldTerm, OwnField, checked_atoms
-from minimd.potentials.law import checked_law, evaluate_law
+from minimd.potentials.law import ACCURACY, agree, checked_law, evaluate_law
 from minimd.potentials.term import Term
 from minimd.structure.checks import shown
 from minimd.structure.system import System
@@ -20,7 +20,6 @@ TRIED = 5  # atoms at which a law is tried
 TIMES = (0.0, 0.37, 1.9)  # at which it is tried
 TIMED = 5  # numbers that a law returns if its u depends on time
 STEP = 1e-5  # of a central difference, of the units of length and time
-ACCURACY, BESIDE_U = 1e-4, 1e-8  # of that difference: relative to itself, and to u
 
 
 class Field(OwnField):
@@ -105,7 +104,7 @@ class _Tried:
         """What is wrong: the index of a wrong number among those after u, and a sentence."""
         u, *told = self.at(time)
         for k, (said, slope) in enumerate(zip((*told, 0.0)[:4], self.slopes(time).tolist(), strict=True)):
-            if isfinite(said) and isfinite(slope) and abs(said - slope) > ACCURACY * max(abs(said), abs(slope)) + BESIDE_U * abs(u):
+            if isfinite(said) and isfinite(slope) and not agree(said, slope, u):
                 at = f"at ({', '.join(f'{c:.4g}' for c in self.place)}), t = {time:g}"
                 what = f"-∂u/∂{'xyz'[k]}" if k < len("xyz") else "∂u/∂t"
                 if k == len(told):

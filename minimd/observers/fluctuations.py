@@ -52,6 +52,7 @@ class Fluctuations(Accumulator):
 
     kind = "fluctuations"
     needs_energy = True
+    convention = 2  # thermal energy, not kinetic energy
 
     def __init__(self, every: int = 20, name: str = "") -> None:
         super().__init__(every, name)

@@ -32,6 +32,7 @@ class Integral(NamedTuple):
 class TimeCorrelation(Accumulator):
     """An observer of a correlation in time. Its sums are the number of looks, temperatures, volumes, and those of a multiple-tau correlator."""
 
+    convention = 2  # relative to the center of mass where its motion is no degree of freedom
     _correlator: MultipleTau
 
     def interrupt(self) -> None:

@@ -32,4 +32,4 @@ def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, con
     mean, error = mean_and_error(record.pressure + missing)
     is_there = abs(mean - barostat.pressure) <= FAR * error
     words = f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted"
-    yield Line("pressure", words, "reached" if is_there else "NOT REACHED; equilibrate longer", is_there)
+    yield Line("pressure", words, "reached" if is_there else "NOT REACHED; equilibrate longer", is_there, not is_there)

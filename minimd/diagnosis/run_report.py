@@ -29,5 +29,5 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     )
     angular, lines = is_free and not engine.system.cell.is_periodic, static_checks(engine, reversibility)
     lines += pressure_lines(record, engine.barostat, is_free)
-    report = conservation_report(record, linear=is_free, angular=angular, cost=cost, lines=lines)
+    report = conservation_report(record, linear=is_free, angular=angular, cost=cost, lines=lines, n_dof=engine.n_dof)
     return replace(report, too_long_a_step=too_long_a_step(engine) or "")

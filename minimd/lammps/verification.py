@@ -25,7 +25,7 @@ TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed 
 LEAST = 1e-30  # [energy], of a scene without energies
 SMALLER = 0.95  # the size of a copy, relative to the one before
 SHAKEN = 0.05  # of the skin: displacements of atoms in the copies, in each direction at most
-NEAREST = 0.3  # of the smallest cutoff: copies whose closest pair is nearer are not made
+NEAREST = 0.3  # of the smallest cutoff: after the first copy, none is made whose closest pair is nearer
 PART = 0.01  # of the energies, forces and virials of the copy: the scale of those that vanish or cancel in the scene
 
 Array = NDArray[np.float64]

@@ -234,25 +234,6 @@ def test_only_a_pair_that_interacts_is_named_as_on_a_cutoff(scale, is_named):
     assert bool(on_a_cutoff(md.Simulation(system, potential, md.VelocityVerlet(TIMESTEP)).engine)) is is_named
 
 
-@pytest.mark.filterwarnings("error::RuntimeWarning")
-@pytest.mark.parametrize("others", [0.0, 1.0])
-def test_a_cutoff_of_zero_has_no_pair_on_it(others, monkeypatch):
-    cutoffs = {("A", "A"): others or 1e-9, ("A", "B"): 1.5 * others or 1e-9, ("B", "B"): 1.0}
-    system = md.System([[0.0, 0.0, 0.0], [1.5, 0.0, 0.0]], species=["A", "B"])
-    simulation = md.Simulation(system, md.LennardJones(1.0, 1.0, cutoffs), md.VelocityVerlet(TIMESTEP))
-    table = md.LennardJones.table
-
-    def with_zeros(self, names):
-        numbers = table(self, names).copy()
-        numbers[0, 0, 0], numbers[1, 1, 0] = 0.0, 0.0
-        if not others:
-            numbers[:, :, 0] = 0.0
-        return numbers
-
-    monkeypatch.setattr(md.LennardJones, "table", with_zeros)
-    assert bool(on_a_cutoff(simulation.engine)) is bool(others)
-
-
 def test_no_copy_after_the_first_is_made_too_small(monkeypatch):
     """A law without energy keeps the search going."""
     nearest, found = [], verification.evaluated

@@ -75,12 +75,10 @@ def on_a_cutoff(engine: Engine) -> str:
                 np.sqrt(one.table(system.species_names)[:, :, 0]),
                 system.species_index if one.depends_on_species else 0 * system.species_index,
             )
-            if not cutoffs.any():
-                continue
             first, second, distances = neighbor_list("ijd", system, float(cutoffs.max()) * (1.0 + TOLERANCE))
             at = cutoffs[species[first], species[second]]
             scales = bonded_scales(one, system)
-            for k in np.flatnonzero((at > 0.0) & (np.abs(distances - at) <= TOLERANCE * at)).tolist():
+            for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at).tolist():
                 if scales.get(frozenset((int(first[k]), int(second[k]))), 1.0) == 0.0:
                     continue
                 pair = f"atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of {type(one).__name__}"

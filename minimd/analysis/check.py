@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.constraints.constraint_set import ConstraintSet
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.diagnosis.run_report import pressure_lines
 from minimd.engine.record import SERIES, Record
@@ -95,7 +96,8 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     contents, moved, system = made.contents, recompute(made), made.system
     record, is_free = Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}), contents.conserves_momentum
     lines = tuple(pressure_lines(record, contents.barostat, is_free))
-    report = conservation_report(record, linear=is_free, angular=is_free and not system.cell.is_periodic, lines=lines)
+    angular, n_dof = is_free and not system.cell.is_periodic, ConstraintSet(contents.system, contents.system.constraints).degrees_of_freedom(is_free)
+    report = conservation_report(record, linear=is_free, angular=angular, lines=lines, n_dof=n_dof)
     report = replace(report, too_long_a_step=contents.too_long_a_step)
     several = "s" * (contents.n_frames > 1)
     frames = f"{contents.n_frames} frame{several}, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, {system.units.name} units"

@@ -34,12 +34,17 @@ KEPT = {True: "conserved", False: "NOT CONSERVED"}
 
 @dataclass(frozen=True)
 class Line:
-    """The result of one check.  name : at most 14 letters.  summary : with figures.  verdict : in words.  is_good : whether it is as it should be."""
+    """The result of one check.
+
+    name : at most 14 letters.  summary : with figures.  verdict : in words.  is_good : whether it is as it should be.
+    misses_pressure : whether it says that the mean pressure is not that of the barostat.
+    """
 
     name: str
     summary: str
     verdict: str
     is_good: bool
+    misses_pressure: bool = False
 
     def __str__(self) -> str:
         return f"{self.name:<14} {self.summary}: {self.verdict}"
@@ -118,11 +123,11 @@ def _line(t: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, NDArra
 
 
 def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS_OF_WALK) -> Drift:
-    """Slope of a series that wanders about its drift like a random walk, and fluctuates, with the standard error that follows from this.
+    """Slope of a series that is the sum of a drift, a random walk and fluctuations, and the standard error of the slope.
 
-    Total energy minus reservoir energy is such a series: each contact with the bath also changes the difference between the energy and
-    the shadow Hamiltonian that the method conserves. The slope then follows from the two ends only, and its uncertainty from the steps of
-    the walk, whose error is known as well as that of half as many independent ones.
+    Total energy minus reservoir energy is such a series. A method conserves a shadow Hamiltonian, which differs from the energy, and each
+    contact with the bath changes the difference at random. The slope is that between the means of the first and of the last block. Its
+    error is that of the mean change from block to block, which is known as well as that of half as many independent changes.
     """
     blocks = min(blocks, len(series))
     if blocks <= FEW or np.ptp(time) == 0.0 or not np.isfinite([time, series]).all():
@@ -171,7 +176,7 @@ class Report(Displayed):
     constraint_violation : largest |r² − d²|/d², or None without constraints.
     mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.  temperature_error : standard error of the mean.
     duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run, if known.
-    kinetic_energy : mean per atom, without a drift [energy].
+    kinetic_energy : mean per atom [energy]: ½ n_dof k_B T / N, which leaves out a motion of the center of mass that n_dof leaves out.
     energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
     temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
@@ -255,10 +260,14 @@ class Report(Displayed):
 
     @property
     def is_far_from_pressure(self) -> bool:
-        """Whether a barostat still changes the volume much, likewise, or the mean pressure is not the one wanted."""
+        """Whether a barostat still changes the volume much, or the mean pressure is not the one wanted."""
+        return self.swells or any(line.misses_pressure for line in self.lines)
+
+    @property
+    def swells(self) -> bool:
+        """Whether the volume of the first and of the last fifth of the run differ much."""
         first, last = self.volumes
-        missed = any(line.name == "pressure" and not line.is_good for line in self.lines)
-        return missed or abs(last - first) > SWELLING * max(first, last)
+        return abs(last - first) > SWELLING * max(first, last)
 
     def __str__(self) -> str:
         energy, time, temperature = self.units
@@ -306,8 +315,8 @@ class Report(Displayed):
         if self.energy_is_conserved:
             return f"the {name} does not drift, BUT {self.too_long_a_step}" if self.too_long_a_step else f"the {name} is conserved"
         settling = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
-        swollen = 100.0 * (self.volumes[1] / self.volumes[0] - 1.0) if self.volumes[0] else 0.0
-        far = f"the barostat is far from its pressure (the volume changed by {swollen:+.2g} %); equilibrate first"
+        swollen = f" (the volume changed by {100.0 * (self.volumes[1] / self.volumes[0] - 1.0):+.2g} %)" if self.swells else ""
+        far = f"the barostat is far from its pressure{swollen}; equilibrate first"
         causes = [self.too_long_a_step] * bool(self.too_long_a_step) + [settling] * self.is_settling + [far] * self.is_far_from_pressure
         why = "; ".join(causes) or "reduce the time step or smooth the cutoff"
         return f"THE {name.upper()} DRIFTS: {why}"
@@ -330,15 +339,18 @@ class Report(Displayed):
 
 
 @np.errstate(all="ignore")  # the report says what is not finite
-def conservation_report(record: Record, angular: bool, cost: Cost | None = None, linear: bool = True, lines: Sequence[Line] = ()) -> Report:
+def conservation_report(
+    record: Record, angular: bool, cost: Cost | None = None, linear: bool = True, lines: Sequence[Line] = (), n_dof: int | None = None
+) -> Report:
     """The report of a record.
 
+    n_dof : degrees of freedom of the run; if not given, the kinetic energy includes a motion of the center of mass.
     linear, angular : whether the scene conserves momentum (no bath, nothing fixed) and angular momentum (nor anything periodic).
     lines : further lines of the report.  With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend
     on time, the total energy and the shadow energy minus their work.
     """
     units, has_bath = record.units, "conserved_energy" in record
-    at_most = 1.5 * units.k_B * record.temperature  # of 3N degrees of freedom
+    thermal = record.kinetic_energy if n_dof is None else 0.5 * n_dof * units.k_B * record.temperature
     time, work = record.time * units.to_picosecond, record.work if "work" in record else 0.0
     energy = (record.conserved_energy if has_bath else record.total_energy - work) / record.n_atoms
     slope = drift_of_walk(time, energy) if has_bath else drift(time, energy, beside=record.kinetic_energy)
@@ -357,7 +369,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         mean_temperature=float(record.temperature.mean()),
         temperature_deviation=float(record.temperature.std()),
         duration=float(np.ptp(time)),
-        kinetic_energy=float(np.minimum(record.kinetic_energy / record.n_atoms, at_most).mean()),
+        kinetic_energy=float(thermal.mean()) / record.n_atoms,
         n_frames=len(time),
         n_steps=int(record.step[-1] - record.step[0]),
         cost=cost,

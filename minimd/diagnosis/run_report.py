@@ -20,8 +20,7 @@ from minimd.engine.record import Record
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.potentials.law import law_at
 from minimd.potentials.pair import PairPotential
-from minimd.structure.observables import longest
-from minimd.structure.observables import leaves_out_center
+from minimd.structure.observables import leaves_out_center, longest
 from minimd.structure.statistics import mean_and_error, with_error
 from minimd.structure.system import System
 
@@ -51,7 +50,7 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     )
     angular, lines = is_free and not engine.system.cell.is_periodic, static_checks(engine, reversibility)
     lines += pressure_lines(record, engine.barostat, is_free)
-    report = conservation_report(record, linear=is_free, angular=angular, cost=cost, lines=lines)
+    report = conservation_report(record, linear=is_free, angular=angular, cost=cost, lines=lines, n_dof=engine.n_dof)
     return replace(report, too_long_a_step=too_long_a_step(engine) or "")
 
 
@@ -120,4 +119,4 @@ def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, con
     mean, error = mean_and_error(record.pressure + missing)
     is_there = abs(mean - barostat.pressure) <= FAR * error
     words = f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted"
-    yield Line("pressure", words, "reached" if is_there else "NOT REACHED; equilibrate longer", is_there)
+    yield Line("pressure", words, "reached" if is_there else "NOT REACHED; equilibrate longer", is_there, not is_there)

@@ -40,7 +40,7 @@ COEFFICIENTS: dict[Substeps, tuple[float, float]] = {  # of v·(∇²U) v and of
 
 
 def shadow_energy(simulation: HasEngine) -> float:
-    """H̃ of the present state [energy], conserved to Δt⁴, minus the work if forces depend on time.
+    """H̃ of the present state [energy], which is conserved to Δt⁴; if forces depend on time, H̃ − Simulation.work is.
 
     It costs three evaluations of the forces; the state stays as it is.
 

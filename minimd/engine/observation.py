@@ -13,19 +13,42 @@ from minimd.structure.units import UnitSystem
 
 
 class Look:
-    """Quantities that several observables share, each computed once. Forces, energy and virial of the engine must be current."""
+    """Quantities of one state that several observables share, each computed once, when it is first needed.
+
+    Forces, energy and virial of the engine must be current for those that follow from them.
+    """
 
     def __init__(self, engine: Engine) -> None:
         self.engine, self.system = engine, engine.system
         self.bonds: Any = engine.constraint_set.bonds
         self.motion = (engine.velocities, engine.system.masses)
         self.path = (engine.positions, *self.motion)
-        self.potential_energy = engine.interactions.potential_energy
         self.grid = engine.interactions.grid
-        self.kinetic_energy = observables.kinetic_energy(*self.motion, self.grid.energy if self.grid else 0.0)
-        self.total_energy = self.potential_energy + self.kinetic_energy
-        self.drift = engine.drift
-        self.thermal_energy = observables.thermal_energy(self.kinetic_energy, self.drift, engine.system.masses)
+
+    @property
+    def potential_energy(self) -> float:
+        """U [energy]."""
+        return self.engine.interactions.potential_energy
+
+    @cached_property
+    def kinetic_energy(self) -> float:
+        """K [energy]."""
+        return float(observables.kinetic_energy(*self.motion, self.grid.energy if self.grid else 0.0))
+
+    @property
+    def total_energy(self) -> float:
+        """U + K [energy]."""
+        return self.potential_energy + self.kinetic_energy
+
+    @cached_property
+    def drift(self) -> Any:
+        """See Engine."""
+        return self.engine.drift
+
+    @cached_property
+    def thermal_energy(self) -> float:
+        """K of the motion relative to the drift [energy]."""
+        return observables.thermal_energy(self.kinetic_energy, self.drift, self.system.masses)
 
     @property
     def volume(self) -> float:

@@ -134,16 +134,22 @@ class Record(Displayed):
     def to_csv(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write columns() as text with commas, names in the first line, numbers with all their digits; return the path.
 
-        Raises FileExistsError if the file exists and overwrite is false.  OSError if it cannot be written.
+        A file or link that is replaced stays until the new one is whole.
+        Raises FileExistsError if the file exists and overwrite is false.  OSError if it cannot be written, or a device would be replaced.
         """
         columns, path = self.columns(), Path(path)
+        place = path.with_name(f"{path.name}.part") if overwrite else path
+        if overwrite:
+            if path.exists() and not path.is_file():
+                raise OSError(f"output {str(path)!r} is not a regular file; choose another name")
+            place.unlink(missing_ok=True)
         rows = zip(*(column.tolist() for column in columns.values()), strict=True)
         try:
-            with path.open("w" if overwrite else "x", encoding="utf-8") as file:
+            with place.open("x", encoding="utf-8") as file:
                 file.write("\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""]))
         except FileExistsError:
-            raise FileExistsError(f"output {str(path)!r} exists; choose another name, or pass overwrite=True") from None
-        return path
+            raise FileExistsError(f"output {str(place)!r} exists; choose another name, or pass overwrite=True") from None
+        return place.replace(path)
 
     def plot(self) -> Figure:
         """A figure of the run: change of the total energy per atom, temperature, change of the momentum, and pressure or potential energy.

@@ -18,7 +18,7 @@ from minimd.files.first_look import end_with
 from minimd.structure.console import endings_are_told
 
 READY = b"ready"
-STARTS = 3  # of a worker: what kills as many while they start would kill the next one, too
+STARTS = 3  # attempts to start a worker process; if all of them are killed, the next would be, too
 
 
 class WorkerDied(RuntimeError):  # noqa: N818  # the name says what happened

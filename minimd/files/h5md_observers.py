@@ -41,7 +41,8 @@ def states_of(observers: Sequence[Accumulator]) -> dict[str, np.ndarray]:
 def restore_observers(h5: h5py.File, file: str | Path, observers: Sequence[Accumulator]) -> None:
     """Give observers that have not looked yet the state that the file holds for them.
 
-    Raises ValueError if the file holds an observer of the same name with other arguments. Warns of observers in the file that the run does not have.
+    Raises ValueError if the file holds an observer of the same name with other arguments, or in a state of another convention. Warns of
+    observers in the file that the run does not have.
     """
     known = h5.get(GROUP, {})
     states = _states(arrays_of_restart(h5)) if len(known) else {}
@@ -90,13 +91,14 @@ def lack_results(h5: h5py.File, observers: Mapping[str, Accumulator]) -> bool:
 
 
 def observers_of(h5: h5py.File) -> dict[str, Accumulator]:
-    """The observers in an open file, by name, in their state at the restart."""
+    """The observers in an open file, by name, in their state at the restart; new ones where the convention of the state is another."""
     states, found = _states(arrays_of_restart(h5)) if GROUP in h5 else {}, {}
     for name, group in h5.get(GROUP, {}).items():
         arguments: dict[str, Any] = json.loads(group.attrs["arguments"])
         try:
             found[name] = KINDS[group.attrs["kind"]](**arguments)
-            found[name].restore(states.get(name, {}))
+            if found[name].can_restore(state := states.get(name, {})):
+                found[name].restore(state)
         except MemoryError:
             raise ValueError(f"observer {name} asks for more memory than there is, by {shown(arguments)}") from None
     return found

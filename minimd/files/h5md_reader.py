@@ -42,8 +42,8 @@ class H5MDContents(Displayed):
     parameters : arguments with which the method can be made again.  precision, skin : of the options.  potentials : in words.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
-    observers : of minimd.observers, by name, in their state at the restart.  lacks_results : whether they have looked
-        since their results were written.
+    observers : of minimd.observers, by name, in their state at the restart, see observers_of.  lacks_results : whether they have
+        looked since their results were written.
     repaired : a sentence if the newest restart is damaged and the one before it is used; else empty.
     """
 

@@ -110,11 +110,16 @@ def contacts(system: System, potentials: Sequence[Any], inverse_masses: NDArray[
     return found
 
 
+def bonded_scales(potential: PairPotential, system: System) -> dict[frozenset[int], float]:
+    """The factor on the law for each pair of atoms up to three bonds apart."""
+    by_bonds = pairs_by_bonds_apart(system.bonds) if len(system.bonds) else ()
+    return {frozenset(pair): factor for pairs, factor in zip(by_bonds, potential.bonded_scale, strict=False) for pair in pairs.tolist()}
+
+
 def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> Iterator[Pair]:
     """Pairs of some atoms with their nearest neighbors within the cutoff, each once."""
     table, index, seen = potential.table(system.species_names), system.species_index, set()
-    by_bonds = pairs_by_bonds_apart(system.bonds) if len(system.bonds) else ()
-    scales = {frozenset(pair): factor for pairs, factor in zip(by_bonds, potential.bonded_scale, strict=False) for pair in pairs.tolist()}
+    scales = bonded_scales(potential, system)
     for atom in atoms:
         others = np.delete(np.arange(len(system)), atom)
         distances = np.linalg.norm(nearest_vectors(system.positions, system.cell, np.column_stack([np.full_like(others, atom), others])), axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
-from minimd.forces.contacts import why_not_finite
+from minimd.forces.contacts import bonded_scales, why_not_finite
 from minimd.forces.forces import Forces
 from minimd.forces.options import Options
 from minimd.neighbors.queries import closest_pair, neighbor_list
@@ -25,7 +25,7 @@ TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed 
 LEAST = 1e-30  # [energy], of a scene without energies
 SMALLER = 0.95  # the size of a copy, relative to the one before
 SHAKEN = 0.05  # of the skin: displacements of atoms in the copies, in each direction at most
-NEAREST = 0.3  # of the smallest cutoff: copies whose closest pair is nearer are not made
+NEAREST = 0.3  # of the smallest cutoff: after the first copy, none is made whose closest pair is nearer
 PART = 0.01  # of the energies, forces and virials of the copy: the scale of those that vanish or cancel in the scene
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class Verification:
 
 
 def on_a_cutoff(engine: Engine) -> str:
-    """A clause about a pair on a cutoff at which the energy or the force jumps; empty if there is none."""
+    """A clause about a pair that interacts, on a cutoff at which the energy or the force jumps; empty if there is none."""
     system = engine.system
     for one in engine.interactions.potentials:
         if isinstance(one, PairPotential) and one.truncation in ("truncated", "shifted") and one.cutoff < np.inf:
@@ -76,9 +76,11 @@ def on_a_cutoff(engine: Engine) -> str:
                 system.species_index if one.depends_on_species else 0 * system.species_index,
             )
             first, second, distances = neighbor_list("ijd", system, float(cutoffs.max()) * (1.0 + TOLERANCE))
-            apart = np.abs(distances / cutoffs[species[first], species[second]] - 1.0)
-            if (apart <= TOLERANCE).any():
-                k = int(np.argmin(apart))
+            at = cutoffs[species[first], species[second]]
+            scales = bonded_scales(one, system)
+            for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at).tolist():
+                if scales.get(frozenset((int(first[k]), int(second[k]))), 1.0) == 0.0:
+                    continue
                 pair = f"atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of {type(one).__name__}"
                 return f"; {pair}, where rounding decides whether they interact: change the cutoff, or take truncation='force-shifted'"
     return ""
@@ -113,9 +115,9 @@ def evaluated(engine: Engine, system: System) -> Evaluated:
 def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple[Evaluated, Evaluated]]:
     """A copy of the scene, and what minimd computes in the scene and in the copy.
 
-    In the copy atoms are slightly displaced, which also bends angles. It is made smaller until each term has an energy there, and, so that
-    this is not by a pair at the cutoff only, in the size before. If no size achieves this, the first one is taken in which fewest terms have
-    none; the scene itself if energies are never finite.
+    In the copy atoms are slightly displaced, which also bends angles. It is made smaller, size by size, until each term has an energy in two
+    sizes in succession, so that the energy is not only that of a pair at the cutoff. If no size achieves this, the copy is the first one with
+    the smallest number of terms without energy. If energies are not finite in any size, it is the scene itself.
     shortest : the smallest cutoff [length].  skin : [length].  Raises NonFiniteError if energies or forces of the scene are not finite.
     """
     system, before = engine.system, evaluated(engine, engine.system)
@@ -123,7 +125,7 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
         raise NonFiniteError(f"forces or energies are not finite: {why_not_finite(system, engine.interactions.potentials)}")
     positions = system.cell.wrapped(system.positions) + np.random.default_rng(0).uniform(-SHAKEN * skin, SHAKEN * skin, system.positions.shape)
     here, size, least, fewest, chosen = before, 1.0, 0.0, np.inf, (system, before)
-    while size >= least and fewest > 0:
+    while size * SMALLER >= least and fewest > 0:
         size *= SMALLER
         copy = system.copy()
         copy.positions[:] = size * positions

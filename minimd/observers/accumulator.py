@@ -122,6 +122,7 @@ class Accumulator(ABC, Displayed):
     kind: ClassVar[str]  # its name in scene files and H5MD files
     arguments: ClassVar[tuple[str, ...]] = ("every",)  # with which, and with its name, it can be made again
     needs_energy: ClassVar[bool] = False  # whether it needs energies or the virial
+    convention: ClassVar[int] = 1  # of its sums; those of another cannot go on
     sums: BlockedSums
 
     def __init__(self, every: int, name: str) -> None:
@@ -222,14 +223,24 @@ class Accumulator(ABC, Displayed):
         """Everything on which later results depend, for restore; empty before the first run."""
         if self.scene is None:
             return {}
-        words = json.dumps({"scene": asdict(self.scene), "settled": self._settled(), "last_step": self.last_step})
+        words = json.dumps({"scene": asdict(self.scene), "settled": self._settled(), "last_step": self.last_step, "convention": self.convention})
         return {"words": np.frombuffer(words.encode(), dtype=np.uint8), **self.sums.state(), **self._arrays()}
 
+    def can_restore(self, state: dict[str, NDArray[Any]]) -> bool:
+        """Whether a state has the convention of this observer."""
+        return not state or bool(json.loads(bytes(state["words"])).get("convention", 1) == self.convention)
+
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Go on from the state of another observer, which must have been made with the same arguments."""
+        """Go on from the state of another observer, which must have been made with the same arguments.
+
+        Raises ValueError if its sums have another convention, as those of an older version of minimd may.
+        """
         if not state:
             return
         words = json.loads(bytes(state["words"]))
+        if not self.can_restore(state):
+            was = f"its sums have convention {words.get('convention', 1)} of another version of minimd, not {self.convention}"
+            raise ValueError(f"observer {self.name} cannot go on: {was}; go on without it, or with one of another name, which begins anew")
         for name in self._settled():  # no other attribute, whatever a file says
             setattr(self, name, words["settled"][name])
         self._set_up(ObservedRun(**words["scene"]))

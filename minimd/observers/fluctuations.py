@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 N_SERIES = 3  # K, U, V
 KINETIC, ENERGY, VOLUME = range(N_SERIES)
 OF_INTEREST = ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # K, E and V, as weights of K, U, V
-FEWEST = 30.0  # correlation times; how many fewer there are, a run cannot tell
-JACKKNIFE = 0.7  # of its error, which scatters more than the other estimate, is what the error is at least
+FEWEST = 30.0  # correlation times; a run with fewer cannot tell how many it has
+JACKKNIFE = 0.7  # of the error of the jackknife: the least error; not all of it, because it scatters more than the other estimate
 ENOUGH = 100.0  # correlation times; the error bar of a shorter run is itself too uncertain
 
 
@@ -52,6 +52,7 @@ class Fluctuations(Accumulator):
 
     kind = "fluctuations"
     needs_energy = True
+    convention = 2  # thermal energy, not kinetic energy
 
     def __init__(self, every: int = 20, name: str = "") -> None:
         super().__init__(every, name)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from minimd.engine.cell_rescaling import Molecules
 from minimd.engine.engine import Engine
+from minimd.engine.observation import Look
 from minimd.observers.accumulator import ObservedRun
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 from minimd.observers.diffusion import is_cubic
@@ -54,13 +55,13 @@ class _OfAtoms(TimeCorrelation):
         self._correlate_by(MultipleTau(type(self).law, starts, 3, POINTS, self.n_levels, averages=False))
 
     def _look(self, engine: Engine) -> None:
-        vectors = self._vectors(engine)
-        of_center = center(vectors, engine.system.masses, engine.conserves_momentum)
-        self._add(engine, ((vectors if self._takes_all else np.take(vectors, self._order, axis=0)) - of_center).T)
+        look = Look(engine)
+        vectors, of_center = self._vectors(look)
+        self._add(look, ((vectors if self._takes_all else np.take(vectors, self._order, axis=0)) - of_center).T)
 
     @abstractmethod
-    def _vectors(self, engine: Engine) -> Array:
-        """The vectors of all atoms, (N, 3)."""
+    def _vectors(self, look: Look) -> tuple[Array, Array]:
+        """The vectors of all atoms, (N, 3), and what to subtract from them, (3,)."""
 
     def _means(self, seen: NDArray[np.bool_]) -> Callable[[Array], Array]:
         """The function of the sums that gives means over all atoms, over those of each species, and along x, y, z; (1 + S + 3, T)."""
@@ -97,7 +98,8 @@ class MeanSquareDisplacement(_OfAtoms):
         self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
         self._molecules: Molecules | None = None
 
-    def _vectors(self, engine: Engine) -> Array:
+    def _vectors(self, look: Look) -> tuple[Array, Array]:
+        engine = look.engine
         positions, cell = engine.positions, engine.system.cell
         if self._before is not None and not cell.same_as(self._before[0]):
             was, old = self._before
@@ -107,7 +109,8 @@ class MeanSquareDisplacement(_OfAtoms):
             self._before = cell, np.empty_like(positions)
         self._before[1][:] = positions
         self._before = cell, self._before[1]
-        return positions if self._carried is None else positions - self._carried
+        vectors = positions if self._carried is None else positions - self._carried
+        return vectors, center(vectors, engine.system.masses, engine.conserves_momentum)
 
     def _moved_by_cell(self, engine: Engine, was: Cell, old: Array) -> Array:
         """Displacements due to the motion of the cell since the last look, (N, 3).  was, old : cell and positions at that look.
@@ -173,8 +176,8 @@ class VelocityAutocorrelation(_OfAtoms):
     kind = "velocity-autocorrelation"
     law = Product()
 
-    def _vectors(self, engine: Engine) -> Array:
-        return engine.velocities
+    def _vectors(self, look: Look) -> tuple[Array, Array]:
+        return look.engine.velocities, look.drift
 
     def result(self) -> VelocityResult:
         """The autocorrelation so far, its running integral, and D, each with its standard error.  Raises ValueError before the first look."""

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.engine.engine import Engine
+from minimd.engine.observation import Look
 from minimd.observers.accumulator import Accumulator
 from minimd.observers.blocked_sums import BlockedSums
 from minimd.observers.correlator import MultipleTau
 from minimd.observers.green_kubo import Plateau, plateau, running_integral
 from minimd.structure.cell import Cell
-from minimd.structure.observables import temperature, thermal_energy
+from minimd.structure.observables import temperature
 
 Array = NDArray[np.float64]
 COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
@@ -32,6 +32,7 @@ class Integral(NamedTuple):
 class TimeCorrelation(Accumulator):
     """An observer of a correlation in time. Its sums are the number of looks, temperatures, volumes, and those of a multiple-tau correlator."""
 
+    convention = 2  # relative to the center of mass where its motion is no degree of freedom
     _correlator: MultipleTau
 
     def interrupt(self) -> None:
@@ -45,13 +46,12 @@ class TimeCorrelation(Accumulator):
         self._volume_of: Cell | None = None
         self._volume = np.nan
 
-    def _add(self, engine: Engine, entry: Array) -> None:
+    def _add(self, look: Look, entry: Array) -> None:
         """Add a look to the sums.  entry : (C, n), for the correlator."""
-        sums, system = self.sums.total, engine.system
+        sums, system = self.sums.total, look.system
         if self._volume_of is not system.cell:  # the determinant takes as long as a lag of the correlator
             self._volume_of, self._volume = system.cell, system.volume or np.nan
-        thermal = thermal_energy(engine.kinetic_energy, engine.drift, system.masses)
-        sums[:HEAD] += 1.0, temperature(thermal, engine.n_dof, system.units.k_B), self._volume
+        sums[:HEAD] += 1.0, temperature(look.thermal_energy, look.engine.n_dof, system.units.k_B), self._volume
         self._correlator.add(entry, sums[HEAD:])
 
     def _arrays(self) -> dict[str, NDArray[Any]]:

@@ -65,7 +65,8 @@ class Viscosity(TimeCorrelation):
 
     def _look(self, engine: Engine) -> None:
         engine.evaluate()
-        self._add(engine, traceless(-Look(engine).stress)[:, None])
+        look = Look(engine)
+        self._add(look, traceless(-look.stress)[:, None])
 
     def result(self) -> ViscosityResult:
         """η so far, with its standard error.  Raises ValueError before the first look."""

@@ -44,5 +44,6 @@ def hand_over_scene(
         tell=tell,
     )
     is_free = simulation.conserves_momentum
-    tell(str(conservation_report(done.record, linear=is_free, angular=is_free and not simulation.system.cell.is_periodic)))
+    angular = is_free and not simulation.system.cell.is_periodic
+    tell(str(conservation_report(done.record, linear=is_free, angular=angular, n_dof=simulation.n_dof)))
     return done

@@ -1,7 +1,10 @@
 """A run that blows up says why, leaves a file, and can be seen failing again."""
 
+import json
+import shutil
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from references import liquid, melt_scene
@@ -11,6 +14,7 @@ import minimd as md
 from minimd.commands import main as cli
 from minimd.diagnosis.crash_report import examine
 from minimd.files.crash_file import read_crash_report
+from minimd.files.h5md_digest import sign
 from minimd.files.h5md_reader import read_file
 from minimd.forces.contacts import contacts
 from minimd.neighbors.queries import closest_pair
@@ -215,6 +219,48 @@ def test_findings_come_back_from_the_file(tmp_path):
     assert past.system.constraints[0].pairs.shape == (108, 2)
     with pytest.raises(ValueError, match=r"holds no scene .*LennardJones"):
         md.replay(error.file)
+
+
+@pytest.fixture(scope="module")
+def crash_file(tmp_path_factory):
+    return failing(chain(0.05), crash_report=tmp_path_factory.mktemp("crash") / "a.h5md").file
+
+
+def other(name, value, part=None):
+    """What changes a value of the findings, or of their pair."""
+    return lambda found: json.dumps(found | ({name: value} if part is None else {part: found[part] | {name: value}}))
+
+
+ALTERED = [  # findings
+    lambda _: "{}",
+    lambda _: "null",
+    lambda _: "[" * 100_000,
+    other("first", 99_999_999_999, "pair"),
+    other("second", -77, "pair"),
+    other("law", 3, "pair"),
+    other("closest", {}),
+    other("fault", None),
+    other("pair", "x"),
+    other("closest", [0, 10, 1.0]),
+    other("closest", [0, 1, "x"]),
+    other("fastest", 10),
+    other("timestep", None),
+    other("largest_force", 10**400),
+]
+
+
+@pytest.mark.parametrize("change", ALTERED)
+def test_altered_findings_are_refused(change, crash_file, tmp_path):
+    file = shutil.copy(crash_file, tmp_path)
+    assert read_crash_report(file).findings.pair is not None
+    with h5py.File(file, "r+") as h5:
+        group = h5["minimd/crash_report"]
+        found = json.loads(group["findings"].asstr()[()])
+        del group["findings"]
+        group["findings"] = change(found)
+        sign(h5)
+    with pytest.raises(OSError, match="is damaged"):
+        read_crash_report(file)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,11 @@
 """`minimd scan`: what is set is what runs, the table is that of md.ensemble, and it goes on where it was stopped."""
 
+import json
+import os
+import shutil
+import signal
 import tomllib
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +18,22 @@ from minimd.files.h5md_reader import read_file
 from minimd.scene import parse_scene
 
 SCENE = "# A comment.\n" + melt_scene(2, 40, 'method = "langevin-baoab"\nrelaxation_time = 1.0\n[output]\nevery = 5\n').replace("2.5", "1.6")
+
+
+@contextmanager
+def stuck_after(seconds):
+    """Fail instead of waiting forever."""
+
+    def fail(*_):
+        raise AssertionError(f"it still waits after {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, fail)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @pytest.fixture
@@ -118,6 +139,74 @@ def test_the_status_tells_of_members_that_were_stopped_and_that_run(folder, caps
     told = capsys.readouterr().out
     assert "member 0: stopped after 40 of 100 steps" in told
     assert "2 members in scan: 2 begun" in told
+
+
+@pytest.fixture(scope="module")
+def scanned(tmp_path_factory):
+    """The folder of a scan with one member."""
+    place = tmp_path_factory.mktemp("scanned")
+    (place / "melt.toml").write_text(SCENE)
+    assert cli.main(["scan", str(place / "melt.toml"), "--workers", "0", "--steps", "5", "--quiet", "--out", str(place / "scan")]) == 0
+    return place / "scan"
+
+
+def altered(**changes):
+    """Of each line of a text of JSON: a copy with other values."""
+    return lambda text: "".join(f"{json.dumps(json.loads(line) | changes)}\n" for line in text.splitlines())
+
+
+def pipe(file):
+    file.unlink()
+    os.mkfifo(file)
+
+
+DESCRIPTION, JOURNAL = "scan/ensemble.json", "scan/members.jsonl"
+ALTERED = {  # the file, and what becomes of it
+    "parameters": (DESCRIPTION, altered(parameters="x")),
+    "members": (DESCRIPTION, altered(members=10**8)),
+    "members without parameters": (DESCRIPTION, altered(members=10**8, parameters={})),
+    "steps": (DESCRIPTION, altered(steps="x")),
+    "no description": (DESCRIPTION, lambda _: "[]"),
+    "means": (JOURNAL, altered(means="x")),
+    "a mean": (JOURNAL, altered(means={"pressure": "x"})),
+    "errors": (JOURNAL, altered(errors="x")),
+    "n_steps": (JOURNAL, altered(n_steps="x")),
+    "large n_steps": (JOURNAL, altered(n_steps=2**70)),
+    "status": (JOURNAL, altered(status=[])),
+    "no row": (JOURNAL, lambda _: "3\n"),
+    "deep": (JOURNAL, lambda _: "[" * 200_000 + "\n"),
+    **{f"{what} for {name}": (name, make) for name in (DESCRIPTION, JOURNAL) for what, make in (("a pipe", pipe), ("a folder", None))},
+}
+
+
+@pytest.mark.parametrize("kind", ALTERED)
+def test_altered_files_of_a_scan_are_refused_by_name(kind, scanned, folder, capsys):
+    shutil.copytree(scanned, "scan")
+    name, change = ALTERED[kind]
+    file = Path(name)
+    if change is pipe:
+        pipe(file)
+    elif change is None:
+        file.unlink()
+        file.mkdir()
+    else:
+        content = json.dumps(json.loads(file.read_text())) if name == DESCRIPTION else file.read_text()
+        file.write_text(change(content))
+    capsys.readouterr()
+    with stuck_after(20.0):
+        assert cli.main(["scan", "--status", "scan"]) == 2
+    assert name in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["melt.toml", "--workers", "0", "--steps", "5"], ["melt.toml", "--overwrite"], ["--status", "scan"]])
+def test_no_member_is_written_through_a_link(command, scanned, folder, capsys):
+    shutil.copytree(scanned, "scan")
+    Path("scan/0000-0999").rename("elsewhere")
+    Path("scan/0000-0999").symlink_to(folder / "elsewhere")
+    Path("elsewhere/0000.h5md").write_text("precious")
+    assert cli.main(["scan", *command]) == 2
+    assert "0000-0999" in capsys.readouterr().err
+    assert Path("elsewhere/0000.h5md").read_text() == "precious"
 
 
 def test_members_that_fail_are_told_and_the_code_is_one(folder, capsys):

@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import re
 import secrets
 import sys
 from collections.abc import Callable, Iterator
@@ -21,16 +22,20 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from minimd.compiled.machine import version
-from minimd.ensemble.member import Value, file_of
+from minimd.ensemble.member import Value, checked_parameters, file_of
 from minimd.ensemble.notes import SUFFIX as NOTE
 from minimd.ensemble.own_file import stopped_file
-from minimd.ensemble.work import DONE, Row
-from minimd.files.claim import locked, write_whole
+from minimd.ensemble.work import DONE, FAILED, Row
+from minimd.files.claim import locked, regular, write_whole
 from minimd.files.crash_file import crash_file_place
-from minimd.structure.checks import checked_count, shown
+from minimd.structure.checks import COUNTS, checked_count, shown
 
 DESCRIPTION, JOURNAL = "ensemble.json", "members.jsonl"
 BYTES_AT_ONCE = 2**20  # of the journal, read in one piece
+ENTROPIES = 2**128  # seeds are below it
+FOLDER = re.compile(r"\d{4,}-\d{4,}")  # of members
+KINDS = {"index": int, "n_steps": int, "n_atoms": int, "means": dict, "errors": dict, "is_blown_up": bool}  # in a row; all others are texts
+NEEDED = {DONE: ("n_steps", "means", "errors"), FAILED: ("message", "traceback")}  # in a row with this status
 
 
 class Asked(NamedTuple):
@@ -61,9 +66,15 @@ class EnsembleFolder:
                 is_running = "another run" in str(error.strerror)
                 advice = ": an ensemble is running there; wait for its end, or choose another folder" if is_running else "; choose another folder"
                 raise OSError(f"folder {str(path)!r} cannot be used: {error.strerror}{advice}") from None
-        self.asked, self.rows = self._read_description(), dict[int, Row]()
-        if self.asked is not None:
-            self.rows = {row["index"]: row for row in self._lines()}
+        try:
+            self.asked, self.rows = self._read_description(), dict[int, Row]()
+            if self.asked is not None:
+                self.rows = {row["index"]: row for row in self._lines()}
+            if self.asked is not None or writes:
+                self._folders()
+        except BaseException:
+            self.close()
+            raise
 
     def begin(self, asked: Asked, resume: bool) -> Asked:
         """Write the description of what is asked for now, and return it; the parameters of further members from earlier calls are appended.
@@ -104,7 +115,7 @@ class EnsembleFolder:
 
     def files(self) -> set[str]:
         """Names of all files of members, such as 0000-0999/0012.h5md; a thousand files need a single listing of a folder."""
-        return {f"{place.name}/{name}" for place in self.path.iterdir() if place.is_dir() for name in os.listdir(place)}
+        return {f"{place.name}/{name}" for place in self._folders() for name in os.listdir(place)}
 
     def close(self) -> None:
         """Release the lock of the folder."""
@@ -118,13 +129,27 @@ class EnsembleFolder:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _folders(self) -> list[os.DirEntry[str]]:
+        """The folders of members.  Raises OSError if one of them is a link: what it leads to may belong to others."""
+        found = [place for place in os.scandir(self.path) if FOLDER.fullmatch(place.name)]
+        for place in found:
+            if not place.is_dir(follow_symlinks=False):
+                raise OSError(f"{place.path!r} must be a real folder, for members: it is a link or a file; remove it, or choose another folder")
+        return found
+
     def _read_description(self) -> Asked | None:
         file = self.path / DESCRIPTION
         try:
-            told = json.loads(file.read_text(encoding="utf-8"))
-            columns = told["parameters"].items()
-            rows = [{name: values[index] for name, values in columns} for index in range(told["members"])]
-            return Asked(**{name: told[name] for name in Asked._fields} | {"parameters": rows})
+            with open(file, encoding="utf-8", opener=regular) as description:
+                told = json.load(description)
+            rows = checked_parameters(told["parameters"] or told["members"])
+            if told["members"] != len(rows):
+                raise ValueError(f"members = {shown(told['members'])}, but each parameter has {len(rows)} values")
+            for name in ("build", "prepare", "run"):
+                if not isinstance(told[name], str):
+                    raise ValueError(f"{name} must be a text; {name} = {shown(told[name])}")
+            seed, steps = checked_count("seed", told["seed"], 0, ENTROPIES), checked_count("steps", told["steps"], 0)
+            return Asked(seed, steps, checked_count("every", told["every"]), rows, told["build"], told["prepare"], told["run"])
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError, RecursionError) as error:
@@ -135,9 +160,12 @@ class EnsembleFolder:
     def _lines(self) -> Iterator[Row]:
         """Rows of the journal. An incomplete last line comes from a process that was killed; it is removed if the folder is open for writing."""
         file, whole = self.path / JOURNAL, 0
-        with open(file, "rb") as lines:
+        with open(file, "rb", opener=regular) as lines:
             while some := lines.readlines(BYTES_AT_ONCE):
-                yield from _rows_in(some)
+                for row in _rows_in(some):
+                    if not _is_sound(row):
+                        raise ValueError(f"{file} is not a journal of members: it has the line {shown(row)}; choose another folder, or remove it")
+                    yield row
                 whole += sum(map(len, some)) - (0 if some[-1].endswith(b"\n") else len(some[-1]))
         if self._lock >= 0:
             os.ftruncate(self._lock, whole)
@@ -165,15 +193,29 @@ class EnsembleFolder:
 def _rows_in(lines: list[bytes]) -> list[Row]:
     """Rows of the complete lines of the journal. If the lines are read in one piece, rows share their names, which halves the memory."""
     whole = [line for line in lines if line.endswith(b"\n")]
-    with suppress(ValueError):
+    with suppress(ValueError, RecursionError):
         rows: list[Row] = json.loads(b"[%b]" % b",".join(whole))
         if len(rows) == len(whole):
             return rows
     found = []
     for line in whole:
         with suppress(ValueError):
-            found.append(json.loads(line))
+            try:
+                found.append(json.loads(line))
+            except RecursionError:
+                found.append(line.decode(errors="replace"))  # which is no row
     return found
+
+
+def _is_sound(row: Any) -> bool:
+    """Whether a line of the journal is a row: all that is read of it later is there, and of the right type."""
+    if not isinstance(row, dict) or "index" not in row or row.get("status") not in list(NEEDED) or not row.keys() >= set(NEEDED[row["status"]]):
+        return False
+    others = ("parameters", "seconds")  # not read
+    is_of_kind = all(type(value) is KINDS.get(name, str) for name, value in row.items() if name not in others)
+    counts = [row[name] for name in ("index", "n_steps", "n_atoms") if name in row]
+    numbers = [number for name in ("means", "errors") for number in row.get(name, {}).values()] if is_of_kind else []
+    return is_of_kind and all(0 <= count < COUNTS for count in counts) and all(type(number) is float for number in numbers)
 
 
 def columns_of(parameters: list[dict[str, Value]]) -> dict[str, list[Value]]:
@@ -184,7 +226,7 @@ def columns_of(parameters: list[dict[str, Value]]) -> dict[str, list[Value]]:
 def entropy_of(seed: int | None, before: Asked | None) -> int:
     """The entropy: the seed if given, else that of the folder, else a random one.  Raises ValueError for a seed below 0 or from 2¹²⁸ on."""
     if seed is not None:
-        return checked_count("seed", seed, 0, 2**128)
+        return checked_count("seed", seed, 0, ENTROPIES)
     return before.seed if before is not None else secrets.randbits(128)
 
 

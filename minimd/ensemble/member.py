@@ -19,6 +19,7 @@ Value = bool | int | float | str
 OWN_COLUMNS = ("index", "status", "n_steps", "n_atoms", "n_members", "file", "message")  # of tables
 OWN_ENDINGS = ("_mean", "_error")
 PER_FOLDER = 1000  # files of members
+MOST_MEMBERS = 10**6  # their table takes some gigabytes
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
             f"member; parameters = {shown(parameters)}"
         )
     else:
-        rows = [{} for _ in range(checked_count("the number of members", parameters))]
+        rows = [{} for _ in range(checked_count("the number of members", parameters, 1, MOST_MEMBERS + 1))]
     if not rows:
         raise ValueError("an ensemble must have at least one member; parameters is empty")
     for index, row in enumerate(rows):

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from minimd.ensemble.member import Member
-from minimd.files.claim import is_locked, new_file
+from minimd.files.claim import is_locked, new_file, regular
 from minimd.simulation.simulation import Simulation
 
 SECONDS_BETWEEN_NOTES = 2.0
@@ -78,6 +78,7 @@ def read_note(file: Path) -> str:
     """What the member with this file is doing now; empty if no process runs it, or if it began less than two seconds ago."""
     place = note_of(file)
     try:
-        return place.read_text(encoding="utf-8").strip() if is_locked(place) else ""
-    except OSError:
+        with open(place, encoding="utf-8", opener=regular) as note:
+            return note.read().strip() if is_locked(place) else ""
+    except (OSError, UnicodeDecodeError):
         return ""

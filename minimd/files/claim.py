@@ -107,10 +107,7 @@ def locked(path: Path, create: bool = False) -> int:
 
     Raises OSError if another run holds the lock, or it is not a regular file; a link is none.
     """
-    with suppress(FileNotFoundError):
-        if not stat.S_ISREG(os.lstat(path).st_mode):
-            raise OSError(errno.EINVAL, "it is not a regular file")
-    return _locked(os.open(path, os.O_RDWR | (os.O_CREAT if create else 0) | NO_LINK, 0o666), path)
+    return _locked(regular(path, os.O_RDWR | (os.O_CREAT if create else 0)), path)
 
 
 def new_file(path: Path) -> int:
@@ -155,9 +152,15 @@ def write_whole(file: Path, content: str | bytes) -> None:
         raise OSError(f"{str(file)!r} cannot be written: {error.strerror}") from None
 
 
-def no_link(path: str, flags: int) -> int:
-    """For open(path, opener=no_link): a link is not followed, and a pipe is not waited for."""
-    return os.open(path, flags | NO_LINK)
+def regular(path: str | Path, flags: int) -> int:
+    """A descriptor of a regular file, also for open(path, opener=regular).
+
+    Raises OSError if it is anything else: a link is not followed, and a pipe is not waited for.
+    """
+    with suppress(FileNotFoundError):
+        if not stat.S_ISREG(os.lstat(path).st_mode):
+            raise OSError(errno.EINVAL, "it is not a regular file", str(path))
+    return os.open(path, flags | NO_LINK, 0o666)
 
 
 def _locked(descriptor: int, path: Path) -> int:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 from minimd.diagnosis.crash_report import CrashReport
 from minimd.diagnosis.faults import RUNAWAY
@@ -24,11 +24,12 @@ from minimd.forces.contacts import Contact
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.neighbors.queries import ClosestPair
-from minimd.structure.checks import printable
+from minimd.structure.checks import COUNTS, printable, shown
 from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.system import System
 
 SUFFIX = ".crash.h5md"
+ATOMS = ("first", "second", "pushed", "fastest")  # in findings, by index
 
 
 class CrashFile(NamedTuple):
@@ -143,7 +144,7 @@ def is_crash_file(path: str | Path) -> bool:
 
 def read_crash_report(path: str | Path) -> CrashFile:
     """The contents of a crash file.  Raises FileNotFoundError, OSError, ValueError as read_file, and ValueError for another file of minimd."""
-    from minimd.files.h5md_opening import opened
+    from minimd.files.h5md_opening import damage_told, opened
     from minimd.files.h5md_reader import read_file
     from minimd.files.h5md_restart import read_group, unflattened
 
@@ -151,13 +152,29 @@ def read_crash_report(path: str | Path) -> CrashFile:
     with opened(path) as h5:
         if "minimd/crash_report" not in h5:
             raise ValueError(f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed")
-        group = h5["minimd/crash_report"]
-        told, found = (json.loads(group[name].asstr()[()]) for name in ("simulation", "findings"))
-        found = {name: printable(value) if isinstance(value, str) else value for name, value in found.items()}
-        start, system = unflattened(*read_group(group["start"])).state, contents.system
-    system.positions, system.velocities = start.positions, start.velocities
-    found["pair"], found["closest"] = found["pair"] and Contact(**found["pair"]), found["closest"] and ClosestPair(*found["closest"])
+        group, system = h5["minimd/crash_report"], contents.system
+        with damage_told(path):
+            told, found = (json.loads(group[name].asstr()[()], object_hook=_printable) for name in ("simulation", "findings"))
+            start = unflattened(*read_group(group["start"])).state
+            system.positions, system.velocities = start.positions, start.velocities
+            pair, closest = found["pair"] and Contact(**found["pair"]), found["closest"] and ClosestPair(*found["closest"])
+            findings = CrashReport(**found | {"pair": pair, "closest": closest})
+            for part in (findings, pair, closest):
+                _check_types(part, len(system))
     options: dict[str, Any] = {"precision": contents.precision, "skin": contents.skin, "potentials": contents.potentials, "scene": contents.scene}
     options["barostat"] = contents.barostat
     options |= {"noise_shift": told["noise_shift"], "judgment": (told.get("first"), told.get("growth", RUNAWAY))}  # older files have no judgment
-    return CrashFile(CrashReport(**found), system, start, contents.integrator(), **options)
+    return CrashFile(findings, system, start, contents.integrator(), **options)
+
+
+def _printable(found: dict[str, Any]) -> dict[str, Any]:
+    return {name: printable(value) if isinstance(value, str) else value for name, value in found.items()}
+
+
+def _check_types(part: Any, n_atoms: int) -> None:
+    """Raise ValueError unless all values of a part of the findings are of the types that it declares, and its atoms are among n_atoms."""
+    for name, declared in get_type_hints(type(part)).items() if part else ():
+        value, kinds = getattr(part, name), get_args(declared) or (declared,)
+        is_in_range = (0 if name in ATOMS else -COUNTS) <= value < (n_atoms if name in ATOMS else COUNTS) if type(value) is int else True
+        if not (type(value) in kinds or (type(value) is int and float in kinds)) or not is_in_range:
+            raise ValueError(f"its findings have {name} = {shown(value)}")

@@ -198,6 +198,14 @@ def test_altered_files_of_a_scan_are_refused_by_name(kind, scanned, folder, caps
     assert name in capsys.readouterr().err
 
 
+def test_a_pipe_is_no_scene_of_a_scan(scanned, folder, capsys):
+    shutil.copytree(scanned, "scan")
+    pipe(Path("scan/scene.toml"))
+    with stuck_after(20.0):
+        assert cli.main(["scan", "melt.toml", "--workers", "0", "--steps", "5"]) == 2
+    assert "scan/scene.toml" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("command", [["melt.toml", "--workers", "0", "--steps", "5"], ["melt.toml", "--overwrite"], ["--status", "scan"]])
 def test_no_member_is_written_through_a_link(command, scanned, folder, capsys):
     shutil.copytree(scanned, "scan")

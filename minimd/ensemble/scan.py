@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from minimd.ensemble.member import Member, Value
 from minimd.ensemble.running import ensemble
 from minimd.ensemble.table import EnsembleTable
-from minimd.files.claim import write_whole
+from minimd.files.claim import regular, write_whole
 from minimd.files.crash_file import crash_file_place
 from minimd.scene.document import Scene, load_scene, parse_scene
 from minimd.scene.running import equilibrate, minimize
@@ -154,7 +154,7 @@ def scan_scene(
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
     build(Member(0, grid[0], seed, n_steps, place))  # checks the structure and the potentials, too
     kept = place / SCENE
-    if resume and kept.exists() and kept.read_text(encoding="utf-8") != scene.text:
+    if resume and kept.exists() and _text(kept) != scene.text:
         raise ValueError(
             f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, or replace it with --overwrite"
         )
@@ -174,3 +174,8 @@ def scan_scene(
 
 def _silent(_line: str) -> None:
     """Discard a line: members of a scan print nothing."""
+
+
+def _text(file: Path) -> str:
+    with open(file, encoding="utf-8", opener=regular) as opened:
+        return opened.read()

@@ -143,6 +143,18 @@ def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
     assert not (tmp_path / "other.h5md").exists()
 
 
+def test_any_step_of_a_run_in_units_of_ase_is_made_again(tmp_path):
+    """Files have Å/ps; what their rounding changes is less than half a step of the grid."""
+    file, law = tmp_path / "run.h5md", md.LennardJones(120.0 * md.units.ASE.k_B, 3.4, 5.0, truncation="force-shifted")
+    run = md.Simulation(bulk("Ar", "fcc", 5.4, cubic=True).repeat(2), law, md.VelocityVerlet(5.0 * md.units.fs), precision="fixed-point")
+    run.set_temperature(94.4, seed=1)
+    other = pickle.loads(pickle.dumps(run))
+    run.run(60, every=20, trajectory=file)
+    other.make_steps(47)
+    assert bits(md.Simulation.resume(file, law, step=47)) == bits(other)
+    assert md.archive(file, tmp_path / "small.h5md", 40, law).n_frames == (4, 2)
+
+
 @pytest.mark.parametrize("bath", [md.LangevinBAOAB(0.004, 0.9, 1.0, seed=3), md.StochasticVelocityRescaling(0.004, 0.9, 0.5, seed=3)])
 def test_baths_keep_to_the_grid(bath):
     """With them, too, a run that is stopped and one on other threads have the same bits; rescaling keeps the momentum to rounding."""

@@ -53,6 +53,7 @@ def test_doctor_finds_damaged_compiled_code_and_loads_nothing_of_it(tmp_path, mo
     files = CodeFiles(str(tmp_path / "forces"), "twice", "now")
     for signature in ("floats", "integers"):
         files.save(signature, f"code for {signature}")
+    (tmp_path / "forces" / "gone.nbi").symlink_to(tmp_path / "nowhere")  # as one that another process has just replaced
     assert doctor.cache() == (True, str(tmp_path))
     file = tmp_path / "forces" / files._load_index()["floats"]
     code = bytearray(file.read_bytes())

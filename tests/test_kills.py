@@ -54,12 +54,6 @@ def few(method=None, **options):
     return simulation(md.System(positions), md.LennardJones(1.0, 1.0, 2.5), method, **options)
 
 
-def crystal_of(n_cells):
-    """Lennard-Jones atoms at the density of the melt."""
-    positions, edges = crystal("fcc", [n_cells] * 3, 1.6796)
-    return md.System(positions, cell=edges)
-
-
 SCENES = {"plain": plain, "rigid": rigid, "springs": springs, "few": few}
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 import minimd as md
 from minimd.compiled import kernels as compiling
-from minimd.compiled.code_cache import sound_content
+from minimd.compiled.code_cache import is_damaged
 from minimd.compiled.machine import MISSING, available_cores, processor_name, version
 from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
 from minimd.ensemble.workers import SpawnedProcesses
@@ -78,7 +78,7 @@ def cache() -> Finding:
     folder = compiling.cache_folder()
     if folder is None:
         return False, "each process must compile again; set NUMBA_CACHE_DIR to a folder to which you, and nobody else, can write"
-    damaged = [file for file in folder.glob("*/*.nb[ic]") if sound_content(file) is None]
+    damaged = [file for file in folder.glob("*/*.nb[ic]") if is_damaged(file)]
     for file in damaged:
         file.unlink(missing_ok=True)
     words = f"; damaged files, removed and compiled anew at their next use: {len(damaged)}" if damaged else ""

@@ -78,6 +78,14 @@ def sound_content(path: str | Path) -> bytes | None:
     return content if sha256(content).digest() == checksum else None
 
 
+def is_damaged(path: str | Path) -> bool:
+    """Whether a file of the cache does not agree with its checksum; one that is gone, or cannot be read, is not called damaged."""
+    try:
+        return sound_content(path) is None
+    except OSError:
+        return False
+
+
 class KernelCache(FunctionCache):
     """Numba's cache of the compiled forms of a kernel. If several processes want one at the same moment, one compiles it while the others wait."""
 

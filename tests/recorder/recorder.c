@@ -1,5 +1,5 @@
 /* Records what a process does to the files below a folder: each call of libc that changes them, with its data, in the order in which it is made.
-   RECORDED is the folder, RECORD the log. A record is a head and two texts; see record.py, which reads it. Buffered streams become cookies, whose
+   RECORDED is the folder, RECORD the log. A record is a head and two texts; disk.py reads it. Buffered streams become cookies, whose
    writes come through write() below: those of libc itself cannot be caught otherwise. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
